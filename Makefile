@@ -1,0 +1,57 @@
+# `make` or `make help` lists the targets: every line "target: ... ## text" documents itself.
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+# Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
+ARGS ?=
+
+.PHONY: help venv run test test-all lint format bench table1 table2 clean
+
+help: ## list the targets
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@printf '\nOverrides go into ARGS: make run ARGS="system.ndof=20 noise.snr_db=20"; `$(BIN)/pinn-run --help` lists them.\n'
+
+venv: $(INSTALLED) ## install the package and its tools into .venv, in the exact versions of constraints.txt
+
+# PIP_CONSTRAINT rather than -c: it binds the isolated build environment too.
+$(INSTALLED): pyproject.toml setup.py constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile torch
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -e '.[dev]'
+	@touch $@
+
+run: venv ## estimate the response of the default chain (6 DOFs, Duffing) and print its fitness
+	$(BIN)/pinn-run $(ARGS)
+
+lint: venv ## ruff (rules and format) and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: venv ## let ruff sort imports, mend and format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+test: lint ## lint, then every test that is not slow
+	$(BIN)/python -m pytest -m "not slow"
+
+test-all: lint ## lint, then every test
+	$(BIN)/python -m pytest
+
+bench: venv ## time and scaling over DOFs and durations
+	$(BIN)/python -m benchmarks $(ARGS)
+
+table1: venv ## the paper's Table 1, perturbed parameters, beside the published values
+	$(BIN)/python -m pinn_cli.report.tables table1 $(ARGS)
+
+table2: venv ## the paper's sparse-recovery table: six cases, uncertain and fixed parameters, published beside ours
+	$(BIN)/python -m pinn_cli.report.tables table2 $(ARGS)
+
+clean: ## remove the environment, builds, caches and every result in outputs/
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+	find outputs -mindepth 1 ! -name .gitkeep -delete
