@@ -1,0 +1,1 @@
+"""The shipped configuration: Hydra reads it as `pkg://pinn_cli.conf`."""

@@ -1,0 +1,31 @@
+"""What can go wrong for a user, in one line each.
+
+Two kinds are told apart because a shell script must tell them apart: input that no run can use (exit status 2) and a run that
+diverged (exit status 3). Everything else is a defect of the program and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """A setting or a file that no run can use.
+
+    Args:
+        setting: The setting's name as a user types it (``system.ndof``) or a place in a file (``data.csv, column 'f1', line 7``).
+        value: What was given.
+        allowed: What is allowed.
+        hint: The likely cause, or what to do about it.
+    """
+
+    def __init__(self, setting: str, value: object, allowed: str, hint: str = "") -> None:
+        self.setting, self.value, self.allowed, self.hint = setting, value, allowed, hint
+        text = f"{setting}={value}: must be {allowed}" + (f"; {hint}" if hint else "")
+        super().__init__(" ".join(text.split()))
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
+        # Exceptions cross process borders in sweeps; the default pickling would call __init__ with the finished text only.
+        return type(self), (self.setting, self.value, self.allowed, self.hint)
+
+
+class DivergenceError(RuntimeError):
+    """Training that left the numbers that a computer can hold: which term, at which iteration, what to try."""

@@ -1,0 +1,56 @@
+"""What counts as a number, a whole number or a choice in a setting; anything else is one line for the user.
+
+A bool is no number here, although Python thinks so: ``system.ndof=true`` is a mistake.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from numbers import Integral, Real
+from typing import Any
+
+from pinn_cli.errors import InputError
+
+
+def is_finite_number(value: object) -> bool:
+    """Whether it is an int or a float (of Python or numpy), finite."""
+    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
+
+
+def is_whole_number(value: object) -> bool:
+    """Whether it is an int (of Python or numpy)."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def entries(value: object) -> list[Any]:
+    """The entries of a list; none of anything else, a text included."""
+    return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
+
+
+def finite_number(setting: str, value: Any) -> float:
+    """The value as a float, or an InputError naming ``setting``."""
+    if not is_finite_number(value):
+        raise InputError(setting, value, "a finite number")
+    return float(value)
+
+
+def positive_number(setting: str, value: Any) -> float:
+    """The value as a float > 0, or an InputError naming ``setting``."""
+    if not is_finite_number(value) or value <= 0:
+        raise InputError(setting, value, "a finite number > 0")
+    return float(value)
+
+
+def whole_number(setting: str, value: Any, least: int = 0) -> int:
+    """The value as an int >= ``least``, or an InputError naming ``setting``."""
+    if not is_whole_number(value) or value < least:
+        raise InputError(setting, value, f"a whole number >= {least}")
+    return int(value)
+
+
+def one_of(setting: str, value: Any, choices: Sequence[str]) -> str:
+    """The value if it is one of the choices, or an InputError naming ``setting``."""
+    if value not in choices:
+        raise InputError(setting, value, f"one of {', '.join(choices)}")
+    return str(value)

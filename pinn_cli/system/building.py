@@ -1,0 +1,62 @@
+"""From what a user writes in a config to a chain, with every rule about legal values of `system`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import entries, is_finite_number, whole_number
+from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pinn_cli.system.nonlinearity.base import Nonlinearity
+
+
+def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float]) -> Chain:
+    """A chain from numbers (the same for every connection) or lists of ndof numbers.
+
+    Args:
+        ndof: Number of degrees of freedom.
+        nonlinearity: Which decides what parameters there are beyond m, c and k.
+        **parameters: m (kg), c (N s/m), k (N/m), and kappa (N/m^3) or mu, each a number or a list of ndof numbers.
+
+    Raises:
+        InputError: Naming ``system.<parameter>``: ndof is no positive integer; a parameter is missing, unknown, of the
+            wrong length, not finite or of a sign that makes no sense.
+    """
+    ndof = whole_number("system.ndof", ndof, least=1)
+    names = (*LINEAR_PARAMETERS, *nonlinearity.parameters)
+    for name, value in parameters.items():
+        if name not in names:
+            raise InputError(f"system.{name}", value, f"left out: a {nonlinearity.name} chain has {', '.join(names)}")
+    for name in names:
+        if parameters.get(name) is None:
+            raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {', '.join(names)}")
+    values = {name: _per_connection(name, parameters[name], ndof) for name in names}
+    _check_signs(values, nonlinearity)
+    return Chain({name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}, nonlinearity)
+
+
+def _per_connection(name: str, value: Any, ndof: int) -> list[float]:
+    if isinstance(value, np.ndarray | torch.Tensor):
+        value = value.tolist()
+    numbers = [value] * ndof if is_finite_number(value) else entries(value)
+    if not numbers or not all(is_finite_number(number) for number in numbers):
+        raise InputError(f"system.{name}", value, f"a finite number or a list of {ndof} finite numbers")
+    if len(numbers) != ndof:
+        allowed = f"a number or a list of {ndof} numbers (system.ndof={ndof})"
+        raise InputError(f"system.{name}", list(numbers), allowed, f"it has {len(numbers)}")
+    return [float(number) for number in numbers]
+
+
+def _check_signs(values: dict[str, list[float]], nonlinearity: Nonlinearity) -> None:
+    if min(values["m"]) <= 0.0:
+        raise InputError("system.m", min(values["m"]), "> 0", "a DOF without mass has no equation of motion")
+    for name in nonlinearity.nonnegative:
+        if min(values[name]) < 0.0:
+            raise InputError(f"system.{name}", min(values[name]), ">= 0", "the connection would push itself apart")

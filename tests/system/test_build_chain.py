@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from pinn_cli.errors import InputError
+from pinn_cli.system import build_chain
+from pinn_cli.system.nonlinearity import Duffing, Linear, PowerDamping, VanDerPol
+
+LEGAL = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
+
+
+def test_numbers_and_lists_become_float64_of_every_connection():
+    chain = build_chain(3, Duffing(), **{**LEGAL, "k": [15, 14, 16.5], "m": 10})
+    assert chain.ndof == 3
+    assert {value.dtype for value in chain.parameters.values()} == {torch.float64}
+    assert chain.parameters["k"].tolist() == [15.0, 14.0, 16.5]
+    assert chain.parameters["m"].tolist() == [10.0] * 3
+
+
+@pytest.mark.parametrize(
+    "stiffness", [np.array([1.0, 2.0]), torch.tensor([1.0, 2.0]), OmegaConf.create([1.0, 2.0]), (1, 2)]
+)
+def test_any_kind_of_list_will_do(stiffness):
+    assert build_chain(2, Linear(), m=1.0, c=0.0, k=stiffness).parameters["k"].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("setting", "changes"),
+    [
+        ("system.ndof", {"ndof": 0}),
+        ("system.ndof", {"ndof": -3}),
+        ("system.ndof", {"ndof": 2.5}),
+        ("system.ndof", {"ndof": "3"}),
+        ("system.ndof", {"ndof": True}),
+        ("system.ndof", {"ndof": None}),
+        ("system.k", {"k": [15.0, 15.0]}),
+        ("system.k", {"k": []}),
+        ("system.k", {"k": "15"}),
+        ("system.k", {"k": [15.0, None, 15.0]}),
+        ("system.k", {"k": [15.0, math.nan, 15.0]}),
+        ("system.k", {"k": -15.0}),
+        ("system.k", {"k": [15.0, 15.0, -1.0]}),
+        ("system.k", {"k": None}),
+        ("system.c", {"c": -1.0}),
+        ("system.c", {"c": math.inf}),
+        ("system.c", {"c": True}),
+        ("system.m", {"m": 0.0}),
+        ("system.m", {"m": [1.0, -1.0, 1.0]}),
+        ("system.kappa", {"kappa": math.nan}),
+        ("system.kappa", {"kappa": [1.0] * 4}),
+        ("system.mu", {"mu": 0.75}),
+    ],
+)
+def test_what_no_chain_can_have_is_named(setting, changes):
+    settings = {"ndof": 3, "nonlinearity": Duffing(), **LEGAL, **changes}
+    with pytest.raises(InputError, match=rf"^{setting}=") as error:
+        build_chain(**settings)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("nonlinearity", "name"), [(Duffing(), "kappa"), (VanDerPol(), "mu"), (Linear(), "k")])
+def test_a_missing_parameter_is_named(nonlinearity, name):
+    given = {parameter: 1.0 for parameter in ("m", "c", "k", *nonlinearity.parameters) if parameter != name}
+    with pytest.raises(InputError, match=rf"^system\.{name}=nothing"):
+        build_chain(3, nonlinearity, **given)
+
+
+def test_a_wrong_length_says_both_lengths():
+    with pytest.raises(InputError, match=r"list of 3 numbers \(system\.ndof=3\); it has 2"):
+        build_chain(3, Linear(), m=1.0, c=1.0, k=[1.0, 2.0])
+
+
+def test_signs_that_make_sense_pass():
+    assert build_chain(2, Duffing(), **{**LEGAL, "kappa": -5.0}).parameters["kappa"].tolist() == [-5.0, -5.0]
+    assert build_chain(2, VanDerPol(), m=1.0, c=0.0, k=0.0, mu=-0.1).parameters["mu"].tolist() == [-0.1, -0.1]
+    with pytest.raises(InputError, match=r"^system\.mu="):
+        build_chain(2, PowerDamping(), m=1.0, c=0.0, k=0.0, mu=-0.1)

@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from pinn_cli.errors import InputError
+from pinn_cli.system import build_chain
+from pinn_cli.system.model_error import LinearModelError, ModelError, NoModelError, PerturbedModelError
+from pinn_cli.system.nonlinearity import Duffing, VanDerPol
+
+NOMINAL = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
+
+
+def nominal(ndof: int = 6):
+    return build_chain(ndof, Duffing(), **NOMINAL)
+
+
+def ratios(chain) -> dict[str, np.ndarray]:
+    return {name: value.numpy() / NOMINAL[name] for name, value in chain.parameters.items()}
+
+
+def test_none_changes_nothing():
+    chain = nominal()
+    assert NoModelError().chains(chain) == (chain, chain)
+
+
+def test_linear_prescribes_no_nonlinearity_and_leaves_the_truth():
+    chain = nominal()
+    true, prescribed = LinearModelError().chains(chain)
+    assert true is chain
+    assert prescribed.nonlinearity.name == "linear"
+    assert prescribed.parameters["k"].tolist() == [15.0] * 6
+
+
+def test_perturbed_truth_is_five_to_ten_per_cent_off_either_way_and_the_mass_is_right():
+    chain = nominal(200)
+    true, prescribed = PerturbedModelError(seed=1).chains(chain)
+    assert prescribed is chain
+    changed = ratios(true)
+    assert np.all(changed.pop("m") == 1.0)
+    for ratio in changed.values():
+        assert np.all((np.abs(ratio - 1.0) >= 0.05 - 1e-12) & (np.abs(ratio - 1.0) <= 0.10 + 1e-12))
+        assert 60 < np.sum(ratio > 1.0) < 140
+
+
+def test_perturbed_draws_are_independent_and_seeded():
+    first, again, other = (ratios(PerturbedModelError(seed=seed).chains(nominal())[0]) for seed in (0, 0, 1))
+    assert np.array_equal(first["k"], again["k"])
+    assert not np.any(first["k"] == other["k"])
+    assert not np.any(first["k"] == first["c"])
+    assert len(set(first["k"])) == 6
+
+
+def test_perturbed_draws_do_not_depend_on_the_other_connections_or_parameters():
+    short, long = (ratios(PerturbedModelError(seed=3).chains(nominal(ndof))[0]) for ndof in (4, 9))
+    np.testing.assert_array_equal(short["k"], long["k"][:4])
+    other = build_chain(4, VanDerPol(), m=10.0, c=1.0, k=15.0, mu=0.75)
+    np.testing.assert_array_equal(short["k"], PerturbedModelError(seed=3).chains(other)[0].parameters["k"] / 15.0)
+
+
+@pytest.mark.parametrize(("case", "seed_stride"), [("sr_6dof_perturbed", 1), ("sp_5dof_perturbed", 100)])
+def test_authors_draws_give_the_reference_parameters(shared, case, seed_stride):
+    reference = np.load(shared / "data" / "reference_signals" / f"{case}.npz")
+    model_error = PerturbedModelError(seed=43810, draws="authors", seed_stride=seed_stride)
+    true, _ = model_error.chains(nominal(reference["m"].size))
+    for name, value in true.parameters.items():
+        np.testing.assert_allclose(value.numpy(), reference[name], rtol=1e-9)
+
+
+def test_authors_draws_give_the_papers_table(shared):
+    true, _ = PerturbedModelError(seed=43810, draws="authors").chains(nominal())
+    with open(shared / "paper" / "perturbed_parameters.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 18
+    for row in rows:
+        name, dof = row["parameter"].rsplit("_", 1)
+        # The table has two decimals.
+        assert true.parameters[name][int(dof) - 1].item() == pytest.approx(float(row["true"]), abs=0.0051)
+
+
+@pytest.mark.parametrize(
+    ("setting", "changes"),
+    [
+        ("seed", {"seed": -1}),
+        ("seed", {"seed": 1.5}),
+        ("seed_stride", {"seed_stride": "1"}),
+        ("draws", {"draws": "gaussian"}),
+        ("bounds", {"bounds": [0.1, 0.05]}),
+        ("bounds", {"bounds": [0.1, 1.0]}),
+        ("bounds", {"bounds": 0.1}),
+        ("bounds", {"bounds": [-0.1, 0.1]}),
+    ],
+)
+def test_illegal_settings_are_named(setting, changes):
+    with pytest.raises(InputError, match=rf"^model_error\.{setting}="):
+        PerturbedModelError(**changes)
+
+
+def test_another_model_error_is_one_class():
+    class HeavierModelError(ModelError):
+        name = "heavier"
+
+        def chains(self, nominal):
+            return nominal.with_parameters(m=1.1 * nominal.parameters["m"]), nominal
+
+    true, prescribed = HeavierModelError().chains(nominal())
+    assert true.parameters["m"][0] == pytest.approx(11.0)
+    assert prescribed.parameters["m"][0] == 10.0

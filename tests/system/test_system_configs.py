@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from pinn_cli.system import build_chain
+from pinn_cli.targets import build, construct
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+@pytest.mark.parametrize("name", ["duffing", "van_der_pol", "linear", "power_damping"])
+def test_every_system_config_builds_its_chain(name):
+    chain = construct(build_chain, OmegaConf.load(CONF / "system" / f"{name}.yaml"), "system")
+    assert chain.nonlinearity.name == name
+    paper = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0, "mu": 0.75}
+    for parameter, value in chain.parameters.items():
+        assert value.tolist() == [paper[parameter]] * 6
+
+
+@pytest.mark.parametrize("name", ["none", "linear", "perturbed"])
+def test_every_model_error_config_is_its_class(name):
+    assert build(OmegaConf.load(CONF / "model_error" / f"{name}.yaml"), "model_error").name == name
