@@ -1,0 +1,42 @@
+"""How large the motion of a record is, read off the channels that were measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import periodogram, record_band
+
+# The Hann window spreads a channel's mean over the two lowest bins.
+LOWEST_BIN = 2
+
+
+def motion_amplitudes(record: Record) -> dict[str, float]:
+    """Root mean square of displacement (m), velocity (m/s) and acceleration (m/s^2) where the record moves most.
+
+    A quantity without a sensor comes from the measured one that is fewest derivatives away, integrated or
+    differentiated in the frequency domain over the record's band. Hidden DOFs may move more: only orders of magnitude
+    matter to those who scale their numbers by it.
+
+    Returns:
+        Quantity to its amplitude; 1 where the channel that it comes from shows nothing at all.
+    """
+    measured = [order for order, quantity in enumerate(RESPONSE_QUANTITIES) if record.sensors(quantity).any()]
+    band = record_band(record)
+    amplitudes = {}
+    for order, quantity in enumerate(RESPONSE_QUANTITIES):
+        source = min(measured, key=lambda given, order=order: abs(given - order))  # type: ignore[misc]
+        name = RESPONSE_QUANTITIES[source]
+        channels = getattr(record, name)[:, record.sensors(name)]
+        amplitudes[quantity] = max(_rms(channel, record.step, band, order - source) for channel in channels.T) or 1.0
+    return amplitudes
+
+
+def _rms(channel: np.ndarray, step: float, band: float, derivatives: int) -> float:
+    """Root mean square of a channel (N,) after so many time derivatives; negative ones are integrals."""
+    if derivatives == 0:
+        return float(np.sqrt(np.mean(channel**2)))
+    frequency, power = periodogram(channel, step)
+    kept = slice(LOWEST_BIN, max(LOWEST_BIN + 1, int(np.searchsorted(frequency, band, side="right"))))
+    gain = (2.0 * np.pi * frequency[kept]) ** (2 * derivatives)
+    return float(np.sqrt(2.0 * np.sum(gain * power[kept]) / len(channel)))

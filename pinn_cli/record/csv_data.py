@@ -1,0 +1,186 @@
+"""A record that someone measured (``data=csv``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import entries, finite_number, is_whole_number, one_of, whole_number
+from pinn_cli.record.csv_file import CsvFile
+from pinn_cli.record.decimation import decimate
+from pinn_cli.record.record import (
+    INTERSAMPLE,
+    MINIMUM_SAMPLES,
+    QUANTITIES,
+    RESPONSE_QUANTITIES,
+    Intersample,
+    Measurements,
+    Record,
+    Response,
+    Truth,
+    dof_mask,
+)
+
+
+@dataclass(frozen=True)
+class CsvData:
+    """Which column of a CSV file is what, and which part of it is used.
+
+    Attributes:
+        path: Of the file; a relative one starts at ``base``.
+        time: Column of the times, s, uniform within the window.
+        force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
+            are not listed are known to be unforced.
+        displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
+        holdout: DOFs whose columns the estimator never sees: they go into the truth, to score it.
+        start, stop: Of the window, s, both included; None: the file's ends.
+        decimate: Keep every so manieth sample of the window, after an anti-alias filter.
+        intersample: How the force behaves between the samples.
+        base: The directory the user started the command in; None: the current one.
+        kind: The name of the config group's choice.
+
+    Raises:
+        InputError: Naming ``data.<setting>``.
+    """
+
+    path: str
+    time: str
+    force: Mapping[int, str | None] = field(default_factory=dict)
+    displacement: Mapping[int, str] = field(default_factory=dict)
+    velocity: Mapping[int, str] = field(default_factory=dict)
+    acceleration: Mapping[int, str] = field(default_factory=dict)
+    holdout: Sequence[int] = ()
+    start: float | None = None
+    stop: float | None = None
+    decimate: int = 1
+    intersample: Intersample = "band_limited"
+    base: Path | None = None
+    kind: str = "csv"
+
+    def __post_init__(self) -> None:
+        for setting in ("path", "time"):
+            if not isinstance(getattr(self, setting), str) or not getattr(self, setting):
+                raise InputError(f"data.{setting}", getattr(self, setting), "given: data=csv reads a file of yours")
+        for quantity in QUANTITIES:
+            object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
+        object.__setattr__(self, "holdout", _checked_holdout(self.holdout))
+        self._check_window()
+        one_of("data.intersample", self.intersample, INTERSAMPLE)
+        if self.decimate > 1 and self.intersample == "zero_order_hold":
+            hint = "a filtered force is no longer held; take data.intersample=band_limited"
+            raise InputError("data.decimate", self.decimate, "1 with data.intersample=zero_order_hold", hint)
+        self._check_sensors()
+        self._check_columns_differ()
+
+    def measure(self, ndof: int) -> Measurements:
+        """The record of the columns that are not held out, and as the truth those that are; the rest of it is NaN.
+
+        Raises:
+            InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples.
+        """
+        self._check_dofs(ndof)
+        columns = {
+            (quantity, dof): column
+            for quantity in QUANTITIES
+            for dof, column in getattr(self, quantity).items()
+            if column is not None
+        }
+        time, values = self._read(columns)
+        seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
+        unforced = ~dof_mask(self.force, ndof)
+        seen.force[:, unforced] = 0.0
+        for (quantity, dof), column in zip(columns, values.T, strict=True):
+            target = truth if dof in self.holdout else seen
+            getattr(target, quantity)[:, dof - 1] = column
+        record = Record(**vars(seen), unforced=unforced, intersample=self.intersample)
+        return Measurements(record, Truth(truth))
+
+    def _read(self, columns: Mapping[tuple[str, int], str]) -> tuple[np.ndarray, np.ndarray]:
+        """Times (N,) of the window after decimation, and (N, columns)."""
+        settings = {f"data.{quantity}.{dof}": column for (quantity, dof), column in columns.items()}
+        file = CsvFile((self.base or Path.cwd()) / Path(self.path).expanduser(), {"data.time": self.time, **settings})
+        time = file.increasing_times(self.time)
+        first, last = self._window(time)
+        time = file.uniform_times(self.time, time[first:last], first)
+        values = np.stack([file.numbers(column, first, last) for column in columns.values()], axis=1)
+        return time[:: self.decimate], decimate(values, self.decimate)
+
+    def _window(self, time: np.ndarray) -> tuple[int, int]:
+        """Rows first..last (excluded) between start and stop."""
+        first = 0 if self.start is None else int(np.searchsorted(time, self.start, side="left"))
+        last = len(time) if self.stop is None else int(np.searchsorted(time, self.stop, side="right"))
+        kept = math.ceil(max(last - first, 0) / self.decimate)
+        if kept < MINIMUM_SAMPLES:
+            extent = f" from {time[0]:g} to {time[-1]:g} s" if len(time) else ""
+            file = f"{Path(self.path).name} has {len(time)} rows{extent}"
+            hint = f"{file}; after data.decimate={self.decimate} {kept} of them are left"
+            allowed = f"a window of at least {MINIMUM_SAMPLES} samples"
+            raise InputError("data.start, data.stop", f"{self.start}, {self.stop}", allowed, hint)
+        return first, last
+
+    def _check_window(self) -> None:
+        for setting in ("start", "stop"):
+            if getattr(self, setting) is not None:
+                finite_number(f"data.{setting}", getattr(self, setting))
+        if self.start is not None and self.stop is not None and self.start >= self.stop:
+            raise InputError("data.start", self.start, f"before data.stop={self.stop}")
+        whole_number("data.decimate", self.decimate, least=1)
+
+    def _check_sensors(self) -> None:
+        measured = {dof for quantity in RESPONSE_QUANTITIES for dof in getattr(self, quantity)}
+        if not measured:
+            settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
+            raise InputError(settings, "{}", "a map of DOF: column in at least one of them")
+        forces = {dof for dof, column in self.force.items() if column is not None}
+        for dof in self.holdout:
+            if dof not in measured | forces:
+                raise InputError("data.holdout", dof, "a DOF with a column", "there is nothing to score it against")
+        if not measured - set(self.holdout):
+            allowed = "such that a displacement, velocity or acceleration column is left"
+            raise InputError("data.holdout", list(self.holdout), allowed)
+
+    def _check_columns_differ(self) -> None:
+        places = {self.time: "data.time"}
+        for quantity in QUANTITIES:
+            for dof, column in getattr(self, quantity).items():
+                if column in places:
+                    raise InputError(f"data.{quantity}.{dof}", repr(column), f"another column than {places[column]}")
+                if column is not None:
+                    places[column] = f"data.{quantity}.{dof}"
+
+    def _check_dofs(self, ndof: int) -> None:
+        for quantity in QUANTITIES:
+            for dof in getattr(self, quantity):
+                if not 1 <= dof <= ndof:
+                    raise InputError(f"data.{quantity}", dof, f"a DOF between 1 and system.ndof={ndof}")
+
+
+def _checked_columns(quantity: str, columns: Any) -> dict[int, str | None]:
+    """DOF to column. A DOF may come as text, which is what ``data.force.1=f1`` on the command line makes of it."""
+    setting = f"data.{quantity}"
+    if columns is None:
+        return {}
+    if not isinstance(columns, Mapping):
+        raise InputError(setting, columns, "a map of DOF: column", f"e.g. {setting}={{1: 'sensor 1'}}")
+    checked: dict[int, str | None] = {}
+    for key, column in columns.items():
+        whole = is_whole_number(key) or (isinstance(key, str) and key.isdecimal())
+        if not whole or int(key) in checked:
+            raise InputError(setting, key, "a map whose keys are different DOFs, counted from 1")
+        if not isinstance(column, str) and not (column is None and quantity == "force"):
+            raise InputError(f"{setting}.{key}", column, "the name of a column")
+        checked[int(key)] = column
+    return checked
+
+
+def _checked_holdout(holdout: Any) -> tuple[int, ...]:
+    dofs = entries(holdout)
+    if not isinstance(holdout, Sequence) or isinstance(holdout, str) or not all(is_whole_number(dof) for dof in dofs):
+        raise InputError("data.holdout", holdout, "a list of DOFs, counted from 1")
+    return tuple(dict.fromkeys(int(dof) for dof in dofs))

@@ -1,0 +1,100 @@
+"""Gaussian noise in a band of frequencies."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import one_of, positive_number, whole_number
+from pinn_cli.record.excitation.base import Excitation, checked_band
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+PHASES = ("random", "authors")
+AUTHORS_AMPLITUDE = 500.0  # N; their code's, where the paper says 1.0 N
+
+
+class BandedNoise(Excitation):
+    """f(t) = a sum_k cos(2 pi k t / P + phi_k) over the bins k / P in the band, known at every time.
+
+    Amplitudes are equal and phases uniform, which tends to a Gaussian signal as the bins grow in number.
+
+    Args:
+        ndof, duration, samples: Of the chain and the record, see :class:`Excitation`.
+        band: [low, high], Hz, both ends included.
+        rms: Root mean square over a period P, N. None, with ``phases="authors"`` only: the authors' amplitude, 500 N
+            times the inverse FFT of a unit spectrum.
+        dofs: The forced DOFs, counted from 1; each has phases of its own.
+        seed: Of the phases.
+        phases: ``random``: numpy's default generator, one stream per DOF; P is the duration. ``authors``: legacy
+            ``RandomState(seed + i)`` for the i-th forced DOF (from 0; theirs is one, with seed 43810), drawn for every
+            bin below the Nyquist frequency; P is one sample longer than the duration, as in an FFT.
+
+    Raises:
+        InputError: Naming ``excitation.<setting>``; a band above the Nyquist frequency, or one that falls between the
+            bins of a short record.
+    """
+
+    def __init__(
+        self,
+        ndof: int,
+        duration: float,
+        samples: int,
+        band: Sequence[float],
+        rms: float | None,
+        dofs: Sequence[int],
+        seed: int = 0,
+        phases: str = "random",
+    ) -> None:
+        super().__init__(ndof, duration, samples, dofs)
+        self.band = checked_band(band, self.nyquist)
+        self.seed = whole_number("excitation.seed", seed)
+        self.phases = one_of("excitation.phases", phases, PHASES)
+        self.period = self.duration * (samples / (samples - 1) if phases == "authors" else 1.0)
+        self.bins = self._bins_in_band()
+        self.amplitude = self._amplitude(rms)
+        self._coefficients = self.amplitude * np.exp(1j * self._phases())  # (bins, dofs)
+
+    def signals(self, time: np.ndarray) -> np.ndarray:
+        """See :meth:`Excitation.signals`."""
+        # With w = exp(2 pi i t / P) the sum is the real part of a polynomial in w. Horner's scheme needs no array of
+        # (time, bins) and takes a tenth of the cosines' time, but loops over the bins: at few times, form the powers.
+        turn = 2j * np.pi / self.period
+        if len(time) < len(self.bins):
+            return np.real(np.exp(turn * np.outer(time, self.bins)) @ self._coefficients)
+        w = np.exp(turn * time)
+        signals: np.ndarray = np.real(polyval(w, self._coefficients) * w ** self.bins[0]).T
+        return signals
+
+    def _bins_in_band(self) -> np.ndarray:
+        low, high = self.band
+        # Of an even number of FFT bins the last is the Nyquist frequency, which has no phase.
+        bins = np.arange(1, (self.samples + 1) // 2)
+        frequencies = bins / self.period
+        bins = bins[(frequencies >= low) & (frequencies <= high)]
+        if len(bins) == 0:
+            # The next bin enters from above; a little more, so that the four digits shown are not too few.
+            longer = 1.001 * (math.floor(self.period * high) + 1) / high * self.duration / self.period
+            hint = f"the record is too short for its band; simulation.duration={longer:.4g} would do"
+            allowed = f"wide enough to hold a multiple of 1 / duration, {1.0 / self.period:.4g} Hz"
+            raise InputError("excitation.band", list(self.band), allowed, hint)
+        return np.asarray(bins)
+
+    def _amplitude(self, rms: float | None) -> float:
+        if rms is None and self.phases == "authors":
+            return 2.0 * AUTHORS_AMPLITUDE / self.samples
+        return positive_number("excitation.rms", rms) * math.sqrt(2.0 / len(self.bins))
+
+    def _phases(self) -> np.ndarray:
+        """(bins, dofs), rad."""
+        if self.phases == "authors":
+            count = (self.samples - 1) // 2
+            drawn = [np.random.RandomState(self.seed + i).rand(count)[self.bins - 1] for i in range(len(self.dofs))]
+        else:
+            drawn = [np.random.default_rng([self.seed, dof]).random(len(self.bins)) for dof in self.dofs]
+        return 2.0 * np.pi * np.stack(drawn, axis=1)

@@ -1,0 +1,197 @@
+"""Time histories: what was measured, what is true, and the wall between the two.
+
+Arrays are numpy float64 (time, dof), SI units. DOFs are counted from 1 wherever a person gives them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+RESPONSE_QUANTITIES = ("displacement", "velocity", "acceleration")
+QUANTITIES = (*RESPONSE_QUANTITIES, "force")
+UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+
+Intersample = Literal["band_limited", "zero_order_hold"]
+INTERSAMPLE: tuple[str, ...] = get_args(Intersample)
+
+# Fewer samples than this are no time history: three points per knot of a spline leave nothing to estimate.
+MINIMUM_SAMPLES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Motion and force of every DOF; NaN where unknown.
+
+    Attributes:
+        time: (N,), s.
+        displacement, velocity, acceleration, force: (N, n) in m, m/s, m/s^2, N.
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+
+    @classmethod
+    def unknown(cls, time: np.ndarray, ndof: int) -> Response:
+        """A response of which nothing is known."""
+        return cls(time, *(np.full((len(time), ndof), np.nan) for _ in QUANTITIES))
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """All that an estimator may see.
+
+    Attributes:
+        time: (N,), s, uniform; it need not begin at 0, and the structure need not begin at rest.
+        displacement, velocity, acceleration: (N, n), measured; a column of NaN where there is no sensor.
+        force: (N, n), measured; a column of NaN where the force is unknown; 0 where there is known to be none.
+        unforced: (n,) bool, the DOFs that are known to carry no force.
+        intersample: How the force behaves between the samples.
+
+    Raises:
+        InputError: No response sensor at all.
+        ValueError: Shapes, time axis, half-filled columns or forces on unforced DOFs that contradict the above.
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+    unforced: np.ndarray
+    intersample: Intersample = "band_limited"
+
+    def __post_init__(self) -> None:
+        for name in ("time", *QUANTITIES):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float64))
+        object.__setattr__(self, "unforced", np.asarray(self.unforced, dtype=bool))
+        if self.intersample not in INTERSAMPLE:
+            raise InputError("data.intersample", self.intersample, f"one of {', '.join(INTERSAMPLE)}")
+        self._check_time()
+        self._check_columns()
+        if not self.observed.any():
+            raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
+
+    def _check_time(self) -> None:
+        if self.time.ndim != 1 or len(self.time) < MINIMUM_SAMPLES:
+            raise ValueError(f"time has shape {self.time.shape}; it must be ({MINIMUM_SAMPLES} or more,)")
+        if not np.all(np.isfinite(self.time)) or self.step <= 0:
+            raise ValueError("time must be finite and grow")
+        # Clock times since 1970 have few digits left for the step: allow them their rounding.
+        rounding = 4.0 * float(np.spacing(np.max(np.abs(self.time))))
+        if np.ptp(np.diff(self.time)) > 1e-6 * self.step + rounding:
+            raise ValueError("time must grow by one constant step")
+
+    def _check_columns(self) -> None:
+        shape = (len(self.time), self.unforced.size)
+        for quantity in QUANTITIES:
+            values = getattr(self, quantity)
+            if values.shape != shape:
+                raise ValueError(f"{quantity} has shape {values.shape}; it must be (time, dof) = {shape}")
+            if not np.all(np.isfinite(values).all(axis=0) | np.isnan(values).all(axis=0)):
+                raise ValueError(
+                    f"every column of {quantity} must be finite throughout (a sensor) or NaN throughout (none)"
+                )
+        if np.any(self.force[:, self.unforced] != 0.0):
+            raise ValueError("the force on an unforced DOF must be 0")
+
+    @property
+    def ndof(self) -> int:
+        """Number of degrees of freedom."""
+        return self.unforced.size
+
+    @property
+    def step(self) -> float:
+        """Time from sample to sample, s."""
+        return self.duration / (len(self.time) - 1)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def sampling_rate(self) -> float:
+        """Samples per second, Hz."""
+        return 1.0 / self.step
+
+    def sensors(self, quantity: str) -> np.ndarray:
+        """(n,) bool: the DOFs whose ``quantity`` is measured. A force that is known to be zero is no sensor."""
+        measured: np.ndarray = np.isfinite(getattr(self, quantity)[0])
+        return np.logical_and(measured, ~self.unforced) if quantity == "force" else measured
+
+    @property
+    def observed(self) -> np.ndarray:
+        """(n,) bool: the DOFs with a displacement, velocity or acceleration sensor."""
+        observed: np.ndarray = np.any([self.sensors(quantity) for quantity in RESPONSE_QUANTITIES], axis=0)
+        return observed
+
+    def keep(self, dofs_by_quantity: Mapping[str, Iterable[int]]) -> Record:
+        """The record with only the named response sensors; the others, and quantities that are not named, are blanked.
+
+        Args:
+            dofs_by_quantity: "displacement", "velocity", "acceleration" to DOFs, counted from 1. A DOF without a sensor
+                stays without.
+
+        Raises:
+            InputError: No response sensor is left.
+            ValueError: A quantity or a DOF that does not exist.
+        """
+        if not set(dofs_by_quantity) <= set(RESPONSE_QUANTITIES):
+            raise ValueError(f"{tuple(dofs_by_quantity)} are not all of {', '.join(RESPONSE_QUANTITIES)}")
+
+        def blanked(quantity: str) -> np.ndarray:
+            kept = dof_mask(dofs_by_quantity.get(quantity, ()), self.ndof)
+            return np.where(kept, getattr(self, quantity), np.nan)
+
+        return replace(
+            self,
+            displacement=blanked("displacement"),
+            velocity=blanked("velocity"),
+            acceleration=blanked("acceleration"),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """For scoring only; no estimator is ever handed this.
+
+    Attributes:
+        response: NaN where the truth is unknown.
+        parameters: Name to (n,), of the true chain; None where unknown.
+    """
+
+    response: Response
+    parameters: dict[str, np.ndarray] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """A record with every sensor that exists, and the truth beside it."""
+
+    record: Record
+    truth: Truth
+
+
+def dof_mask(dofs: Iterable[int], ndof: int) -> np.ndarray:
+    """(ndof,) bool from DOFs counted from 1.
+
+    Raises:
+        ValueError: A DOF outside 1..ndof.
+    """
+    mask = np.zeros(ndof, dtype=bool)
+    for dof in dofs:
+        if not 1 <= dof <= ndof:
+            raise ValueError(f"DOF {dof} is outside 1..{ndof}")
+        mask[dof - 1] = True
+    return mask

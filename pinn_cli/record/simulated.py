@@ -1,0 +1,48 @@
+"""A record that is simulated (``data=simulated``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.record.record import Intersample, Measurements, Record, Truth
+
+if TYPE_CHECKING:
+    from pinn_cli.record.excitation.base import Excitation
+    from pinn_cli.record.noise import Noise
+    from pinn_cli.record.simulation import Simulation
+    from pinn_cli.system.chain import Chain
+
+# What the force of a record does between its samples is what the simulator had it do.
+INTERSAMPLE_OF_HOLD: dict[str, Intersample] = {"exact": "band_limited", "zero_order": "zero_order_hold"}
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Sensors for every quantity on every DOF of a simulated chain; a scheme keeps those that it observes.
+
+    Attributes:
+        excitation: The force, made for the same ndof, duration and samples.
+        simulation: How the response is computed; its hold is the record's intersample behaviour.
+        noise: What the sensors add.
+        kind: The name of the config group's choice.
+    """
+
+    excitation: Excitation
+    simulation: Simulation
+    noise: Noise
+    kind: str = "simulated"
+
+    def measure(self, chain: Chain) -> Measurements:
+        """The noisy record of the true chain, and the truth.
+
+        Raises:
+            InputError: The response overflows.
+        """
+        response = self.simulation.run(chain, self.excitation.force)
+        seen = self.noise.added_to(response)
+        intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
+        record = Record(**vars(seen), unforced=~self.excitation.forced, intersample=intersample)
+        return Measurements(record, Truth(response, chain.parameters_like(np.empty(0))))

@@ -1,0 +1,195 @@
+"""The response of a chain to a force, by time integration from rest.
+
+The equation of motion is :meth:`Chain.acceleration` and stands nowhere else; here it is called with numpy arrays, which
+for one time step is four times faster than with tensors (20 DOFs, 4096 steps of Runge-Kutta: 0.2 s).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import one_of, positive_number, whole_number
+from pinn_cli.record.record import MINIMUM_SAMPLES, Response
+
+if TYPE_CHECKING:
+    from pinn_cli.system.chain import Chain
+
+HOLDS = ("exact", "zero_order")
+METHODS = ("rk4", "dop853")
+
+# Runge-Kutta is stable up to 2.8 and accurate to 1e-5 per radian at 0.2 (its phase error is (step * rate)^4 / 120).
+STEP_TIMES_RATE = 0.2
+
+Force = Callable[[np.ndarray], np.ndarray]
+Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How a chain is simulated.
+
+    Attributes:
+        duration: Of the record, s; the first sample is at 0, the last at ``duration``.
+        samples: Of the record, both ends included.
+        hold: ``exact``: the force is what it is between the samples. ``zero_order``: it keeps the last sample's value.
+        method: ``rk4``, the classical Runge-Kutta method, or ``dop853``, scipy's adaptive method of order eight with
+            tight tolerances.
+        substeps: Steps of rk4 per sample; None: as many as the chain's highest frequency needs.
+
+    Raises:
+        InputError: Naming ``simulation.<setting>``.
+    """
+
+    duration: float
+    samples: int
+    hold: str = "exact"
+    method: str = "rk4"
+    substeps: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_options(self.hold, self.method, self.substeps)
+        positive_number("simulation.duration", self.duration)
+        whole_number("simulation.samples", self.samples, least=MINIMUM_SAMPLES)
+
+    @property
+    def time(self) -> np.ndarray:
+        """(samples,), s."""
+        return np.linspace(0.0, self.duration, self.samples)
+
+    def run(self, chain: Chain, force: Force) -> Response:
+        """The response of ``chain`` to ``force``; see :func:`simulate`."""
+        return simulate(chain, force, self.time, self.hold, self.method, self.substeps)
+
+
+def simulate(
+    chain: Chain,
+    excitation_force: Force,
+    time: np.ndarray,
+    hold: str = "exact",
+    method: str = "rk4",
+    substeps: int | None = None,
+) -> Response:
+    """The noise-free response of a chain from rest.
+
+    Args:
+        chain: Whose parameters are detached.
+        excitation_force: (M,) s to (M, ndof) N, for any times.
+        time: (N,), s, uniform.
+        hold: See :class:`Simulation`.
+        method: See :class:`Simulation`.
+        substeps: See :class:`Simulation`.
+
+    Returns:
+        (N, ndof) each; the acceleration is the equation of motion at the samples, with the force at the samples.
+
+    Raises:
+        InputError: An option that does not exist, or a response that overflows.
+    """
+    _check_options(hold, method, substeps)
+    parameters = chain.parameters_like(np.empty(0))
+
+    def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
+        # z = {u, v} is (2, ndof).
+        dz = np.empty_like(z)
+        dz[0] = z[1]
+        dz[1] = chain.acceleration(z[0], z[1], f, parameters)
+        return dz
+
+    force = excitation_force(time)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if method == "rk4":
+            substeps = substeps or substeps_needed(chain, time[1] - time[0])
+            states = _runge_kutta(slope, excitation_force, time, force, hold, substeps)
+        else:
+            states = _dop853(slope, excitation_force, time, force, hold)
+    _check_finite(states, time, chain)
+    u, v = states[:, 0], states[:, 1]
+    return Response(time, u, v, chain.acceleration(u, v, force, parameters), force)
+
+
+def substeps_needed(chain: Chain, step: float) -> int:
+    """Steps of Runge-Kutta per sample that resolve the linear chain's highest natural frequency and strongest damping.
+
+    Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by 2 (k_i + k_i+1) / m_i.
+    """
+    p = chain.parameters_like(np.empty(0))
+    bounds = {name: np.max(2.0 * (p[name] + np.append(p[name][1:], 0.0)) / p["m"]) for name in ("k", "c")}
+    rate = max(math.sqrt(bounds["k"]), float(bounds["c"]))
+    return max(1, math.ceil(step * rate / STEP_TIMES_RATE))
+
+
+def _runge_kutta(
+    slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, substeps: int
+) -> np.ndarray:
+    """(N, 2, ndof): the classical method of order four, ``substeps`` steps per sample."""
+    h = (time[-1] - time[0]) / ((len(time) - 1) * substeps)
+    if hold == "exact":
+        starts = time[0] + h * np.arange((len(time) - 1) * substeps + 1)
+        left = force(starts)
+        left, middle, right = left[:-1], force(starts[:-1] + 0.5 * h), left[1:]
+    else:
+        left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
+    z = np.zeros((2, sampled.shape[1]))
+    states = np.empty((len(left) + 1, *z.shape))
+    states[0] = z
+    for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
+        k1 = slope(z, f0)
+        k2 = slope(z + (0.5 * h) * k1, f1)
+        k3 = slope(z + (0.5 * h) * k2, f1)
+        k4 = slope(z + h * k3, f2)
+        z = z + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+        states[step + 1] = z
+    return states[::substeps]
+
+
+def _dop853(slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str) -> np.ndarray:
+    """(N, 2, ndof): scipy's DOP853."""
+    from scipy.integrate import solve_ivp
+
+    shape = (2, sampled.shape[1])
+    states = np.full((len(time), *shape), np.nan)
+    states[0] = 0.0
+
+    def integrate(force_at: Callable[[float], np.ndarray], first: int, last: int, longest: float) -> None:
+        solution = solve_ivp(
+            lambda t, y: slope(y.reshape(shape), force_at(t)).ravel(),
+            (time[first], time[last]),
+            states[first].ravel(),
+            method="DOP853",
+            t_eval=time[first : last + 1],
+            max_step=longest,
+            rtol=1e-12,
+            atol=1e-14,
+        )
+        # A solver that gives up returns the times up to there.
+        states[first : first + len(solution.t)] = solution.y.T.reshape(-1, *shape)
+
+    if hold == "exact":
+        # At rest an adaptive step grows without bound and would leap over a later pulse.
+        integrate(lambda t: force(np.array([t]))[0], 0, len(time) - 1, 2.0 * (time[1] - time[0]))
+    else:
+        # A held force jumps at every sample, where an integrator of order eight must stop and start anew.
+        for k, held in enumerate(sampled[:-1]):
+            integrate(lambda t, held=held: held, k, k + 1, np.inf)  # type: ignore[misc]
+    return states
+
+
+def _check_options(hold: str, method: str, substeps: int | None) -> None:
+    one_of("simulation.hold", hold, HOLDS)
+    one_of("simulation.method", method, METHODS)
+    if substeps is not None:
+        whole_number("simulation.substeps", substeps, least=1)
+
+
+def _check_finite(states: np.ndarray, time: np.ndarray, chain: Chain) -> None:
+    finite = np.isfinite(states).all(axis=(1, 2))
+    if not finite.all():
+        where = f"the response overflows at {time[np.argmin(finite)]:.4g} s"
+        why = f"the step is too long for this chain, or its {chain.nonlinearity.name} nonlinearity makes it unstable"
+        raise InputError("simulation.samples", len(time), "enough for a bounded response", f"{where}: {why}")

@@ -1,0 +1,138 @@
+"""What a file or a setting that cannot be used says: one line with file, column and line, or with the setting."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.errors import InputError
+from pinn_cli.record.csv_data import CsvData
+
+SETTINGS = {"path": "rig.csv", "time": "t", "force": {1: "f"}, "acceleration": {1: "a1", 2: "a2"}}
+
+
+def table() -> pd.DataFrame:
+    time = np.round(0.01 * np.arange(100), 2)
+    return pd.DataFrame({"t": time, "f": np.sin(time), "a1": np.cos(time), "a2": time**2})
+
+
+def message(base: Path, ndof: int = 3, **changes) -> str:
+    with pytest.raises(InputError) as error:
+        CsvData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def with_cell(column: str, row: int, cell: object) -> pd.DataFrame:
+    values = table().astype(object)
+    values.loc[row, column] = cell
+    return values
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        (with_cell("a2", 7, ""), "rig.csv, column 'a2', line 9=empty or NaN: must be a finite number"),
+        (with_cell("a2", 0, "NaN"), "rig.csv, column 'a2', line 2=empty or NaN"),
+        (with_cell("f", 99, "overload"), "rig.csv, column 'f', line 101='overload': must be a finite number"),
+        (with_cell("a1", 50, "1,5"), "rig.csv, column 'a1', line 52='1,5'"),
+        (with_cell("a1", 50, "inf"), "rig.csv, column 'a1', line 52='inf'"),
+        (with_cell("t", 3, "now"), "rig.csv, column 't', line 5='now'"),
+        (with_cell("t", 3, ""), "rig.csv, column 't', line 5=empty or NaN"),
+        (with_cell("t", 3, 0.02), "rig.csv, column 't', line 5=0.02: must be later than the line before it, 0.02"),
+        (with_cell("t", 3, 0.0), "rig.csv, column 't', line 5=0.0: must be later"),
+        (
+            with_cell("t", 60, 0.606),
+            "rig.csv, column 't', line 62=0.606: must be one step of 0.01 s after the line before it",
+        ),
+        (table().drop(index=60), "rig.csv, column 't', line 62=0.61: must be one step of 0.01 s"),
+        (table().drop(index=98), "rig.csv, column 't', line 100=0.99: must be one step of 0.01 s"),
+        (table().drop(index=[1, 2, 3]), "rig.csv, column 't', line 3=0.04: must be one step of 0.01 s"),
+        (table().drop(columns="a2"), "data.acceleration.2='a2': must be a column of rig.csv, which has 't', 'f', 'a1'"),
+        (table().drop(columns="t"), "data.time='t': must be a column of rig.csv, which has 'f', 'a1', 'a2'"),
+        (
+            table()[:10],
+            "data.start, data.stop=None, None: must be a window of at least 16 samples; rig.csv has 10 rows",
+        ),
+        (table()[:0], "data.start, data.stop=None, None: must be a window of at least 16 samples; rig.csv has 0 rows"),
+    ],
+)
+def test_a_table_that_cannot_be_used(tmp_path, values, expected):
+    values.to_csv(tmp_path / "rig.csv", index=False)
+    assert message(tmp_path).startswith(expected)
+
+
+def test_a_blank_line_in_the_middle_is_a_gap_on_its_own_line(tmp_path):
+    lines = table().to_csv(index=False).splitlines()
+    (tmp_path / "rig.csv").write_text("\n".join([*lines[:20], "", *lines[20:]]))
+    assert message(tmp_path).startswith("rig.csv, column 't', line 21=empty or NaN")
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "must be a readable file of comma-separated values"),
+        (b"t,f,a1,a2\n1,2,3,4\n1,2,3,4,5,6\n", "line 3"),
+        (b"t;f;a1;a2\n0;1;2;3\n", "the file must be separated by commas"),
+        (b"\xff\xfe\x00\x01", "must be a readable file"),
+    ],
+)
+def test_a_file_that_is_no_csv(tmp_path, content, expected):
+    (tmp_path / "rig.csv").write_bytes(content)
+    assert expected in message(tmp_path)
+
+
+def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
+    assert message(tmp_path).startswith(f"data.path={tmp_path / 'rig.csv'}: must be a file that exists")
+    assert message(tmp_path, path=str(tmp_path)).startswith(f"data.path={tmp_path}: must be a readable file")
+
+
+@pytest.mark.parametrize(
+    ("expected", "changes"),
+    [
+        ("data.path=None", {"path": None}),
+        ("data.time=", {"time": ""}),
+        (
+            "data.acceleration=3: must be a DOF between 1 and system.ndof=2",
+            {"ndof": 2, "acceleration": {1: "a1", 3: "a2"}},
+        ),
+        ("data.force=0: must be a DOF between 1 and system.ndof=3", {"force": {0: "f"}}),
+        ("data.force=-1", {"force": {-1: "f"}}),
+        ("data.velocity=one", {"velocity": {"one": "a2"}}),
+        ("data.velocity=a2", {"velocity": "a2"}),
+        ("data.velocity=1", {"velocity": {1: "v1", "1": "v2"}}),
+        ("data.velocity.1=None", {"velocity": {1: None}}),
+        ("data.velocity.2=5", {"velocity": {2: 5}}),
+        (
+            "data.acceleration.2='a1': must be another column than data.acceleration.1",
+            {"acceleration": {1: "a1", 2: "a1"}},
+        ),
+        ("data.displacement, data.velocity, data.acceleration={}", {"acceleration": {}}),
+        ("data.holdout=3: must be a DOF with a column", {"holdout": [3]}),
+        ("data.holdout=[1, 2]: must be such that a displacement", {"holdout": [1, 2]}),
+        ("data.holdout=2: must be a list", {"holdout": 2}),
+        ("data.holdout=['2']: must be a list", {"holdout": ["2"]}),
+        ("data.start=0.5: must be before data.stop=0.5", {"start": 0.5, "stop": 0.5}),
+        ("data.start=nan", {"start": math.nan}),
+        ("data.stop=end", {"stop": "end"}),
+        ("data.start, data.stop=0.5, 0.6: must be a window of at least 16 samples", {"start": 0.5, "stop": 0.6}),
+        ("data.start, data.stop=7.0, None: must be a window of at least 16 samples", {"start": 7.0}),
+        ("data.start, data.stop=None, -1: must be a window of at least 16 samples", {"stop": -1}),
+        ("data.start, data.stop=None, None: must be a window of at least 16 samples", {"decimate": 10}),
+        ("data.decimate=0", {"decimate": 0}),
+        ("data.decimate=2.5", {"decimate": 2.5}),
+        (
+            "data.decimate=2: must be 1 with data.intersample=zero_order_hold",
+            {"decimate": 2, "intersample": "zero_order_hold"},
+        ),
+        ("data.intersample=linear: must be one of band_limited, zero_order_hold", {"intersample": "linear"}),
+    ],
+)
+def test_a_setting_that_cannot_be_used(tmp_path, expected, changes):
+    table().to_csv(tmp_path / "rig.csv", index=False)
+    assert re.match(re.escape(expected), message(tmp_path, **changes))

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pinn_cli.errors import InputError
+from pinn_cli.record.record import Record, Response
+
+TIME = np.linspace(1.0, 3.0, 41)
+
+
+def columns(*sensors: int) -> np.ndarray:
+    values = np.full((41, 3), np.nan)
+    for dof in sensors:
+        values[:, dof - 1] = float(dof)
+    return values
+
+
+def record(**changes) -> Record:
+    settings = {
+        "time": TIME,
+        "displacement": columns(),
+        "velocity": columns(2),
+        "acceleration": columns(1, 2),
+        "force": np.nan_to_num(columns(1)),
+        "unforced": [False, True, True],
+        **changes,
+    }
+    return Record(**settings)
+
+
+def test_what_it_says_about_itself():
+    it = record()
+    assert it.ndof == 3
+    assert it.step == pytest.approx(0.05)
+    assert it.duration == pytest.approx(2.0)
+    assert it.sampling_rate == pytest.approx(20.0)
+    assert it.sensors("acceleration").tolist() == [True, True, False]
+    assert it.sensors("displacement").tolist() == [False, False, False]
+    assert it.sensors("force").tolist() == [True, False, False]
+    assert it.observed.tolist() == [True, True, False]
+    assert it.intersample == "band_limited"
+
+
+def test_an_unknown_force_is_no_sensor_and_a_known_zero_is_none_either():
+    it = record(force=columns(3), unforced=[False, False, False])
+    assert it.sensors("force").tolist() == [False, False, True]
+
+
+def test_keep_blanks_every_other_response_sensor():
+    kept = record().keep({"acceleration": [2, 3]})
+    assert kept.sensors("acceleration").tolist() == [False, True, False]
+    assert kept.sensors("velocity").tolist() == [False, False, False]
+    assert kept.sensors("force").tolist() == [True, False, False]
+    assert kept.observed.tolist() == [False, True, False]
+    assert record().observed.tolist() == [True, True, False]
+
+
+def test_keep_leaves_something_and_knows_what_there_is():
+    with pytest.raises(InputError, match="no response sensor"):
+        record().keep({"velocity": [1]})
+    with pytest.raises(ValueError, match="force"):
+        record().keep({"force": [1]})
+    with pytest.raises(ValueError, match="DOF 4"):
+        record().keep({"velocity": [4]})
+
+
+def half_filled() -> np.ndarray:
+    values = columns(1)
+    values[3, 0] = np.nan
+    return values
+
+
+@pytest.mark.parametrize(
+    ("what", "changes"),
+    [
+        ("time", {"time": TIME[:10], "velocity": columns(2)[:10]}),
+        ("step", {"time": np.append(TIME[:-1], 3.01)}),
+        ("grow", {"time": TIME[::-1]}),
+        ("finite", {"time": np.append(TIME[:-1], np.nan)}),
+        ("velocity has shape", {"velocity": columns(2)[:, :2]}),
+        ("velocity has shape", {"velocity": columns(2)[:-1]}),
+        ("acceleration must be finite throughout", {"acceleration": half_filled()}),
+        ("unforced DOF must be 0", {"force": columns(1, 2, 3)}),
+        ("intersample", {"intersample": "linear"}),
+        ("no response sensor", {"velocity": columns(), "acceleration": columns()}),
+    ],
+)
+def test_contradictions_are_refused(what, changes):
+    with pytest.raises(ValueError, match=what):
+        record(**changes)
+
+
+def test_clock_times_since_1970_pass():
+    assert record(time=1.7e9 + 0.001 * np.arange(41)).step == pytest.approx(0.001, rel=1e-4)
+
+
+def test_an_unknown_response_is_all_nan():
+    unknown = Response.unknown(TIME, 2)
+    assert unknown.force.shape == (41, 2)
+    assert np.isnan(unknown.acceleration).all()

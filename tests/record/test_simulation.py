@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pinn_cli.errors import InputError
+from pinn_cli.record.excitation import BandedNoise, Impulse
+from pinn_cli.record.record import Response
+from pinn_cli.record.simulation import Simulation, simulate, substeps_needed
+from pinn_cli.system import Chain, build_chain, matrices
+from pinn_cli.system.nonlinearity import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
+
+DURATION = 8.0
+CHAINS = {
+    "linear": build_chain(3, Linear(), m=10.0, c=[1.0, 2.0, 1.5], k=[15.0, 14.0, 16.0]),
+    "duffing": build_chain(3, Duffing(), m=10.0, c=1.0, k=15.0, kappa=100.0),
+    "van_der_pol": build_chain(3, VanDerPol(), m=10.0, c=1.0, k=15.0, mu=2.0),
+    "power_damping": build_chain(3, PowerDamping(3.0), m=10.0, c=1.0, k=15.0, mu=5.0),
+}
+FORCE = BandedNoise(3, DURATION, 4096, band=[0.1, 0.6], rms=5.0, dofs=[1, 3], seed=2).force
+
+
+def states(response: Response) -> np.ndarray:
+    return np.concatenate([response.displacement, response.velocity], axis=1)
+
+
+def order(error: Callable[[int], float], steps: list[int]) -> float:
+    """Slope of the error over the step in logarithms."""
+    return float(np.polyfit(np.log([DURATION / n for n in steps]), np.log([error(n) for n in steps]), 1)[0])
+
+
+@pytest.fixture(scope="module", params=CHAINS)
+def chain_and_solution(request) -> tuple[Chain, np.ndarray]:
+    chain = CHAINS[request.param]
+    return chain, states(simulate(chain, FORCE, np.linspace(0.0, DURATION, 17), method="dop853"))
+
+
+def error_of(chain: Chain, solution: np.ndarray, **options) -> Callable[[int], float]:
+    def error(steps: int) -> float:
+        response = simulate(chain, FORCE, np.linspace(0.0, DURATION, steps + 1), substeps=1, **options)
+        return float(np.max(np.abs(states(response)[:: steps // 16] - solution)))
+
+    return error
+
+
+def test_runge_kutta_is_of_fourth_order_with_the_exact_force(chain_and_solution):
+    assert order(error_of(*chain_and_solution), [128, 256, 512]) == pytest.approx(4.0, abs=0.2)
+
+
+def test_substeps_converge_at_fourth_order_too(chain_and_solution):
+    chain, solution = chain_and_solution
+    time = np.linspace(0.0, DURATION, 33)
+
+    def error(steps: int) -> float:
+        return float(np.max(np.abs(states(simulate(chain, FORCE, time, substeps=steps // 32))[::2] - solution)))
+
+    assert order(error, [128, 256, 512]) == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_held_force_is_of_first_order_only(chain_and_solution):
+    error = error_of(*chain_and_solution, hold="zero_order")
+    assert order(error, [256, 512, 1024]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_held_force_is_late_by_half_a_step():
+    chain = CHAINS["linear"]
+    step = DURATION / 512
+    held = simulate(chain, FORCE, np.linspace(0.0, DURATION, 513), hold="zero_order")
+    late = simulate(chain, lambda time: FORCE(time - 0.5 * step), held.time)
+    exact = simulate(chain, FORCE, held.time)
+    assert np.ptp(states(held) - states(late)) < 0.15 * np.ptp(states(held) - states(exact))
+
+
+@pytest.mark.parametrize("method", ["rk4", "dop853"])
+def test_linear_response_is_the_matrix_exponential(method):
+    # The force is a single sinusoid, which two more states generate: then the whole problem is z' = A z.
+    chain = CHAINS["linear"]
+    omega = 1.3
+    generator = np.zeros((8, 8))
+    generator[:6, :6] = matrices.state(chain).numpy()
+    generator[:6, 6] = matrices.input(chain).numpy()[:, 0]
+    generator[6:, 6:] = [[0.0, omega], [-omega, 0.0]]
+    time = np.linspace(0.0, DURATION, 513)
+    start = np.array([0.0] * 6 + [0.0, 1.0])
+    exact = np.array([expm(generator * t) @ start for t in time[::64]])[:, :6]
+    response = simulate(chain, lambda t: np.outer(np.sin(omega * t), [1.0, 0.0, 0.0]), time, method=method)
+    np.testing.assert_allclose(states(response)[::64], exact, atol=1e-9 if method == "rk4" else 1e-11)
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_the_methods_agree(hold):
+    chain = CHAINS["duffing"]
+    time = np.linspace(0.0, DURATION, 257)
+    fine = simulate(chain, FORCE, time, hold=hold, substeps=8)
+    np.testing.assert_allclose(
+        states(fine), states(simulate(chain, FORCE, time, hold=hold, method="dop853")), atol=1e-9
+    )
+
+
+def test_adaptive_steps_do_not_leap_over_a_late_pulse():
+    chain = CHAINS["linear"]
+    pulse = Impulse(3, DURATION, 257, peak=10.0, width=0.25, start=6.0, dofs=[2])
+    time = np.linspace(0.0, DURATION, 257)
+    adaptive = simulate(chain, pulse.force, time, method="dop853")
+    assert np.max(np.abs(adaptive.velocity)) > 0.05
+    np.testing.assert_allclose(states(adaptive), states(simulate(chain, pulse.force, time, substeps=8)), atol=1e-8)
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_acceleration_obeys_the_equation_of_motion_at_the_samples(hold):
+    chain = CHAINS["van_der_pol"]
+    time = np.linspace(0.0, DURATION, 257)
+    response = simulate(chain, FORCE, time, hold=hold)
+    assert response.force == pytest.approx(FORCE(time))
+    force = chain.external_force(response.displacement, response.velocity, response.acceleration)
+    np.testing.assert_allclose(force, response.force, atol=1e-12)
+    assert not states(response)[0].any()
+
+
+def test_a_new_nonlinearity_needs_one_class_only():
+    class Softening(Nonlinearity):
+        name = "softening"
+        parameters = ("limit",)
+
+        def force(self, e, de, parameters):
+            return -parameters["limit"] * e / (1.0 + e * e)
+
+    chain = build_chain(3, Softening(), m=10.0, c=1.0, k=15.0, limit=[5.0, 6.0, 7.0])
+    time = np.linspace(0.0, DURATION, 257)
+    ours = simulate(chain, FORCE, time, substeps=4)
+    np.testing.assert_allclose(states(ours), states(simulate(chain, FORCE, time, method="dop853")), atol=1e-7)
+    linear = simulate(chain.linearised(), FORCE, time)
+    assert np.max(np.abs(states(ours) - states(linear))) > 0.01
+
+
+def test_substeps_follow_the_chain():
+    paper = build_chain(6, Duffing(), m=10.0, c=1.0, k=15.0, kappa=100.0)
+    assert substeps_needed(paper, 60.0 / 4095) == 1
+    assert substeps_needed(paper, 240.0 / 4095) == 1
+    stiff = build_chain(3, Linear(), m=5.2, c=20.0, k=44e3)
+    time = np.linspace(0.0, 2.0, 129)
+    default = simulate(stiff, lambda t: np.outer(np.sin(30 * t), [1.0, 0.0, 0.0]), time)
+    exact = simulate(stiff, lambda t: np.outer(np.sin(30 * t), [1.0, 0.0, 0.0]), time, method="dop853")
+    assert np.max(np.abs(default.velocity - exact.velocity)) < 1e-4 * np.max(np.abs(exact.velocity))
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_a_response_that_overflows_says_when_and_why(hold):
+    unstable = build_chain(3, Duffing(), m=10.0, c=1.0, k=15.0, kappa=-1e4)
+    with pytest.raises(InputError, match=r"^simulation\.samples=257.*overflows at [\d.]+ s"):
+        simulate(unstable, lambda time: 100.0 * FORCE(time), np.linspace(0.0, DURATION, 257), hold=hold)
+
+
+@pytest.mark.parametrize(
+    ("setting", "changes"),
+    [
+        ("duration", {"duration": 0.0}),
+        ("duration", {"duration": -1.0}),
+        ("duration", {"duration": math.inf}),
+        ("duration", {"duration": "60"}),
+        ("samples", {"samples": 15}),
+        ("samples", {"samples": 100.0}),
+        ("samples", {"samples": True}),
+        ("hold", {"hold": "first_order"}),
+        ("hold", {"hold": None}),
+        ("method", {"method": "euler"}),
+        ("substeps", {"substeps": 0}),
+        ("substeps", {"substeps": 1.5}),
+    ],
+)
+def test_illegal_settings_are_named(setting, changes):
+    with pytest.raises(InputError, match=rf"^simulation\.{setting}=") as error:
+        Simulation(**{"duration": 60.0, "samples": 4096, **changes})
+    assert "\n" not in str(error.value)
