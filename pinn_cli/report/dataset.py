@@ -1,0 +1,85 @@
+"""The labelled time histories of a run, ``response.nc``: estimate, deviation, truth and observations, (time, dof)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from pinn_cli.record.record import QUANTITIES, UNITS
+from pinn_cli.report.writing import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.record.record import Record, Response
+    from pinn_cli.training.estimate import Estimate
+
+
+def response_dataset(
+    estimate: Estimate, record: Record, truth: Response | None, attributes: Mapping[str, object]
+) -> xr.Dataset:
+    """Everything that a figure of the response needs, labelled.
+
+    Args:
+        estimate: The estimated response and its standard deviations, (time, dof) each.
+        record: What the estimator saw.
+        truth: The true response, NaN where unknown; None if nothing is known.
+        attributes: Global attributes: text, numbers and booleans; those that are None are left out (netCDF has no
+            null).
+
+    Returns:
+        For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
+        DOF's truth is known) and ``displacement_observed`` (NaN where there is no sensor), and so on for velocity,
+        acceleration and force, over ``time`` (s) and ``dof`` (from 1, nearest the fixed end); ``observed`` and
+        ``unforced``: DOFs with a response sensor, and those known to carry no force.
+    """
+    variables: dict[str, tuple[tuple[str, str], np.ndarray, dict[str, str]]] = {}
+    for quantity in QUANTITIES:
+        sources = {
+            "": (getattr(estimate.response, quantity), f"estimated {quantity}"),
+            "_std": (getattr(estimate.std, quantity), f"standard deviation of the estimated {quantity}"),
+            "_true": (None if truth is None else getattr(truth, quantity), f"true {quantity}"),
+            "_observed": (_observed(record, quantity), f"observed {quantity}"),
+        }
+        for suffix, (values, long_name) in sources.items():
+            if values is None or (suffix == "_true" and np.isnan(values).all()):
+                continue
+            described = {"long_name": long_name, "units": UNITS[quantity]}
+            variables[quantity + suffix] = (("time", "dof"), values, described)
+    return xr.Dataset(variables, coords=_coordinates(record), attrs=_attributes(attributes, record))
+
+
+def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
+    """Write ``dataset`` as netCDF 4 through h5netcdf."""
+    with replacing(path) as beside:
+        dataset.to_netcdf(beside, engine="h5netcdf", format="NETCDF4")
+    return Path(path)
+
+
+def _observed(record: Record, quantity: str) -> np.ndarray:
+    # A force that is known to be zero is 0 in the record; nobody has measured it.
+    return np.where(record.sensors(quantity), getattr(record, quantity), np.nan)
+
+
+def _coordinates(record: Record) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:
+    dofs = np.arange(1, record.ndof + 1, dtype=np.int32)
+    return {
+        "time": ("time", record.time, {"long_name": "time", "units": "s"}),
+        "dof": ("dof", dofs, {"long_name": "degree of freedom, 1 is nearest the fixed end", "units": "1"}),
+        "observed": ("dof", record.observed, {"long_name": "has a displacement, velocity or acceleration sensor"}),
+        "unforced": ("dof", record.unforced, {"long_name": "is known to carry no force"}),
+    }
+
+
+def _attributes(given: Mapping[str, object], record: Record) -> dict[str, object]:
+    """Global attributes as netCDF can hold them: no null, no boolean."""
+    fixed = {
+        "Conventions": "CF-1.11",
+        "title": "Estimated response of a chain of masses",
+        "intersample": record.intersample,
+    }
+    kept = {name: value for name, value in given.items() if value is not None}
+    return fixed | {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in kept.items()}

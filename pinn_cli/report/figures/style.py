@@ -1,0 +1,107 @@
+"""One look for all figures: the paper's page, a palette that the colour-blind can read, and how a figure becomes files.
+
+Figures are made through matplotlib's object-oriented interface, never through ``pyplot``: no global state, no window,
+and no backend to choose.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+
+from pinn_cli.record.record import UNITS
+from pinn_cli.report.writing import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.figure import Figure
+
+PAGE_WIDTH = 7.2  # inch, the two columns of a journal's page
+
+# Okabe and Ito's palette (2008), distinct under every common colour vision deficiency.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+YELLOW, BLUE, VERMILLION, PURPLE, GREY = "#F0E442", "#0072B2", "#D55E00", "#CC79A7", "#7F7F7F"
+CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+
+SYMBOLS = {
+    "displacement": r"$u$",
+    "velocity": r"$\dot{u}$",
+    "acceleration": r"$\ddot{u}$",
+    "force": r"$f$",
+}
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "STIXGeneral",
+    "mathtext.fontset": "stix",
+    "font.size": 8,
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": "#404040",
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 0.9,
+    "lines.markersize": 3,
+    "grid.linewidth": 0.4,
+    "grid.color": "#D9D9D9",
+    "axes.titley": 1.0,  # a fixed place: looking for what a title might collide with takes a third of the drawing time
+    "axes.formatter.limits": (-6, 7),  # prefixes of units do what offsets do
+    "axes.formatter.useoffset": False,
+    "path.simplify": True,
+    "pdf.fonttype": 42,  # journals refuse Type 3 fonts
+    "savefig.dpi": 150,
+}
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """The look of this package's figures, for the length of a block; matplotlib's own settings are back afterwards."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
+    """Write ``figure`` as ``name.png`` (150 dpi) and ``name.pdf`` under ``directory``.
+
+    The same figure gives the same bytes.
+    """
+    written = []
+    # Creation dates and versions would make two equal runs differ.
+    for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})):
+        place = Path(directory) / f"{name}{suffix}"
+        with look(), replacing(place) as beside:
+            figure.savefig(beside, format=suffix[1:], metadata=metadata)
+        written.append(place)
+    return written
+
+
+def unit(quantity: str, prefix: str = "") -> str:
+    """The unit as it is printed: ``m/s^2`` with a raised 2."""
+    return prefix + UNITS[quantity].replace("^2", "\N{SUPERSCRIPT TWO}")
+
+
+def unit_prefix(magnitude: float, kilo: bool = False) -> tuple[float, str]:
+    """The factor and the SI prefix with which a value of ``magnitude`` does not read below 0.1: 0.02 m is 20 mm.
+
+    Args:
+        magnitude: The largest absolute value to be shown, in the base unit; 0 or NaN keeps the base unit.
+        kilo: Whether values from 1000 become kilo-units (forces, not displacements).
+    """
+    if not magnitude > 0.0:
+        return 1.0, ""
+    if kilo and magnitude >= 1e3:
+        return 1e-3, "k"
+    prefixes = ((1.0, ""), (1e3, "m"), (1e6, "\N{MICRO SIGN}"))
+    return next(((factor, prefix) for factor, prefix in prefixes if magnitude * factor >= 0.1), (1e9, "n"))

@@ -1,0 +1,130 @@
+"""How well an estimated response agrees with the true one, by the paper's printed formula and by that of its tables.
+
+The paper (section 'Case Studies', equation 'Fitness') prints 100 (1 - |x - x~| / |x - mean x|). Its tables were
+computed by the authors' public code as 100 (1 - RMSE / (max x - min x)). A prediction of zero everywhere scores 0 by
+the first and about 79 by the second on the paper's signals, so both are always reported, and neither is called by the
+other's name.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.record.record import QUANTITIES
+from pinn_cli.report.labels import with_labels
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.record.record import Response
+
+FORMULAS = ("fitness_percent", "range_fitness_percent")
+
+
+def fitness_percent(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """100 (1 - |x - x~| / |x - mean x|) of every DOF, the formula printed in the paper.
+
+    Args:
+        estimate: x~, (time, dof).
+        truth: x, (time, dof); samples that are NaN are unknown and are left out of every sum.
+
+    Returns:
+        Percent, (dof,). 100 is perfect, 0 is no better than the mean, below 0 is worse. NaN where the truth is constant
+        or unknown, or where the estimate is NaN at a known sample.
+    """
+    residual, known, varies = _residual(estimate, truth)
+    samples = np.maximum(known.sum(axis=0), 1)
+    mean = np.where(known, truth, 0.0).sum(axis=0) / samples
+    deviation = np.where(known, truth - mean, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.linalg.norm(residual, axis=0) / np.linalg.norm(deviation, axis=0)
+    return np.where(varies, 100.0 * (1.0 - ratio), np.nan)
+
+
+def range_fitness_percent(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """100 (1 - RMSE / (max x - min x)) of every DOF, the formula behind the paper's tables (the authors' public code).
+
+    Arguments, shapes and NaN as in `fitness_percent`. Use it only to compare with published numbers: it flatters, since
+    the root mean square of a random signal is a small part of its range.
+    """
+    residual, known, varies = _residual(estimate, truth)
+    rmse = np.sqrt((residual**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    span = np.max(truth, axis=0, initial=-np.inf, where=known) - np.min(truth, axis=0, initial=np.inf, where=known)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(varies, 100.0 * (1.0 - rmse / span), np.nan)
+
+
+def _residual(estimate: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Error, zero at unknown samples, and mask of the known ones, (time, dof) both; DOFs whose truth varies (dof,)."""
+    if estimate.shape != truth.shape or truth.ndim != 2:
+        raise ValueError(f"estimate {estimate.shape} and truth {truth.shape} must both be (time, dof)")
+    known = np.isfinite(truth)
+    highest = np.max(truth, axis=0, initial=-np.inf, where=known)
+    lowest = np.min(truth, axis=0, initial=np.inf, where=known)
+    return np.where(known, estimate - truth, 0.0), known, highest > lowest
+
+
+def fitness_table(
+    estimate: Response, truth: Response, observed: np.ndarray, labels: Mapping[str, object]
+) -> pd.DataFrame:
+    """Both fitness formulas for every group of DOFs and every quantity, one row each (the content of ``fitness.csv``).
+
+    The groups are ``all``, ``first``, ``last``, ``observed``, ``unobserved`` and ``dof_1`` to ``dof_n``. Both formulas
+    are evaluated DOF by DOF and then averaged over those DOFs of the group whose cell is not empty. A cell is empty
+    (NaN) where the truth is constant (the force of an unforced DOF) or unknown, where the estimator gives no such
+    quantity (its column is all NaN), and in a group without DOFs.
+
+    Args:
+        estimate: The estimated response, (time, dof) for each quantity.
+        truth: The true response, same shapes; NaN where unknown.
+        observed: (dof,) bool: DOFs with any response sensor.
+        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+
+    Returns:
+        Columns: the labels, ``group``, ``quantity``, ``fitness_percent``, ``range_fitness_percent``.
+
+    Raises:
+        ValueError: If shapes disagree, or an estimated column is finite in one place and not in another: an average
+            over what is left would hide it.
+    """
+    scores = {
+        quantity: _scores(getattr(estimate, quantity), getattr(truth, quantity), quantity) for quantity in QUANTITIES
+    }
+    rows = [
+        (group, quantity, *_mean_of_filled(scores[quantity][:, members]))
+        for group, members in groups(observed).items()
+        for quantity in QUANTITIES
+    ]
+    return with_labels(pd.DataFrame(rows, columns=["group", "quantity", *FORMULAS]), labels)
+
+
+def groups(observed: np.ndarray) -> dict[str, np.ndarray]:
+    """The groups of DOFs that a table reports, in its order, each as a mask (dof,)."""
+    dofs = np.arange(1, len(observed) + 1)
+    named = {
+        "all": dofs > 0,
+        "first": dofs == 1,
+        "last": dofs == len(observed),
+        "observed": np.asarray(observed, dtype=bool),
+        "unobserved": ~np.asarray(observed, dtype=bool),
+    }
+    return named | {f"dof_{dof}": dofs == dof for dof in dofs}
+
+
+def _scores(estimate: np.ndarray, truth: np.ndarray, quantity: str) -> np.ndarray:
+    """Both formulas, one row each, for one quantity of every DOF: (2, dof)."""
+    estimated = np.isfinite(estimate)
+    partly = np.flatnonzero(estimated.any(axis=0) & ~estimated.all(axis=0))
+    if partly.size:
+        raise ValueError(f"the estimated {quantity} of DOF {partly[0] + 1} is not finite at every time")
+    return np.stack([fitness_percent(estimate, truth), range_fitness_percent(estimate, truth)])
+
+
+def _mean_of_filled(scores: np.ndarray) -> np.ndarray:
+    """Average (2, dof) over the DOFs that have a value; NaN where none has."""
+    filled = np.isfinite(scores)
+    counts = filled.sum(axis=1)
+    return np.where(counts > 0, np.where(filled, scores, 0.0).sum(axis=1) / np.maximum(counts, 1), np.nan)

@@ -1,0 +1,91 @@
+"""What made a run: the content of run.json."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.config import RunConfig
+    from pinn_cli.training.estimate import Estimate
+
+PACKAGES = (
+    "pinn-cli",
+    "torch",
+    "numpy",
+    "scipy",
+    "pandas",
+    "xarray",
+    "h5netcdf",
+    "matplotlib",
+    "hydra-core",
+    "pyro-ppl",
+)
+
+
+def run_record(config: RunConfig, estimate: Estimate, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
+    return {
+        "case": config.case,
+        "seconds": {name: round(value, 4) for name, value in seconds.items()},
+        "training": {"dtype": "float64", **estimate.summary},
+        "peak_memory_mib": peak_memory_mib(),
+        "seed": config.seed,
+        "device": device_name(config.device),
+        "threads": config.threads,
+        "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "git_revision": git_revision(),
+        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "platform": platform.platform(),
+    }
+
+
+def peak_memory_mib() -> dict[str, float | None]:
+    """The most memory that this process has held, MiB; on the GPU, the most that torch had allocated there."""
+    import torch
+
+    cuda = round(torch.cuda.max_memory_allocated() / 2**20, 1) if torch.cuda.is_available() else None
+    return {"process": _resident_mib(), "cuda": cuda}
+
+
+def _resident_mib() -> float | None:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak / (2**20 if sys.platform == "darwin" else 2**10), 1)  # macOS counts bytes, Linux KiB
+
+
+def device_name(device: str) -> str:
+    """The device, with the name of the GPU."""
+    if device == "cpu":
+        return device
+    import torch
+
+    return f"{device} ({torch.cuda.get_device_name(device)})"
+
+
+def git_revision() -> str | None:
+    """The commit that runs, `-dirty` if files differ from it; None for an installed package, whose version says it."""
+    checkout = Path(__file__).parents[2]
+    if not (checkout / ".git").exists():
+        return None
+    command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

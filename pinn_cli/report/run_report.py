@@ -1,0 +1,62 @@
+"""Everything that a run leaves behind, and the text that it prints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pinn_cli.report import published
+from pinn_cli.report.dataset import response_dataset, write_dataset
+from pinn_cli.report.figures import write_figures
+from pinn_cli.report.fitness import fitness_table
+from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.run_record import run_record
+from pinn_cli.report.terminal import fitness_text, parameters_text
+from pinn_cli.report.writing import write_json, write_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pandas
+
+    from pinn_cli.config import RunConfig
+    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.stages import Stages
+    from pinn_cli.training.estimate import Estimate
+
+
+def write_report(
+    config: RunConfig, record: Record, truth: Truth, estimate: Estimate, directory: Path, stages: Stages
+) -> str:
+    """Write every file of a run; each is there whole or not at all.
+
+    Args:
+        config: What was run.
+        record: What the estimator saw.
+        truth: What it is scored against; NaN where unknown.
+        estimate: What it found.
+        directory: Of the run.
+        stages: The seconds so far; the report's own are added.
+
+    Returns:
+        The tables of fitness and parameters, as text.
+    """
+    labels = config.labels(estimator="pinn")
+    with stages("report"):
+        fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
+        parameters = parameter_table(estimate.parameters, truth.parameters, labels)
+        write_table(fitness, directory / "fitness.csv")
+        write_table(parameters, directory / "parameters.csv")
+        write_table(estimate.history, directory / "history.csv")
+        write_dataset(response_dataset(estimate, record, truth.response, labels), directory / "response.nc")
+    with stages("figures"):
+        write_figures(estimate, record, truth, directory / "figures", truth_label=config.truth_label)
+    write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
+    shown = [parameters_text(parameters), fitness_text(fitness, record.observed, _published(labels))]
+    return "\n\n".join(text for text in shown if text)
+
+
+def _published(labels: dict[str, object]) -> pandas.DataFrame:
+    """The paper's values of the same case; none once a setting that makes it that case was changed."""
+    values = published.fitness()
+    same = ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
+    return values[(values[same] == [labels[name] for name in same]).all(axis=1)]

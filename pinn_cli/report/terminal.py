@@ -1,0 +1,150 @@
+"""What a run prints at its end: the fitness and the parameters as plain text that fits 100 columns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pinn_cli.record.record import QUANTITIES
+from pinn_cli.report.fitness import FORMULAS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pandas as pd
+
+WIDTH = 100
+DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
+PARAMETERS_SHOWN = 24
+
+_HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
+_TITLES = {"fitness_percent": "fitness, printed formula", "range_fitness_percent": "fitness by range, as in the tables"}
+_NAME, _CELL, _GAP = 12, 9, "   "
+
+
+def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, published: pd.DataFrame | None = None) -> str:
+    """The fitness table with groups as rows and quantities as columns, both formulas side by side, in percent.
+
+    Args:
+        table: From `pinn_cli.report.fitness.fitness_table`, of one run.
+        observed: (dof,) bool; marks the rows of unobserved DOFs with an asterisk.
+        published: From `pinn_cli.report.published.fitness`; the rows of this run's case are printed under their groups.
+    """
+    scores = table.set_index(["group", "quantity"])[list(FORMULAS)]
+    names = list(dict.fromkeys(table["group"]))
+    single = [name for name in names if name.startswith("dof_")]
+    shown = names if len(single) <= DOFS_SHOWN else [name for name in names if name not in single]
+    paper = _published_scores(table, published)
+    lines = []
+    for name in shown:
+        halves = [[float(scores.loc[(name, quantity), formula]) for quantity in QUANTITIES] for formula in FORMULAS]
+        lines.append(_row(_marked(name, observed), *halves))
+        if name in paper:
+            lines.append(_row("  published", [], paper[name]))
+    notes = [] if shown == names else [f"dof_1 to dof_{len(single)}: fitness.csv"]
+    if observed is not None and shown == names and not np.all(observed):
+        notes.append("* no response sensor on this DOF")
+    return "\n".join([*_head(), *lines, *notes])
+
+
+def _head() -> list[str]:
+    half = _CELL * len(QUANTITIES)
+    titles = _GAP.join(f"{_TITLES[formula] + ' (%)':>{half}}" for formula in FORMULAS)
+    quantities = "".join(f"{_HEADINGS[quantity]:>{_CELL}}" for quantity in QUANTITIES)
+    columns = f"{'DOFs':<{_NAME}}" + _GAP.join([quantities] * len(FORMULAS))
+    return [" " * _NAME + titles, columns, "-" * len(columns)]
+
+
+def _row(name: str, *halves: list[float]) -> str:
+    empty = " " * _CELL * len(QUANTITIES)
+    cells = ["".join(f"{_percent(value):>{_CELL}}" for value in half) or empty for half in halves]
+    return (f"{name:<{_NAME}}" + _GAP.join(cells)).rstrip()
+
+
+def _percent(value: float) -> str:
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.2f}" if abs(value) < 1e4 else f"{value:.0e}"
+
+
+def _marked(name: str, observed: np.ndarray | None) -> str:
+    if observed is None or not name.startswith("dof_"):
+        return name
+    return name if observed[int(name.removeprefix("dof_")) - 1] else f"{name} *"
+
+
+def _published_scores(table: pd.DataFrame, published: pd.DataFrame | None) -> dict[str, list[float]]:
+    """Group to the paper's values in the order of the quantities, for the case that ``table`` is of."""
+    if published is None or table.empty:
+        return {}
+    rows = published[published["case"] == table["case"].iloc[0]]
+    return {
+        str(group): [float(part.loc[part["quantity"] == quantity, "fitness_percent"].mean()) for quantity in QUANTITIES]
+        for group, part in rows.groupby("group")
+    }
+
+
+def parameters_text(table: pd.DataFrame) -> str:
+    """The parameter table; of more than `PARAMETERS_SHOWN` parameters, those that moved furthest.
+
+    Args:
+        table: From `pinn_cli.report.parameters.parameter_table`, of one run.
+
+    Returns:
+        Text, or "" if there are no parameters.
+    """
+    if table.empty:
+        return ""
+    rows, notes = table, []
+    if len(table) > PARAMETERS_SHOWN:
+        moved = (table["estimate"] / table["prescribed"] - 1.0).abs()
+        rows = table.loc[moved.nlargest(PARAMETERS_SHOWN).index.sort_values()]
+        notes = [
+            f"the {len(rows)} of {len(table)} that moved furthest from their prescribed values; all: parameters.csv"
+        ]
+    rows = rows.assign(interval=[_interval(*bounds) for bounds in rows[["lower_90", "upper_90"]].to_numpy()])
+    lines = ["".join(_COLUMNS[name].write(row[name]) for name in _COLUMNS) for row in rows.to_dict(orient="records")]
+    head = "".join(column.align(column.title) for column in _COLUMNS.values())
+    return "\n".join([head, "-" * len(head), *lines, *notes])
+
+
+def _number(value: float, digits: int = 5) -> str:
+    """A number with ``digits`` significant digits, and an exponent only where it would be long without one."""
+    if not np.isfinite(value):
+        return "-"
+    order = math.floor(math.log10(abs(value))) if value else 0
+    if not -5 < order < 7:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(digits - 1 - order, 0)}f}"
+
+
+def _interval(lower: float, upper: float) -> str:
+    return f"{_number(lower)} to {_number(upper)}" if np.isfinite(lower) and np.isfinite(upper) else "-"
+
+
+@dataclass(frozen=True)
+class _Column:
+    title: str
+    width: int
+    text: Callable[[Any], str]
+
+    def align(self, text: str) -> str:
+        return f"{text:>{self.width}}" if self.width > 0 else f"{text:<{-self.width}}"
+
+    def write(self, value: object) -> str:
+        return self.align(self.text(value))
+
+
+_COLUMNS = {
+    "parameter": _Column("parameter", -12, str),
+    "prescribed": _Column("prescribed", 12, _number),
+    "estimate": _Column("estimate", 12, _number),
+    "std": _Column("std", 10, partial(_number, digits=2)),
+    "interval": _Column("90 % interval", 25, str),
+    "true": _Column("true", 12, _number),
+    "error_percent": _Column("error (%)", 10, _percent),
+}

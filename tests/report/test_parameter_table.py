@@ -1,0 +1,42 @@
+"""The table of system parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pinn_cli.report.labels import LABELS
+from pinn_cli.report.parameters import COLUMNS, parameter_table, split_name
+from pinn_cli.training.estimate import ParameterEstimate
+
+
+def test_error_is_relative_to_the_truth(make_case):
+    labels = make_case().labels
+    estimates = [
+        ParameterEstimate("k_2", 16.0, 14.7, 0.1, 14.5, 14.9),
+        ParameterEstimate("kappa_1", 90.0, 0.0, 1, 2, 3),
+    ]
+    table = parameter_table(estimates, {"k": np.array([1.0, 15.0]), "kappa": np.array([0.0, 7.0])}, labels)
+    assert list(table) == [*LABELS, *COLUMNS]
+    assert table.loc[0, ["true", "prescribed", "estimate"]].tolist() == [15.0, 16.0, 14.7]
+    assert table.loc[0, "error_percent"] == pytest.approx(2.0)
+    assert np.isnan(table.loc[1, "error_percent"])
+
+
+@pytest.mark.parametrize("true", [None, {"m": np.ones(6)}])
+def test_unknown_truth_is_empty(true, make_case):
+    case = make_case()
+    table = parameter_table(case.estimate.parameters, true, case.labels)
+    assert table[["true", "error_percent"]].isna().all(axis=None)
+    assert len(table) == 18
+
+
+def test_no_parameters_leave_the_header(make_case):
+    assert list(parameter_table([], None, make_case().labels)) == [*LABELS, *COLUMNS]
+
+
+def test_names():
+    assert split_name("kappa_12") == ("kappa", 12)
+    for wrong in ("k", "k_0", "k_x", "_1"):
+        with pytest.raises(ValueError, match="not a symbol and a connection"):
+            split_name(wrong)

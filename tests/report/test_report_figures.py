@@ -1,0 +1,171 @@
+"""Figures: what they show, and that they are written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.report.figures import (
+    error_map_figure,
+    history_figure,
+    parameters_figure,
+    response_figure,
+    save,
+    style,
+    write_figures,
+)
+from pinn_cli.report.figures.decimate import block_maximum, line_indices
+from pinn_cli.report.figures.response import PERIODS_SHOWN, shown_dofs, shown_window
+
+
+def _texts(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
+def test_all_figures_are_written(make_case, tmp_path):
+    case = make_case(ndof=2, observed=1)
+    before = dict(mpl.rcParams)
+    paths = write_figures(case.estimate, case.record, case.truth, tmp_path / "figures")
+    names = [f"{name}.{kind}" for name in ("response", "error_map", "history", "parameters") for kind in ("png", "pdf")]
+    assert [path.name for path in paths] == names
+    assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
+    assert all(path.read_bytes().startswith((b"\x89PNG", b"%PDF")) and path.stat().st_size > 5000 for path in paths)
+    assert dict(mpl.rcParams) == before
+
+
+def test_nothing_to_draw_is_no_figure(make_case, tmp_path):
+    case = make_case(ndof=1, observed=1)
+    estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
+    paths = write_figures(estimate, case.record, case.truth, tmp_path)
+    assert {path.stem for path in paths} == {"response", "error_map"}
+
+
+def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
+    history = make_case().estimate.history
+    first, second = (save(history_figure(history), tmp_path / name, "history") for name in ("a", "b"))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+
+
+def test_pyplot_is_never_imported():
+    code = "import sys, pinn_cli.report.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_rows_and_asterisks(make_case):
+    case = make_case(ndof=20, observed=7)
+    figure = response_figure(case.estimate, case.record, case.truth.response)
+    assert shown_dofs(20) == [0, 1, 18, 19]
+    assert shown_dofs(6) == list(range(6))
+    labels = [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()]
+    assert labels == ["DOF 1", "DOF 2", "DOF 19*", "DOF 20*"]
+    titles = [axes.get_title() for axes in figure.axes[:4]]
+    assert [title.split()[0] for title in titles] == [quantity.capitalize() for quantity in QUANTITIES]
+    assert titles[2].endswith("(m/s²)")
+    assert _texts(figure) == ["truth", "estimate", "95 % band", "observations"]
+
+
+def test_the_linear_system_is_a_blue_dash_dot_line(make_case):
+    case = make_case(ndof=2, observed=1)
+    figure = response_figure(case.estimate, case.record, None, linear=case.truth.response)
+    assert "equivalent linear system" in _texts(figure)
+    assert "truth" not in _texts(figure)
+    assert ("-.", style.BLUE) in {(line.get_linestyle(), line.get_color()) for line in figure.axes[0].lines}
+
+
+def test_what_is_unknown_is_not_drawn(make_case):
+    case = make_case(ndof=3, observed=2)
+    velocity = np.where([False, True, False], case.truth.response.velocity, np.nan)
+    truth = replace(Response.unknown(case.record.time, 3), velocity=velocity)
+    std = Response.unknown(case.record.time, 3)
+    figure = response_figure(replace(case.estimate, std=std), case.record, truth, truth_label="held out")
+    assert _texts(figure) == ["held out", "estimate", "observations"]
+    panels = np.reshape(figure.axes, (3, 4))
+    drawn = [[style.BLACK in {line.get_color() for line in axes.lines} for axes in row] for row in panels]
+    assert drawn == [[False] * 4, [False, True, False, False], [False] * 4]
+
+
+def test_observations_are_thinned_and_the_legend_says_so(make_case):
+    case = make_case(ndof=2, observed=1, samples=4096)
+    assert "observations (one in 11 shown)" in _texts(response_figure(case.estimate, case.record, None))
+
+
+def test_a_long_record_shows_its_middle(make_case):
+    case = make_case(ndof=2, observed=1, samples=20000, duration=2000.0)
+    window = shown_window(case.record.time, case.estimate.response)
+    assert 0.3 < np.mean(case.record.time[window]) / 2000.0 < 0.7
+    assert 5.0 < np.ptp(case.record.time[window]) < 2000.0 / 5.0
+    crossings = np.diff(np.signbit(case.estimate.response.velocity[window]), axis=0).sum(axis=0)
+    assert 0.5 < np.median(crossings) / (2 * PERIODS_SHOWN) < 2.0
+    figure = response_figure(case.estimate, case.record, case.truth.response)
+    assert any("middle of the record from 0 s to 2000 s" in text.get_text() for text in figure.texts)
+
+
+def test_error_map_shows_the_error_or_the_deviation(make_case):
+    case = make_case(ndof=3, observed=2)
+    truth = replace(case.truth.response, displacement=np.full_like(case.record.force, np.nan))
+    titles = [axes.get_title() for axes in error_map_figure(case.estimate, case.record, truth).axes[:4]]
+    assert titles[0].startswith("Displacement: standard deviation, no truth")
+    assert titles[1].startswith("Velocity: absolute error")
+    titles = [axes.get_title() for axes in error_map_figure(case.estimate, case.record, None).axes[:4]]
+    assert all("no truth" in title for title in titles)
+
+
+def test_error_map_frames_each_run_of_observed_dofs(make_case):
+    case = make_case(ndof=5, observed=5)
+    figure = error_map_figure(case.estimate, case.record.keep({"acceleration": [1, 2, 4]}), case.truth.response)
+    frames = [patch for patch in figure.axes[0].patches if patch.get_edgecolor() == (1.0, 0.0, 0.0, 1.0)]
+    assert [(frame.get_y(), frame.get_height()) for frame in frames] == [(0.5, 2.0), (3.5, 1.0)]
+
+
+def test_history_of_many_iterations_and_of_none():
+    steps = np.arange(50_000)
+    figure = history_figure(pd.DataFrame({"iteration": steps, "loss_physics": np.exp(-steps / 1e4)}))
+    assert len(figure.axes) == 1
+    assert len(figure.axes[0].lines[0].get_xdata()) <= 1500
+    with pytest.raises(ValueError, match=r"no loss_\* or weight_\* column"):
+        history_figure(pd.DataFrame({"iteration": steps}))
+
+
+def test_parameters_relative_to_prescribed(make_case):
+    case = make_case(ndof=3)
+    figure = parameters_figure(case.estimate.parameters, case.truth.parameters)
+    assert [axes.get_title() for axes in figure.axes] == ["Damping $c$", "Stiffness $k$", r"Duffing $\kappa$"]
+    assert _texts(figure) == ["prescribed", "truth", "estimate, 90 % interval"]
+    assert _texts(parameters_figure(case.estimate.parameters, None)) == ["prescribed", "estimate, 90 % interval"]
+    with pytest.raises(ValueError, match="no estimated parameter"):
+        parameters_figure([replace(case.estimate.parameters[0], prescribed=0.0)], None)
+
+
+def test_decimation_keeps_extremes_and_ends():
+    values = np.random.default_rng(0).normal(size=10_007)
+    values[[4321, 8765]] = 50.0, -50.0
+    kept = line_indices(values, 500)
+    assert len(kept) <= 500
+    assert {0, 4321, 8765, 10_006} <= set(kept.tolist())
+    assert np.all(np.diff(kept) > 0)
+    np.testing.assert_array_equal(line_indices(values[:9], 500), np.arange(9))
+
+
+def test_block_maximum_keeps_peaks_and_gaps():
+    values = np.zeros((1000, 2))
+    values[123, 0], values[:, 1] = 7.0, np.nan
+    reduced = block_maximum(values, 40)
+    assert reduced.shape == (40, 2)
+    assert reduced[:, 0].max() == 7.0
+    assert np.isnan(reduced[:, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "kilo", "expected"),
+    [(2.0, True, (1.0, "")), (0.02, False, (1e3, "m")), (3e-5, False, (1e6, "µ")), (2e4, True, (1e-3, "k")),
+     (2e4, False, (1.0, "")), (0.0, False, (1.0, "")), (float("nan"), False, (1.0, ""))],
+)  # fmt: skip
+def test_unit_prefix(magnitude, kilo, expected):
+    assert style.unit_prefix(magnitude, kilo) == expected

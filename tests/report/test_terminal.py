@@ -1,0 +1,60 @@
+"""What a run prints fits 100 columns and says what it leaves out."""
+
+from __future__ import annotations
+
+import pytest
+
+from pinn_cli.report import published
+from pinn_cli.report.fitness import fitness_table
+from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.terminal import WIDTH, fitness_text, parameters_text
+from pinn_cli.training.estimate import ParameterEstimate
+
+
+def _tables(case, name="small"):
+    labels = case.labels | {"case": name}
+    fitness = fitness_table(case.estimate.response, case.truth.response, case.record.observed, labels)
+    return fitness, parameter_table(case.estimate.parameters, case.truth.parameters, labels)
+
+
+@pytest.mark.parametrize("ndof", [1, 6, 20])
+def test_width(ndof, make_case):
+    case = make_case(ndof=ndof, observed=1)
+    fitness, parameters = _tables(case, "sr_6dof_snr50")
+    text = fitness_text(fitness, case.record.observed, published.fitness()) + "\n" + parameters_text(parameters)
+    assert max(map(len, text.splitlines())) <= WIDTH
+
+
+def test_rows_of_a_short_chain(make_case):
+    case = make_case(ndof=3, observed=2)
+    fitness, _ = _tables(case)
+    lines = fitness_text(fitness, case.record.observed).splitlines()
+    names = [line.split("  ")[0].rstrip() for line in lines[3:]]
+    assert names[:-1] == ["all", "first", "last", "observed", "unobserved", "dof_1", "dof_2", "dof_3 *"]
+    assert lines[-1] == "* no response sensor on this DOF"
+    assert lines[-2].split()[2:6][3] == "-"  # no force on the last DOF: an empty cell
+
+
+def test_a_long_chain_points_to_the_file(make_case):
+    fitness, parameters = _tables(make_case(ndof=20, observed=7))
+    text = fitness_text(fitness)
+    assert "dof_7" not in text
+    assert "dof_1 to dof_20: fitness.csv" in text
+    assert "the 24 of 60 that moved furthest" in parameters_text(parameters)
+
+
+def test_published_rows_of_this_case_only(make_case):
+    fitness, _ = _tables(make_case(), "sr_6dof_snr50")
+    text = fitness_text(fitness, published=published.fitness())
+    assert text.count("published") == 3
+    assert "98.57" in text
+    fitness, _ = _tables(make_case())
+    assert "published" not in fitness_text(fitness, published=published.fitness())
+
+
+def test_parameters(make_case):
+    labels = make_case().labels
+    estimates = [ParameterEstimate("k_1", 40e3, 44012.0, 1534.0, float("nan"), float("nan"))]
+    text = parameters_text(parameter_table(estimates, None, labels))
+    assert text.splitlines()[2].split() == ["k_1", "40000", "44012", "1534", "-", "-", "-"]
+    assert parameters_text(parameter_table([], None, labels)) == ""
