@@ -1,0 +1,118 @@
+"""The command `pinn-run`: Hydra's command line, with one line per error and an exit status for shell scripts.
+
+    0  done
+    1  a defect of the program: its traceback
+    2  input that no run can use: one line that says which setting, why and what to do
+    3  a run that diverged: one line that says where
+    130  interrupted
+    141  nobody reads the output any more
+
+`HYDRA_FULL_ERROR=1` adds the traceback to 2 and 3.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import traceback
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from pinn_cli import run_directories
+from pinn_cli.command_options import read_options
+from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.override_errors import explain
+
+log = logging.getLogger(__name__)
+
+Task = Callable[[DictConfig], None]
+
+STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 2, 3, 130, 141
+
+
+class Jobs:
+    """The task as Hydra calls it, once per job, and what became of the jobs.
+
+    An error that the user can mend is reported at once and does not reach Hydra, which would print a line of its own
+    and leave the other jobs of a sweep without their tables.
+    """
+
+    def __init__(self, task: Task, full_error: bool) -> None:
+        self.task, self.full_error = task, full_error
+        self.started = False
+        self.status = 0
+        self.unusable: list[Path] = []
+        self._process = os.getpid()
+
+    def __call__(self, config: DictConfig) -> None:
+        """Run one job; see the class."""
+        self.started = True
+        try:
+            self.task(config)
+        except (InputError, DivergenceError) as error:
+            if os.getpid() != self._process:  # a launcher's worker: only Hydra can carry the failure back
+                raise
+            if isinstance(error, InputError):
+                self.unusable.append(Path(HydraConfig.get().runtime.output_dir))
+            log.info("%s", error)
+            self.report(error)
+
+    def report(self, error: InputError | DivergenceError) -> None:
+        """Print the error's one line and note the exit status that it asks for."""
+        if self.full_error:
+            traceback.print_exception(error)
+        else:
+            print(f"pinn-run: {' '.join(str(error).split())}", file=sys.stderr)
+        self.status = max(self.status, STATUS_INPUT if isinstance(error, InputError) else STATUS_DIVERGED)
+
+
+def execute(task: Task) -> int:
+    """Run a task under the command line that the process was started with.
+
+    Args:
+        task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
+
+    Returns:
+        The exit status, as listed at the top of this file.
+    """
+    jobs = Jobs(task, full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
+    options = Namespace(overrides=[], config_dir=None)
+    refused = False
+    try:
+        options = read_options(sys.argv)
+        _run_hydra(jobs)
+    except KeyboardInterrupt:
+        print("pinn-run: interrupted", file=sys.stderr)
+        return STATUS_INTERRUPTED
+    except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return STATUS_PIPE
+    except Exception as error:
+        explained = explain(error, options.overrides, options.config_dir, composing=not jobs.started)
+        if explained is None:
+            raise
+        jobs.report(explained.with_traceback(error.__traceback__))
+        refused = True
+    finally:
+        if refused or jobs.unusable:
+            run_directories.discard(jobs.unusable)
+    return jobs.status
+
+
+def _run_hydra(jobs: Jobs) -> None:
+    def run_job(config: DictConfig) -> None:
+        jobs(config)
+
+    given = os.environ.get("HYDRA_FULL_ERROR")
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
+    try:
+        hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name="config")(run_job)()
+    finally:
+        del os.environ["HYDRA_FULL_ERROR"]
+        os.environ.update({} if given is None else {"HYDRA_FULL_ERROR": given})

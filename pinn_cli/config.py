@@ -1,0 +1,216 @@
+"""The typed, validated configuration of a run: every object that it needs, built before any work is done.
+
+Rules about one object's values stand in that object's constructor; the rules here are those about the run as a whole.
+Nothing slow is imported above: `pinn-run --help` reads this module too.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import whole_number
+from pinn_cli.override_errors import likely
+from pinn_cli.targets import build, check_targets, construct
+
+if TYPE_CHECKING:
+    from pinn_cli.network.base import NetworkDesign
+    from pinn_cli.record.record import Measurements, Record
+    from pinn_cli.scheme.base import Scheme
+    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.model_error import ModelError
+    from pinn_cli.training.base import Training
+
+VALUES = ("case", "seed", "device", "threads")
+NODES = ("system", "excitation", "simulation", "noise", "model_error", "data", "scheme", "network", "training")
+
+# Read by the linear algebra libraries when they are first loaded, which is after this module.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the record comes from.
+
+    Attributes:
+        measure: From the true chain to the record, with every sensor that exists, and the truth as far as it is known.
+        simulated: Whether every sensor exists, so that the scheme chooses among them.
+        snr_db: Of a simulated record, dB; None without noise and for a measured record.
+    """
+
+    measure: Callable[[Chain], Measurements]
+    simulated: bool
+    snr_db: float | None
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a run is made of, checked.
+
+    Attributes:
+        case: Name of the case, a folder's name.
+        seed: Of everything random that has no seed of its own.
+        device: Where networks and residuals live: cpu, cuda, cuda:1.
+        threads: Of torch and of the linear algebra.
+        chain: The structure as configured, before model error.
+        model_error: What differs between the true and the prescribed chain.
+        source: Where the record comes from.
+        scheme: What is observed and what is unknown.
+        network: What stands for the response as a function of time.
+        training: How the problem is solved.
+    """
+
+    case: str
+    seed: int
+    device: str
+    threads: int
+    chain: Chain
+    model_error: ModelError
+    source: Source
+    scheme: Scheme
+    network: NetworkDesign
+    training: Training
+
+    @classmethod
+    def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
+        """Check a composed configuration and build what it describes; threads are limited from here on.
+
+        Args:
+            config: As composed by Hydra, without its `hydra` node.
+            base: The folder that relative paths of data start from; None: the current one.
+
+        Raises:
+            InputError: At the first setting that no run can use.
+        """
+        config = _resolved(config)
+        _check_names(config)
+        check_targets(config)
+        case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
+        _limit_threads(threads)
+        _check_available(device)
+        model_error = build(config.model_error, "model_error")
+        chain = _chain(config.system)
+        source = _source(config, chain, model_error, seed, base)
+        scheme, network, training = (build(config[name], name) for name in ("scheme", "network", "training"))
+        return cls(case, seed, device, threads, chain, model_error, source, scheme, network, training)
+
+    @property
+    def truth_label(self) -> str:
+        """What figures call the truth: of a measured record it is a measurement itself, noise included."""
+        return "truth" if self.source.simulated else "measured, held out"
+
+    def observe(self, record: Record) -> Record:
+        """What the estimator may see: the scheme's choice of simulated sensors, or all of a measured record."""
+        return self.scheme.observe(record) if self.source.simulated else record
+
+    def labels(self, estimator: str) -> dict[str, object]:
+        """The leading columns of the tables (`pinn_cli.report.labels.LABELS`)."""
+        return {
+            "case": self.case,
+            "estimator": estimator,
+            "scheme": self.scheme.name,
+            "ndof": self.chain.ndof,
+            "nonlinearity": self.chain.nonlinearity.name,
+            "model_error": self.model_error.name if self.source.simulated else None,
+            "snr_db": self.source.snr_db,
+            "seed": self.seed,
+        }
+
+
+def _resolved(config: DictConfig) -> DictConfig:
+    """The same with every interpolation replaced by its value."""
+    for setting in OmegaConf.missing_keys(config):
+        raise InputError(setting, "(missing)", "given", f"add {setting}=... to the command")
+    try:
+        container = OmegaConf.to_container(config, resolve=True)
+    except OmegaConfBaseException as error:
+        setting = str(getattr(error, "full_key", None) or "configuration")
+        raise InputError(setting, "${...}", "resolvable", str(error).partition("\n")[0]) from error
+    return OmegaConf.create(container)  # type: ignore[return-value]
+
+
+def _check_names(config: DictConfig) -> None:
+    """A setting that nothing reads is a slip: in a config file Hydra lets it pass."""
+    known = (*VALUES, *NODES)
+    for name in map(str, config):
+        if name not in known:
+            raise InputError(name, config[name], f"one of the settings {', '.join(known)}", likely(name, known))
+    for name in known:
+        if name not in config:
+            raise InputError(name, "(missing)", "given", "the main config has it: was it deleted with ~?")
+    for name in NODES:
+        if not isinstance(config[name], DictConfig):
+            raise InputError(name, config[name], f"a group of settings ({name}.something=...)")
+
+
+def _case(config: DictConfig) -> str:
+    if not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
+        raise InputError("case", config.case, "a folder's name: letters, digits, and any of . _ + -")
+    return str(config.case)
+
+
+def _seed(config: DictConfig) -> int:
+    seed = whole_number("seed", config.seed)
+    if seed >= 2**32:
+        raise InputError("seed", seed, f"a whole number below {2**32}")
+    return seed
+
+
+def _threads(config: DictConfig) -> int:
+    return whole_number("threads", config.threads, least=1)
+
+
+def _device(config: DictConfig) -> str:
+    if not isinstance(config.device, str) or not re.fullmatch(r"cpu|cuda(:\d+)?", config.device):
+        raise InputError("device", config.device, "cpu, cuda or cuda:N")
+    return config.device
+
+
+def _limit_threads(threads: int) -> None:
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(threads)))
+    import torch
+
+    torch.set_num_threads(threads)
+
+
+def _check_available(device: str) -> None:
+    if device == "cpu":
+        return
+    import torch
+
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if int(device.partition(":")[2] or 0) >= count:
+        hint = "no CUDA device is visible to torch" if count == 0 else f"torch sees {count}, counted from 0"
+        raise InputError("device", device, "cpu or a CUDA device that is there", hint)
+
+
+def _chain(node: DictConfig) -> Chain:
+    from pinn_cli.system.building import build_chain
+
+    return construct(build_chain, node, "system")
+
+
+def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int, base: Path | None) -> Source:
+    from pinn_cli.record.noise import Noise
+    from pinn_cli.record.simulation import Simulation
+
+    if config.data.get("kind") != "simulated":
+        measured = build(config.data, "data", base=base)
+        if model_error.name != "none":
+            hint = "a measured record brings its own truth; system=... is the model that you prescribe"
+            raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
+        return Source(lambda true: measured.measure(true.ndof), simulated=False, snr_db=None)
+    simulation = construct(Simulation, config.simulation, "simulation")
+    noise = construct(Noise, config.noise, "noise", seed=seed)
+    span = {"ndof": chain.ndof, "duration": simulation.duration, "samples": simulation.samples}
+    excitation = build(config.excitation, "excitation", **span)
+    simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
+    return Source(simulated.measure, simulated=True, snr_db=noise.snr_db)

@@ -1,0 +1,60 @@
+"""What there is to choose from: names of options and settings, read from the config files when an error lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_module
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+
+def option_names(group: str, config_dir: str | None = None) -> Iterator[str]:
+    """Every option of a group, in its folders too (`paper/sr_6dof_snr50`); a leading underscore marks no option."""
+    for place in _places(config_dir):
+        for file in sorted((place / group).rglob("*.yaml")):
+            if not file.name.startswith("_"):
+                yield file.relative_to(place / group).with_suffix("").as_posix()
+
+
+def options_with(setting: str, config_dir: str | None = None) -> list[str]:
+    """The choices that have a setting: `data.path` is a setting of `data=csv`."""
+    group, _, key = setting.partition(".")
+    found = []
+    for place in _places(config_dir):
+        for option in option_names(group) if key and group != "experiment" else ():
+            file = place / group / f"{option}.yaml"
+            if file.is_file() and key in _names(OmegaConf.load(file)):
+                found.append(f"{group}={option}")
+    return found
+
+
+def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:
+    """All settings and groups as a user types them, under these overrides, or by default if they do not compose."""
+    searchpath = [f"hydra.searchpath=[file://{Path(config_dir).resolve()}]"] if config_dir else []
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        try:
+            config = compose("config", overrides=[*overrides, *searchpath])
+        except (HydraException, OmegaConfBaseException, ValueError):
+            config = compose("config", overrides=searchpath)
+    return [*_names(config), "experiment"]
+
+
+def _places(config_dir: str | None) -> list[Path]:
+    shipped = Path(str(files("pinn_cli.conf") / "config.yaml")).parent
+    return [shipped, *([Path(config_dir)] if config_dir else [])]
+
+
+def _names(node: Any, prefix: str = "") -> Iterator[str]:
+    for key in node:
+        if str(key).startswith("_"):
+            continue
+        name = f"{prefix}{key}"
+        yield name
+        child = node._get_node(key)
+        if isinstance(child, DictConfig) and not child._is_none():
+            yield from _names(child, f"{name}.")

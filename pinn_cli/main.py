@@ -1,0 +1,45 @@
+"""`pinn-run`: config, system, record, problem, estimate, report, in this order."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from pinn_cli.command_line import execute
+from pinn_cli.config import RunConfig
+from pinn_cli.stages import Stages
+
+
+def run(composed: DictConfig) -> None:
+    """Run one job: what it leaves behind lies in Hydra's run directory, whose path is the last line printed."""
+    runtime = HydraConfig.get().runtime
+    directory, stages = Path(runtime.output_dir), Stages()
+    with stages("config"):
+        config = RunConfig.read(composed, base=Path(runtime.cwd))
+    with stages("imports"):  # after the configuration has limited the threads, and not for --help
+        from pinn_cli.report.run_report import write_report
+        from pinn_cli.training.estimate import RunContext
+    with stages("system"):
+        true, prescribed = config.model_error.chains(config.chain)
+    with stages("record"):
+        measurements = config.source.measure(true)
+        record = config.observe(measurements.record)
+    with stages("problem"):
+        problem = config.scheme.problem(prescribed, record)
+    with stages("estimate"):
+        context = RunContext(config.device, config.seed, directory, progress=sys.stderr.isatty())
+        estimate = config.training.solve(problem, config.network, context)
+    print(write_report(config, record, measurements.truth, estimate, directory, stages))
+    print(directory)
+
+
+def main() -> None:
+    """The command: exits with the status listed in `pinn_cli.command_line`."""
+    sys.exit(execute(run))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""Where a run's time goes."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+log = logging.getLogger(__name__)
+
+
+class Stages:
+    """Wall-clock seconds by stage, for run.json and, as they end, for the log.
+
+    Example:
+        >>> stages = Stages()
+        >>> with stages("record"):
+        ...     pass
+        >>> list(stages.seconds)
+        ['record', 'total']
+    """
+
+    def __init__(self) -> None:
+        self._start = time.perf_counter()
+        self._seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time a block; a stage that comes twice is added up."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            seconds = time.perf_counter() - start
+            self._seconds[name] = self._seconds.get(name, 0.0) + seconds
+            log.info("%s: %.2f s", name, seconds)
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Stage to seconds, and the total since this object was made."""
+        return {**self._seconds, "total": time.perf_counter() - self._start}

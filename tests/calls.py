@@ -1,0 +1,26 @@
+"""How tests call the program, and the small settings that they call it with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+# A chain, a record and a training small enough for a test, for tests about everything but accuracy.
+SMALL = ("system.ndof=3", "simulation.duration=12", "simulation.samples=256", "excitation.band=[0.2,1.5]", "threads=1")
+
+Compose = Callable[..., DictConfig]
+PinnRun = Callable[..., "Outcome"]
+
+
+class Outcome:
+    """What a call of `pinn-run` ended with."""
+
+    def __init__(self, status: int, out: str, err: str) -> None:
+        self.status, self.out, self.err = status, out, err
+
+    @property
+    def directory(self) -> Path:
+        """The run's or the sweep's directory: the last line printed."""
+        return Path(self.out.strip().splitlines()[-1])

@@ -1,0 +1,65 @@
+"""What tests start from: the composed configuration, an empty folder, and global state as it was before any test."""
+
+from __future__ import annotations
+
+import os
+import random
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from calls import Compose, Outcome, PinnRun
+from hydra import compose, initialize_config_module
+from omegaconf import DictConfig
+
+from pinn_cli.command_line import execute
+from pinn_cli.main import run
+
+
+@pytest.fixture(autouse=True)
+def global_state() -> Iterator[None]:
+    """Put back the generators, thread counts and environment that tests share, and forbid a changed default dtype."""
+    environment, threads = dict(os.environ), torch.get_num_threads()
+    torch_state, python_state = torch.get_rng_state(), random.getstate()
+    numpy_state = np.random.get_state()  # noqa: NPY002
+    yield
+    os.environ.clear()
+    os.environ.update(environment)
+    torch.set_num_threads(threads)
+    torch.set_rng_state(torch_state)
+    np.random.set_state(numpy_state)  # noqa: NPY002
+    random.setstate(python_state)
+    assert torch.get_default_dtype() == torch.float32, "the test changed torch's default dtype"
+
+
+@pytest.fixture
+def composed() -> Compose:
+    """Compose the shipped configuration under overrides, as the command line does."""
+
+    def compose_with(*overrides: str) -> DictConfig:
+        with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+            return compose("config", overrides=list(overrides))
+
+    return compose_with
+
+
+@pytest.fixture
+def pinn_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> PinnRun:
+    """Call `pinn-run` with these arguments in this process, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
+
+    def call(*arguments: str, task: Callable[[DictConfig], None] = run) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["pinn-run", *arguments])
+        capfd.readouterr()
+        try:
+            status = execute(task)
+        except SystemExit as end:
+            status = int(end.code or 0)
+        captured = capfd.readouterr()
+        return Outcome(status, captured.out, captured.err)
+
+    return call

@@ -1,0 +1,57 @@
+"""Small simulated chains, records and problems, for tests about networks, physics and training."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.chain import Chain
+from pinn_cli.system.nonlinearity import Duffing, Linear, PowerDamping, VanDerPol
+
+NONLINEARITIES = {
+    "linear": (Linear(), {}),
+    "duffing": (Duffing(), {"kappa": 100.0}),
+    "van_der_pol": (VanDerPol(), {"mu": 0.75}),
+    "power_damping": (PowerDamping(1.5), {"mu": 0.75}),
+}
+QUANTITIES = ("displacement", "velocity", "acceleration")
+
+
+def small_chain(nonlinearity: str = "duffing", ndof: int = 3, speed: float = 1.0, k: float = 15.0) -> Chain:
+    """A chain whose motion is ``speed`` times as fast as that of the paper's."""
+    kind, parameters = NONLINEARITIES[nonlinearity]
+    return build_chain(ndof, kind, m=10.0 / speed**2, c=1.0 / speed, k=k, **parameters)
+
+
+def excitation(chain: Chain, duration: float = 12.0, samples: int = 257) -> BandedNoise:
+    return BandedNoise(chain.ndof, duration, samples, [2.5 / duration, 15.0 / duration], 1.0, [1])
+
+
+def measured(
+    chain: Chain, hold: str = "exact", snr_db: float | None = None, duration: float = 12.0, samples: int = 257
+) -> Measurements:
+    """A record of the first DOF's force and of every response, with the truth."""
+    simulation = Simulation(duration, samples, hold)
+    return Simulated(excitation(chain, duration, samples), simulation, Noise(snr_db)).measure(chain)
+
+
+def accelerations(record: Record, dofs: tuple[int, ...] = (1, 2)) -> Record:
+    """The record with accelerometers on the given DOFs only."""
+    return record.keep({"acceleration": dofs})
+
+
+def sped_up(record: Record, speed: float) -> Record:
+    """The same displacements and forces, ``speed`` times as fast."""
+    motion = {name: getattr(record, name) * speed**order for order, name in enumerate(QUANTITIES)}
+    return replace(record, time=record.time / speed, **motion)
+
+
+def relative_error(estimate: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(estimate - truth) / np.linalg.norm(truth))

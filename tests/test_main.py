@@ -1,0 +1,107 @@
+"""Whole runs of the real program, small: what they leave behind, and that the same seed gives the same bytes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import xarray as xr
+from calls import SMALL, PinnRun
+
+FILES = {"fitness.csv", "parameters.csv", "history.csv", "response.nc", "run.json", "figures", ".hydra", "pinn-run.log"}
+LABELS = ["case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed"]
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    out: str
+    directory: Path
+
+
+@pytest.fixture(scope="module")
+def small_run(tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
+    """One run in a process of its own, as a user starts it."""
+    command = [sys.executable, "-m", "pinn_cli.main", *SMALL, "case=small", "seed=0"]
+    done = subprocess.run(command, cwd=tmp_path_factory.mktemp("run"), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return FinishedRun(done.stdout, Path(done.stdout.splitlines()[-1]))
+
+
+def test_a_run_leaves_every_file(small_run: FinishedRun) -> None:
+    assert small_run.directory.parts[-3:-1] == ("outputs", "small")
+    assert {entry.name for entry in small_run.directory.iterdir()} == FILES
+    drawn = {figure.name for figure in (small_run.directory / "figures").iterdir()}
+    assert {"response.png", "response.pdf", "error_map.png", "history.png"} <= drawn
+    assert max(map(len, small_run.out.splitlines()[:-1])) <= 100
+
+
+def test_the_log_tells_the_stages(small_run: FinishedRun) -> None:
+    lines = (small_run.directory / "pinn-run.log").read_text().splitlines()
+    assert all("[pinn_cli." in line for line in lines)
+    assert any("estimate:" in line for line in lines)
+
+
+def test_the_fitness_table(small_run: FinishedRun) -> None:
+    fitness = pd.read_csv(small_run.directory / "fitness.csv")
+    assert list(fitness.columns) == [*LABELS, "group", "quantity", "fitness_percent", "range_fitness_percent"]
+    assert set(fitness["group"]) == {"all", "first", "last", "observed", "unobserved", "dof_1", "dof_2", "dof_3"}
+    assert set(fitness["seed"]) == {0}
+
+
+def test_the_record_of_a_run_says_what_made_it(small_run: FinishedRun) -> None:
+    record = json.loads((small_run.directory / "run.json").read_text())
+    assert (record["seed"], record["device"], record["threads"]) == (0, "cpu", 1)
+    stages = record["seconds"]
+    assert {"config", "imports", "system", "record", "problem", "estimate", "report", "figures", "total"} <= set(stages)
+    assert sum(stages.values()) - stages["total"] == pytest.approx(stages["total"], rel=0.2)
+    assert record["training"]["iterations"] >= 1
+    assert record["training"]["stop_reason"]
+    assert record["peak_memory_mib"]["process"] > 50
+    assert record["versions"]["torch"]
+    assert record["command"][1:] == [*SMALL, "case=small", "seed=0"]
+
+
+def test_the_response_is_labelled(small_run: FinishedRun) -> None:
+    with xr.open_dataset(small_run.directory / "response.nc") as response:
+        assert dict(response.sizes) == {"time": 256, "dof": 3}
+        assert response["dof"].values.tolist() == [1, 2, 3]
+        for quantity in ("displacement", "velocity", "acceleration", "force"):
+            for suffix in ("", "_std", "_true", "_observed"):
+                assert response[quantity + suffix].attrs["units"]
+
+
+def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: PinnRun) -> None:
+    again = pinn_run(*SMALL, "case=small", "seed=0").directory
+    for name in ("fitness.csv", "parameters.csv"):
+        assert (small_run.directory / name).read_bytes() == (again / name).read_bytes()
+
+
+def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("--multirun", *SMALL, "noise.snr_db=40,30")
+    assert outcome.status == 0, outcome.err
+    for name in ("fitness.csv", "parameters.csv"):
+        joined = pd.read_csv(outcome.directory / name)
+        assert joined.columns[0] == "noise.snr_db"
+        assert "system.ndof" not in joined  # given, but not swept
+        assert joined["noise.snr_db"].drop_duplicates().tolist() == [40, 30]
+        single = [pd.read_csv(outcome.directory / str(job) / name) for job in range(2)]
+        pd.testing.assert_frame_equal(joined.drop(columns="noise.snr_db"), pd.concat(single, ignore_index=True))
+
+
+def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: Path) -> None:
+    with xr.open_dataset(small_run.directory / "response.nc") as response:
+        columns = {f"a{dof}": response["acceleration_true"].sel(dof=dof).values for dof in (1, 2, 3)}
+        columns = {"t": response["time"].values, "f": response["force_true"].sel(dof=1).values, **columns}
+    pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
+    settings = ["data.time=t", "data.force={1: f}", "data.acceleration={1: a1, 2: a2, 3: a3}", "data.holdout=[3]"]
+    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings)
+    assert outcome.status == 0, outcome.err
+    fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
+    assert fitness["dof_3", "acceleration"] > 80
+    assert pd.isna(fitness["dof_3", "displacement"])
+    assert pd.isna(fitness["dof_1", "acceleration"])
