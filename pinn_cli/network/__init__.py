@@ -1,0 +1,1 @@
+"""Networks N(t; theta), one per file."""

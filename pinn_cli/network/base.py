@@ -1,0 +1,69 @@
+"""What a network N(t; theta) is: time in, the motion of every DOF and its time derivatives out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from pinn_cli.record.record import Record
+
+Continuity = Literal["exact", "penalised"]
+
+
+class States(NamedTuple):
+    """Motion at N times, each (N, ndof).
+
+    Attributes:
+        displacement, velocity, acceleration: m, m/s, m/s^2.
+        continuity: d(displacement)/dt - velocity, m/s, where the network has separate outputs for the two; None where it vanishes by
+            construction.
+    """
+
+    displacement: Tensor
+    velocity: Tensor
+    acceleration: Tensor
+    continuity: Tensor | None
+
+
+class Network(nn.Module, ABC):
+    """A network from time to the motion of ``ndof`` degrees of freedom.
+
+    With ``continuity="exact"`` its outputs are displacements and everything else are their derivatives. With ``"penalised"`` it has
+    separate outputs for displacement and velocity, (N, 2 ndof), as in the paper, and a residual says how far they disagree (paper,
+    eq. 10b).
+    """
+
+    def __init__(self, ndof: int, continuity: Continuity) -> None:
+        super().__init__()
+        self.ndof = ndof
+        self.continuity: Continuity = continuity
+
+    @property
+    def channels(self) -> int:
+        """Outputs per DOF."""
+        return 1 if self.continuity == "exact" else 2
+
+    @abstractmethod
+    def jet(self, time: Tensor, order: int) -> tuple[Tensor, ...]:
+        """Outputs and their time derivatives up to ``order`` (0, 1 or 2), each (N, channels * ndof); time (N,), s."""
+
+    def forward(self, time: Tensor) -> States:
+        """Motion at the given times (N,), s."""
+        if self.continuity == "exact":
+            return States(*self.jet(time, 2), continuity=None)
+        value, rate = self.jet(time, 1)
+        n = self.ndof
+        return States(value[:, :n], value[:, n:], rate[:, n:], rate[:, :n] - value[:, n:])
+
+
+class NetworkDesign(ABC):
+    """How to build a network for a record: what a config chooses. A new one is a file here and a file in ``conf/network``."""
+
+    name: str
+
+    @abstractmethod
+    def build(self, record: Record, dtype: torch.dtype = torch.float64) -> Network:
+        """A network fitted to the record's span, band and amplitudes (never to its truth), untrained."""

@@ -1,0 +1,117 @@
+"""B-spline network: one Kolmogorov-Arnold layer in time, linear readout."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from scipy.interpolate import BSpline
+from torch import Tensor
+
+from pinn_cli.errors import InputError
+from pinn_cli.network.base import Continuity, NetworkDesign
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import record_band
+
+
+def piece_coefficients(degree: int) -> np.ndarray:
+    """Polynomials of the uniform B-splines that are alive in one knot interval.
+
+    Returns:
+        (degree + 1, degree + 1): row p, column a is the coefficient of tau^p, tau in [0, 1], of the a-th alive B-spline, the one that
+        began degree - a intervals ago.
+    """
+    spline = BSpline.basis_element(np.arange(degree + 2), extrapolate=False)
+    pieces = np.empty((degree + 1, degree + 1))
+    for a in range(degree + 1):
+        start = degree - a
+        for power in range(degree + 1):
+            # One-sided Taylor coefficients at the interval's start; the last knot's own piece is the one that begins there.
+            pieces[power, a] = float(spline.derivative(power)(start)) / math.factorial(power)
+    return pieces
+
+
+class SplineNetwork(LinearReadout):
+    """Uniform B-splines of one degree on [start, start + intervals * spacing], s."""
+
+    def __init__(
+        self, ndof: int, start: float, stop: float, intervals: int, degree: int, continuity: Continuity, dtype: torch.dtype
+    ) -> None:
+        super().__init__(ndof, continuity, intervals + degree, dtype)
+        self.start, self.intervals, self.degree = start, intervals, degree
+        self.spacing = (stop - start) / intervals
+        self.register_buffer("pieces", torch.as_tensor(piece_coefficients(degree), dtype=dtype))
+
+    @property
+    def free_intervals(self) -> float:
+        """See :meth:`LinearReadout.free_intervals`."""
+        return 1.0 / self.spacing
+
+    def groups(self, time: Tensor, order: int) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, ...]]:
+        """See :meth:`LinearReadout.groups`: one group per knot interval, degree + 1 features in each."""
+        position = (time - self.start) / self.spacing
+        cell = position.floor().long().clamp(0, self.intervals - 1)
+        by_cell = torch.argsort(cell, stable=True)
+        occupied = torch.bincount(cell, minlength=self.intervals)
+        first = torch.cumsum(occupied, 0) - occupied
+        shape = (self.intervals, int(occupied.max()))
+        rank = torch.arange(len(time), device=time.device) - first[cell[by_cell]]
+        sample = torch.zeros(shape, dtype=torch.long, device=time.device)
+        mask = torch.zeros(shape, dtype=time.dtype, device=time.device)
+        sample[cell[by_cell], rank] = by_cell
+        mask[cell[by_cell], rank] = 1.0
+        tau = (position - cell)[sample]
+        feature = torch.arange(self.intervals, device=time.device)[:, None] + torch.arange(self.degree + 1, device=time.device)
+        features = tuple(self._derivative(tau, q) * mask[..., None] for q in range(order + 1))
+        return sample, mask, feature, features
+
+    def _derivative(self, tau: Tensor, q: int) -> Tensor:
+        """q-th time derivative of the alive B-splines at positions tau (...), (..., degree + 1)."""
+        powers = torch.arange(q, self.degree + 1, device=tau.device)
+        falling = torch.ones_like(powers)
+        for j in range(q):
+            falling = falling * (powers - j)
+        monomials = tau[..., None] ** (powers - q) * falling
+        return monomials @ self.pieces[q:].to(tau.dtype) / self.spacing**q
+
+
+class Spline(NetworkDesign):
+    """B-splines with as many knots as the record's own band asks for.
+
+    Args:
+        degree: Polynomial degree; accelerations are splines of degree - 2. 5 leaves them smooth.
+        knots_per_period: Knots in one period of the highest frequency that stands out of the noise in any channel. Three begin to
+            follow it, four follow its second derivative to a few parts in ten thousand.
+        intervals: Number of knot intervals; None: chosen by ``knots_per_period``.
+        continuity: See :class:`pinn_cli.network.base.Network`.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    name = "spline"
+
+    def __init__(
+        self, degree: int = 5, knots_per_period: float = 4.0, intervals: int | None = None, continuity: Continuity = "exact"
+    ) -> None:
+        if not 3 <= degree <= 9:
+            raise InputError("network.degree", degree, "an integer from 3 to 9", "accelerations need two derivatives")
+        if not knots_per_period > 0:
+            raise InputError("network.knots_per_period", knots_per_period, "a positive number")
+        if intervals is not None and intervals < 4:
+            raise InputError("network.intervals", intervals, "null or an integer >= 4")
+        self.degree, self.knots_per_period, self.intervals, self.continuity = degree, knots_per_period, intervals, continuity
+
+    def build(self, record: Record, dtype: torch.dtype = torch.float64) -> SplineNetwork:
+        """See :meth:`NetworkDesign.build`."""
+        margin = record.step  # a zero-order hold moves the collocation points half a step to the right
+        start, stop = float(record.time[0]) - margin, float(record.time[-1]) + margin
+        intervals = self.intervals or self._intervals(record, stop - start)
+        return SplineNetwork(record.ndof, start, stop, intervals, self.degree, self.continuity, dtype)
+
+    def _intervals(self, record: Record, span: float) -> int:
+        wanted = math.ceil(self.knots_per_period * record_band(record) * span)
+        # Every interval should hold a sample or two, or the observations leave some coefficients to the prior alone.
+        return int(min(max(wanted, 8), len(record.time) - self.degree))

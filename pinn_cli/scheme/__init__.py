@@ -1,0 +1,1 @@
+"""What is observed, what is unknown, what is reported."""

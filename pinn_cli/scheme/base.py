@@ -1,0 +1,36 @@
+"""What a scheme is: which sensors exist, and which parameters may move."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.chain import Chain
+
+
+class Scheme(ABC):
+    """How an estimation problem is posed. A new one is a file here and a file in ``conf/scheme``.
+
+    Attributes:
+        name: What the tables call it.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def observe(self, record: Record) -> Record:
+        """The record with the sensors that the scheme allows, of a simulated record in which every DOF has every sensor.
+
+        Raises:
+            InputError: The choice does not fit the record, or leaves no sensor.
+        """
+
+    @abstractmethod
+    def problem(self, prescribed: Chain, record: Record) -> Problem:
+        """The estimation problem of a prescribed chain and an observed record.
+
+        Raises:
+            InputError: A setting does not fit the chain.
+        """

@@ -1,0 +1,67 @@
+"""Which DOFs have sensors, as a user says it: a fraction, a pattern or a list."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import entries, is_finite_number, is_whole_number
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+
+PATTERN = re.compile(r"every_(\d+)(?:st|nd|rd|th)")
+
+
+def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] | None) -> list[int]:
+    """DOFs without response sensors, counted from 1.
+
+    Args:
+        ndof: Number of DOFs.
+        fraction: b_r; without ``unobserved`` the last round(b_r n) DOFs are unobserved (domain extension; paper, section 4.1).
+        unobserved: A list of DOFs, or ``every_2nd``, ``every_3rd``, ...: every second, third, ... DOF is unobserved (interpolation).
+
+    Raises:
+        InputError: Any of them outside what is possible, or nothing left to observe.
+    """
+    if unobserved is None:
+        if not is_finite_number(fraction) or not 0 <= fraction < 1:
+            raise InputError("scheme.unobserved_fraction", fraction, "a number from 0 to below 1")
+        hidden = round(fraction * ndof)
+        if hidden == ndof:
+            hint = f"{fraction} of {ndof} DOFs rounds to all of them"
+            raise InputError("scheme.unobserved_fraction", fraction, "less, so that one DOF stays observed", hint)
+        return list(range(ndof - hidden + 1, ndof + 1))
+    if isinstance(unobserved, str):
+        dofs = _pattern(unobserved, ndof)
+    else:
+        dofs = entries(unobserved)
+        if not all(is_whole_number(dof) and 1 <= dof <= ndof for dof in dofs):
+            raise InputError("scheme.unobserved", list(unobserved), f"DOFs from 1 to {ndof}", "DOFs are counted from 1 at the fixed end")
+    if len(set(dofs)) == ndof:
+        raise InputError("scheme.unobserved", unobserved, f"fewer than all {ndof} DOFs", "an estimator needs one observed DOF")
+    return sorted(set(dofs))
+
+
+def _pattern(text: str, ndof: int) -> list[int]:
+    match = PATTERN.fullmatch(text)
+    if match is None or int(match[1]) < 2:
+        raise InputError("scheme.unobserved", text, "null, a list of DOFs, or a pattern such as every_2nd or every_3rd")
+    return list(range(int(match[1]), ndof + 1, int(match[1])))
+
+
+def sensor_quantities(sensors: Mapping[str, bool]) -> tuple[str, ...]:
+    """The response quantities that observed DOFs have sensors for.
+
+    Raises:
+        InputError: An unknown quantity, or none chosen.
+    """
+    for name, chosen in sensors.items():
+        if name not in RESPONSE_QUANTITIES or not isinstance(chosen, (bool, np.bool_)):
+            allowed = f"true or false for each of {', '.join(RESPONSE_QUANTITIES)}"
+            raise InputError(f"scheme.sensors.{name}", chosen, allowed)
+    quantities = tuple(q for q in RESPONSE_QUANTITIES if sensors.get(q, False))
+    if not quantities:
+        raise InputError("scheme.sensors", dict(sensors), "at least one of displacement, velocity, acceleration set to true")
+    return quantities

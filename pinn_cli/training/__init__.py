@@ -1,0 +1,1 @@
+"""How the residuals are made small."""

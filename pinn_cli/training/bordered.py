@@ -1,0 +1,133 @@
+"""Symmetric positive definite systems that are a band with a border: many readout weights, few system parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpbtrf, dpbtrs
+
+# Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its largest entry.
+ROUNDING_JITTER = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class BorderedSystem:
+    """Normal equations [[A, B], [B^T, C]] [w, x] = -[g, h], in float64 on the CPU, where LAPACK's band solvers are.
+
+    Attributes:
+        band: Lower band of A, (half_width + 1, size); entry [i - j, j] is A[i, j].
+        border: B, (size, p).
+        corner: C, (p, p).
+        gradient: g, (size,).
+        corner_gradient: h, (p,).
+    """
+
+    band: np.ndarray
+    border: np.ndarray
+    corner: np.ndarray
+    gradient: np.ndarray
+    corner_gradient: np.ndarray
+
+    def factor(self, damping: float = 0.0) -> BorderedFactor | None:
+        """Cholesky factors after scaling the diagonal to one and adding ``damping`` to it; None if the matrix is not positive definite."""
+        scale = np.sqrt(self.band[0])
+        if not np.all(np.isfinite(scale)) or np.any(scale == 0):
+            return None
+        scaled = self.band.copy()
+        width = self.band.shape[1]
+        for k in range(len(scaled)):
+            scaled[k, : width - k] /= scale[: width - k] * scale[k:]
+        scaled[0] += damping + ROUNDING_JITTER
+        factor, failed = dpbtrf(scaled, lower=1, overwrite_ab=1)
+        if failed:
+            return None
+        solved = _band_solve(factor, scale, self.border)
+        schur = self.corner - self.border.T @ solved
+        schur[np.diag_indices_from(schur)] += damping * np.diag(self.corner)
+        try:
+            schur_factor = np.linalg.cholesky((schur + schur.T) / 2.0)
+        except np.linalg.LinAlgError:
+            return None
+        return BorderedFactor(factor, scale, solved, schur_factor)
+
+
+@dataclass(frozen=True, eq=False)
+class BorderedFactor:
+    """A factored :class:`BorderedSystem`.
+
+    Attributes:
+        band: Lower band of the Cholesky factor of the scaled A.
+        scale: Square root of A's diagonal; A = scale * scaled A * scale.
+        solved_border: A^-1 B, (size, p).
+        schur: Cholesky factor of C - B^T A^-1 B, (p, p).
+    """
+
+    band: np.ndarray
+    scale: np.ndarray
+    solved_border: np.ndarray
+    schur: np.ndarray
+
+    def step(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
+        """Solution (w, x) of the system."""
+        free = _band_solve(self.band, self.scale, system.gradient)
+        right = system.border.T @ free - system.corner_gradient
+        x = self.corner_covariance @ right
+        return -free - self.solved_border @ x, x
+
+    @property
+    def corner_covariance(self) -> np.ndarray:
+        """(p, p), covariance of the parameters with the readout weights marginalised: the inverse of the Schur complement."""
+        inverse = solve_triangular(self.schur, np.eye(len(self.schur)), lower=True)
+        return inverse.T @ inverse
+
+    @property
+    def log_determinant(self) -> float:
+        """Logarithm of the determinant of the whole matrix."""
+        return 2.0 * float(np.log(self.band[0]).sum() + np.log(self.scale).sum() + np.log(np.diag(self.schur)).sum())
+
+    def inverse_band(self) -> np.ndarray:
+        """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.
+
+        Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band, the factor is block bidiagonal, and
+        the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
+        """
+        width, size = max(len(self.band) - 1, 1), self.band.shape[1]
+        out = np.zeros_like(self.band)
+        below = np.zeros((0, 0))
+        for start in range((size - 1) // width * width, -1, -width):
+            stop, end = min(start + width, size), min(start + 2 * width, size)
+            inverse = solve_triangular(_dense_block(self.band, start, stop, start, stop), np.eye(stop - start), lower=True)
+            gain = _dense_block(self.band, stop, end, start, stop) @ inverse
+            coupling = -below @ gain
+            diagonal = inverse.T @ inverse - gain.T @ coupling
+            _store_columns(out, np.vstack((diagonal, coupling)), start)
+            below = diagonal
+        for k in range(len(out)):
+            out[k, : size - k] /= self.scale[: size - k] * self.scale[k:]
+        return out
+
+
+def _band_solve(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
+    if right.ndim == 1:
+        return dpbtrs(factor, right / scale, lower=1)[0] / scale
+    if right.shape[1] == 0:
+        return right
+    return dpbtrs(factor, right / scale[:, None], lower=1)[0] / scale[:, None]
+
+
+def _dense_block(band: np.ndarray, row_start: int, row_stop: int, column_start: int, column_stop: int) -> np.ndarray:
+    """Rows and columns of the lower triangular matrix whose lower band is given, as a dense array."""
+    offset = np.arange(row_start, row_stop)[:, None] - np.arange(column_start, column_stop)
+    inside = (offset >= 0) & (offset < len(band))
+    columns = np.broadcast_to(np.arange(column_start, column_stop), offset.shape)
+    return np.where(inside, band[np.where(inside, offset, 0), columns], 0.0)
+
+
+def _store_columns(band: np.ndarray, block: np.ndarray, start: int) -> None:
+    """Write the lower-band part of dense columns, whose first row and column are ``start``, into the band."""
+    rows, columns = block.shape
+    for k in range(min(len(band), rows)):
+        length = min(columns, rows - k)
+        band[k, start : start + length] = block[np.arange(length) + k, np.arange(length)]

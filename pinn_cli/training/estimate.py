@@ -1,0 +1,67 @@
+"""What a training hands to the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pinn_cli.record.record import Response
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterEstimate:
+    """One system parameter after training.
+
+    Attributes:
+        name: Kind and connection, counted from 1: ``k_2``, ``kappa_4``.
+        prescribed: The value that the estimator was given.
+        estimate: The value that it found; the prescribed one where it was held fixed.
+        std: Posterior standard deviation, 0 where held fixed, NaN where the training gives none.
+        lower_90, upper_90: The central 90 % interval.
+    """
+
+    name: str
+    prescribed: float
+    estimate: float
+    std: float
+    lower_90: float
+    upper_90: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The estimated motion of every DOF, its uncertainty, the parameters, and how they were found.
+
+    Attributes:
+        response: Posterior mean of every quantity at the record's times, (N, n).
+        std: Posterior standard deviation of the same; NaN where the training gives none.
+        parameters: The parameters that were uncertain, in the order of the connections.
+        history: One row per iteration: ``iteration``, ``seconds``, every loss term ``loss_*`` and every weight ``weight_*``.
+        summary: Iterations, stop reason, noise levels and the like, for run.json.
+    """
+
+    response: Response
+    std: Response
+    parameters: list[ParameterEstimate]
+    history: pd.DataFrame
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class RunContext:
+    """What a training may know about the run that it is part of.
+
+    Attributes:
+        device: Where networks and residuals live, ``cpu`` or ``cuda``.
+        seed: Seeds the weights of networks that start from random ones.
+        directory: The run's directory, for checkpoints; None in a library call that keeps nothing.
+        progress: Whether to draw a progress bar (never when the output is no terminal).
+    """
+
+    device: str = "cpu"
+    seed: int = 0
+    directory: Path | None = None
+    progress: bool = field(default=False)

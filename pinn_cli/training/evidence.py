@@ -1,0 +1,163 @@
+"""How probable the record is under a noise model, and the search for the model error that makes it most probable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from pinn_cli.errors import DivergenceError
+from pinn_cli.record.spectrum import occupied_band
+from pinn_cli.training.bordered import BorderedFactor
+from pinn_cli.training.levenberg_marquardt import Solution, minimise
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.normal_equations import NormalEquations, Point
+
+# The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three points.
+SCAN_FACTOR = 10.0**0.5
+# A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
+DECISIVE_DROP = 20.0
+# The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
+PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
+PRIOR_PARAMETERS = 1.0
+# Relative change of the spread below which it is settled; it is a variance, known to some tens of percent at best.
+SPREAD_TOLERANCE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A solution together with the noise model that it was found under.
+
+    Attributes:
+        solution: The most probable readout and parameters.
+        noise: Its weights.
+        factor: Undamped factors of the Hessian there.
+        log_evidence: Logarithm of the probability density of the record, up to a constant of the network and record.
+    """
+
+    solution: Solution
+    noise: NoiseModel
+    factor: BorderedFactor
+    log_evidence: float
+
+
+class Evidence:
+    """Laplace approximation of the marginal likelihood of a noise model (MacKay 1992), with readout and parameters integrated out.
+
+    The physics residual counts as what the features can see of it, K values per DOF with a discrepancy that is white among them; the
+    rest of the force sensors' noise is out of reach of any discrepancy and drops out.
+    """
+
+    def __init__(self, equations: NormalEquations, iterations: int, tolerance: float, watch: Callable[..., None]) -> None:
+        self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
+        segments, network = equations.physics, equations.network
+        self.projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+
+    def train(self, noise: NoiseModel, start: Point) -> Trained | None:
+        """Solve under a noise model; None where the Hessian has no Cholesky factor, which is stiffer than the numbers carry."""
+        equations = self.equations
+        watch = lambda losses: self.watch(losses, noise)  # noqa: E731
+        solution = minimise(equations, noise, start, self.iterations, self.tolerance, watch)
+        factor = solution.factor or equations.assemble(solution.point, noise).factor()
+        if factor is None:
+            return None
+        return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))
+
+    def log_evidence(self, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
+        """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
+        equations = self.equations
+        losses = equations.losses(point, noise)
+        enforced = equations.target.equation.cpu().numpy()
+        seen = self.projection.sum_of_squares(equations.residuals(point)["physics"])[enforced]
+        variance = noise.physics_variance[enforced]
+        count = equations.network.count
+        physics = float((seen / variance).sum() + count * np.log(variance).sum())
+        rest = sum(value for name, value in losses.items() if name != "physics")
+        prior = float(torch.log(equations.precision).sum())
+        return -0.5 * (physics + rest + factor.log_determinant - prior)
+
+    def scan(self, noise: NoiseModel, largest: float) -> Trained:
+        """Most probable discrepancy, from soft to stiff, every solution starting from the one before.
+
+        Soft physics is nearly linear and forgives a start at rest; each stiffer problem begins next to its solution. So the search
+        for the noise level is also the continuation that long and stiff records need.
+
+        Args:
+            noise: Sensor noise; its discrepancy is ignored.
+            largest: Where to begin, N: the force that acts.
+        """
+        tried: list[Trained] = []
+        point, discrepancy, idle = self.equations.start(), largest, 0
+        best: Trained | None = None
+        while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
+            trained = self.train(noise.with_discrepancy(discrepancy), point)
+            if trained is None or not (trained.solution.converged or best is None):
+                break  # stiffer than these steps or these numbers can follow
+            tried.append(trained)
+            point = trained.solution.point
+            idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
+            best = trained if best is None or idle == 0 else best
+            if trained.log_evidence < best.log_evidence - DECISIVE_DROP:
+                break
+            discrepancy /= SCAN_FACTOR
+        if best is None:
+            raise DivergenceError("the softest physics already has a singular normal matrix; use fewer knots or more sensors")
+        return self._refine(tried, best)
+
+    def _refine(self, tried: list[Trained], best: Trained) -> Trained:
+        """One more solution, at the top of the parabola through the best three of the scan."""
+        middle = tried.index(best)
+        if not 0 < middle < len(tried) - 1:
+            return best
+        before, after = tried[middle - 1].log_evidence, tried[middle + 1].log_evidence
+        curvature = before - 2.0 * best.log_evidence + after
+        offset = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
+        refined = self.train(best.noise.with_discrepancy(best.noise.discrepancy / SCAN_FACTOR**offset), best.solution.point)
+        return refined if _better(refined, best) else best
+
+    def widen_for_colour(self, trained: Trained) -> Trained:
+        """Solve once more with the discrepancy that its own colour asks for.
+
+        The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the features' band has
+        fewer, N_eff, and larger ones; counting K of them makes states look better known than they are. N_eff / K is the
+        bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that the features follow.
+        """
+        equations = self.equations
+        enforced = equations.target.unforced if bool(equations.target.unforced.any()) else equations.target.equation
+        residual = equations.physics.scatter(equations.residuals(trained.solution.point)["physics"])[:, enforced]
+        share = occupied_band(residual.cpu().numpy(), equations.problem.record.step, equations.network.free_intervals / 2.0)
+        wider = self.train(trained.noise.with_discrepancy(trained.noise.discrepancy / np.sqrt(share)), trained.solution.point)
+        return wider if wider is not None and wider.solution.converged else trained
+
+    def learn_spread(self, trained: Trained, rounds: int = 4) -> Trained:
+        """Let the record say how far the prescribed parameters are off, in common.
+
+        MacKay's update of one relative spread for all uncertain parameters, (nu s0^2 + sum x^2) / (nu + gamma), with gamma the number of
+        parameters that the record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen
+        each other; parameters that are wrong free each other.
+        """
+        equations = self.equations
+        for _ in range(rounds):
+            x = trained.solution.point.parameters
+            if len(x) == 0:
+                break
+            before = equations.precision
+            variance = torch.as_tensor(np.diag(trained.factor.corner_covariance).copy()).to(x)
+            determined = float((1.0 - before * variance).clamp(min=0.0).sum())
+            spread = (PRIOR_PARAMETERS + float(x.square().sum())) / (PRIOR_PARAMETERS + determined)
+            equations.precision = torch.full_like(x, 1.0 / spread)
+            again = self.train(trained.noise, trained.solution.point)
+            if again is None or not again.solution.converged:
+                equations.precision = before
+                break
+            trained = again
+            if abs(float(before[0]) * spread - 1.0) < SPREAD_TOLERANCE:
+                break
+        return trained
+
+
+def _better(candidate: Trained | None, best: Trained) -> bool:
+    return candidate is not None and candidate.solution.converged and candidate.log_evidence > best.log_evidence

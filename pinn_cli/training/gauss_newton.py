@@ -1,0 +1,91 @@
+"""Gauss-Newton training of a network with a linear readout, with the loss weights inferred from the record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.base import Training
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.history import History
+from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.posterior_estimate import posterior_estimate
+from pinn_cli.training.scales import scales
+
+# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the force scale implies.
+CONTINUITY_TOLERANCE = 1e-4
+
+
+class GaussNewton(Training):
+    """Most probable readout and parameters, with weights that are noise levels.
+
+    Args:
+        iterations: Steps at most under one noise model.
+        tolerance: Relative decrease of the loss below which a noise model's solution has converged.
+        weights: ``inferred`` (see :mod:`pinn_cli.training.noise_model`), or fixed loss weights lambda by ``observation``, ``physics``
+            and ``continuity`` on residuals that are scaled by the largest measured value of their kind, as in the paper.
+        learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    def __init__(
+        self,
+        iterations: int = 12,
+        tolerance: float = 1e-6,
+        weights: str | Mapping[str, float] = "inferred",
+        learn_spread: bool = True,
+    ) -> None:
+        if iterations < 1:
+            raise InputError("training.iterations", iterations, "an integer >= 1")
+        if not 0 < tolerance < 1:
+            raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
+        self.iterations, self.tolerance, self.learn_spread = iterations, tolerance, learn_spread
+        self.weights = weights
+
+    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+        """See :meth:`Training.solve`."""
+        network = design.build(problem.record)
+        if not isinstance(network, LinearReadout):
+            raise InputError("training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout")
+        history = History(run.progress)
+        equations = NormalEquations(network, problem, run.device)
+        evidence = Evidence(equations, self.iterations, self.tolerance, history.add)
+        trained = self._train(evidence, problem, network)
+        history.close()
+        network.readout.data = equations.readout(trained.solution.point)
+        return posterior_estimate(evidence, trained, history)
+
+    def _train(self, evidence: Evidence, problem: Problem, network: LinearReadout) -> Trained:
+        force, velocity = scales(problem)
+        response, sensors = sensor_noise(network, problem.record)
+        noise = NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity)
+        if self.weights == "inferred":
+            trained = evidence.scan(noise, force)
+            trained = evidence.learn_spread(trained) if self.learn_spread else trained
+            return evidence.widen_for_colour(trained)
+        trained_fixed = evidence.train(self._fixed(noise, problem.record, force, velocity), evidence.equations.start())
+        if trained_fixed is None:
+            raise InputError("training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular")
+        return trained_fixed
+
+    def _fixed(self, noise: NoiseModel, record: Record, force: float, velocity: float) -> NoiseModel:
+        """Noise levels that weigh the residuals as the given lambdas do."""
+        assert isinstance(self.weights, Mapping)
+        largest = {q: np.abs(getattr(record, q)).max(axis=0) for q in RESPONSE_QUANTITIES}
+        observation, physics, continuity = (float(self.weights[name]) for name in ("observation", "physics", "continuity"))
+        return NoiseModel(
+            {q: value / np.sqrt(observation) for q, value in largest.items()},
+            np.where(np.isnan(noise.force), np.nan, 0.0),
+            force / np.sqrt(physics),
+            velocity / np.sqrt(continuity),
+        )

@@ -1,0 +1,76 @@
+"""Where each unknown of a linear readout stands, so that the normal matrix of a chain is a narrow band."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class BandLayout:
+    """Order of the readout weights (feature, dof) that gives the normal matrix the narrower band, and the maps into that band.
+
+    A residual of DOF i touches the features alive at its time, of DOFs i-1, i and i+1. Ordered by feature first (local features:
+    splines) the half-width is (span of features alive together) * n + 2; ordered by DOF first (global features: Fourier) it is
+    2 * count + span.
+
+    Args:
+        feature: (I, B) long, the features of one DOF that are alive in each group.
+        count: Features of one DOF in all.
+        ndof: Number of DOFs.
+    """
+
+    def __init__(self, feature: Tensor, count: int, ndof: int) -> None:
+        groups = feature.cpu().numpy()
+        span = int((groups.max(axis=1) - groups.min(axis=1)).max())
+        by_feature, by_dof = span * ndof + min(2, ndof - 1), min(2, ndof - 1) * count + span
+        self.feature_first = by_feature <= by_dof
+        self.half_width = min(by_feature, by_dof)
+        self.count, self.ndof, self.size = count, ndof, count * ndof
+        self.local = self._local_columns(groups)
+        self.device = feature.device
+        self._band_maps()
+
+    def _local_columns(self, groups: np.ndarray) -> np.ndarray:
+        """(I, n, 3 B): position of each unknown that a residual of DOF i touches in a group, -1 beyond the chain's ends."""
+        dof = np.arange(self.ndof)[None, :, None, None] + np.arange(-1, 2)[:, None]
+        position = self.positions(groups[:, None, None, :], dof)
+        inside = np.broadcast_to((dof >= 0) & (dof < self.ndof), position.shape)
+        return np.where(inside, position, -1).reshape(len(groups), self.ndof, -1)
+
+    def _band_maps(self) -> None:
+        row, column = self.local[..., :, None], self.local[..., None, :]
+        kept = (row >= column) & (column >= 0)
+        row, column = np.broadcast_to(row, kept.shape)[kept], np.broadcast_to(column, kept.shape)[kept]
+        self._kept = torch.as_tensor(np.flatnonzero(kept), device=self.device)
+        self._target = torch.as_tensor((row - column) * self.size + column, device=self.device)
+        alive = self.local.reshape(-1) >= 0
+        self._kept_rows = torch.as_tensor(np.flatnonzero(alive), device=self.device)
+        self._target_rows = torch.as_tensor(self.local.reshape(-1)[alive], device=self.device)
+
+    def positions(self, feature: np.ndarray, dof: np.ndarray) -> np.ndarray:
+        """Position of the weight of (feature, dof) in the vector of unknowns."""
+        return feature * self.ndof + dof if self.feature_first else dof * self.count + feature
+
+    def band(self, blocks: Tensor) -> Tensor:
+        """Sum local blocks (I, n, C, C) into the lower band (half_width + 1, size): entry [i - j, j] is the matrix's [i, j]."""
+        out = blocks.new_zeros((self.half_width + 1) * self.size)
+        out.index_add_(0, self._target, blocks.reshape(-1)[self._kept])
+        return out.reshape(self.half_width + 1, self.size)
+
+    def vector(self, blocks: Tensor) -> Tensor:
+        """Sum local blocks (I, n, C, ...) into (size, ...)."""
+        trailing = blocks.shape[3:]
+        out = blocks.new_zeros((self.size, *trailing))
+        return out.index_add_(0, self._target_rows, blocks.reshape(-1, *trailing)[self._kept_rows])
+
+    def columns_of_dof(self, blocks: Tensor, dof: int) -> Tensor:
+        """Sum the local blocks (I, C, ...) of one residual's DOF into (size, ...)."""
+        local = torch.as_tensor(self.local[:, dof].reshape(-1), device=blocks.device)
+        alive = local >= 0
+        flat = blocks.reshape(-1, *blocks.shape[2:])
+        return blocks.new_zeros((self.size, *blocks.shape[2:])).index_add_(0, local[alive], flat[alive])
+
+    def weights(self, unknowns: Tensor) -> Tensor:
+        """Vector of unknowns (size,) as readout weights (count, ndof)."""
+        return unknowns.reshape(self.count, self.ndof) if self.feature_first else unknowns.reshape(self.ndof, self.count).T

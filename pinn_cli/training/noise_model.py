@@ -1,0 +1,127 @@
+"""Noise levels: what the weights of a least-squares loss mean, lambda = 1 / sigma^2, and how they are read off the record.
+
+Sensor noise is white, and shows in each channel beyond what the network's features can follow. Model error is a force on every DOF,
+the discrepancy, as rich as the features and no richer: K independent values per DOF, however often it is sampled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import white_level
+
+# No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error rule.
+FINEST_SENSOR = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Standard deviations of every residual, each (n,); a loss weight is one over its square.
+
+    Attributes:
+        response: Quantity to the standard deviation of its sensors; NaN where there is none.
+        force: Of the force sensors; NaN where there is none.
+        discrepancy: Of the force that the model leaves out, per sample, on every DOF, N.
+        continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
+    """
+
+    response: dict[str, np.ndarray]
+    force: np.ndarray
+    discrepancy: float
+    continuity: float
+
+    def with_discrepancy(self, discrepancy: float) -> NoiseModel:
+        """The same sensors under another model error."""
+        return replace(self, discrepancy=discrepancy)
+
+    @property
+    def physics_variance(self) -> np.ndarray:
+        """(n,) variance of the physics residual: discrepancy, and sensor noise where the force is measured."""
+        return np.nan_to_num(self.force) ** 2 + self.discrepancy**2
+
+    def observation_weight(self, name: str, mass: np.ndarray) -> np.ndarray:
+        """(n,) weight of a residual of :func:`pinn_cli.physics.observation_residuals`, 0 where there is no sensor."""
+        if name == "observer":
+            variance = self.response["acceleration"] ** 2 + self.physics_variance / mass**2
+        else:
+            variance = self.response[name] ** 2
+        return np.nan_to_num(1.0 / variance)
+
+
+class FeatureProjection:
+    """Least-squares projection of time histories onto one kind of a network's features.
+
+    Args:
+        segments: The features' groups.
+        features: (I, S, B), the kind: values for forces and displacements, second derivatives for accelerations, ...
+    """
+
+    def __init__(self, segments: Segments, features: Tensor) -> None:
+        self.segments, self.features = segments, features.cpu()
+        self.index = segments.feature.cpu()
+        gram = self.features.mT @ self.features
+        span = int((self.index.amax(1) - self.index.amin(1)).max())
+        row, column = self.index[:, :, None].expand_as(gram), self.index[:, None, :].expand_as(gram)
+        lower = row >= column
+        band = torch.zeros((span + 1) * segments.count, dtype=gram.dtype)
+        band.index_add_(0, ((row - column) * segments.count + column)[lower], gram[lower])
+        array = band.reshape(span + 1, -1).numpy()
+        # Derivatives of splines are one polynomial short of independent: a touch of ridge decides among equals.
+        array[0] += 1e-10 * array[0].max()
+        self.factor = cholesky_banded(array, lower=True)
+
+    def _moments(self, values: Tensor) -> np.ndarray:
+        local = self.features.mT @ values.cpu()
+        out = torch.zeros(self.segments.count, values.shape[-1], dtype=values.dtype)
+        return out.index_add_(0, self.index.reshape(-1), local.reshape(-1, values.shape[-1])).numpy()
+
+    def sum_of_squares(self, values: Tensor) -> np.ndarray:
+        """Squared norm of the projection of each DOF's grouped history (I, S, n): what the features can see of it."""
+        moments = self._moments(values)
+        return np.einsum("ki,ki->i", moments, cho_solve_banded((self.factor, True), moments))
+
+    def residual(self, values: Tensor) -> np.ndarray:
+        """(N, n) minus its projection: what the features cannot follow."""
+        moments = self._moments(self.segments.gather(values))
+        coefficients = torch.as_tensor(cho_solve_banded((self.factor, True), moments))
+        fitted = self.features @ coefficients[self.index]
+        return (values.cpu() - self.segments.scatter(fitted.to(self.segments.mask.device)).cpu()).numpy()
+
+
+def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """White noise of every response sensor and of every force sensor, each (n,), NaN where there is none."""
+    segments = network.segments(torch.as_tensor(record.time))
+    output = first_output(network, segments)
+    value, rate, curvature = output_features(network, segments)
+    levels = {}
+    for quantity, features in zip((*RESPONSE_QUANTITIES, "force"), (value, rate, curvature, value), strict=True):
+        levels[quantity] = np.full(record.ndof, np.nan)
+        sensors = record.sensors(quantity)
+        if sensors.any():
+            measured = getattr(record, quantity)[:, sensors]
+            rest = FeatureProjection(output, features).residual(torch.as_tensor(measured))
+            finest = FINEST_SENSOR * np.sqrt(np.mean(measured**2, axis=0))
+            found = [white_level(column, record.step, network.free_intervals / 2.0) for column in rest.T]
+            levels[quantity][sensors] = np.maximum(found, finest)
+    return {quantity: levels[quantity] for quantity in RESPONSE_QUANTITIES}, levels["force"]
+
+
+def first_output(network: LinearReadout, segments: Segments) -> Segments:
+    """The groups of the displacement output alone, where a DOF has two outputs."""
+    channels = network.channels
+    return replace(segments, feature=segments.feature[:, ::channels] // channels, count=network.count)
+
+
+def output_features(network: LinearReadout, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
+    """Value, first and second derivative of one output's features, each (I, S, B)."""
+    if network.channels == 1:
+        return segments.displacement, segments.velocity, segments.acceleration
+    value, rate = segments.displacement[..., ::2], segments.acceleration[..., 1::2]
+    return value, value, rate

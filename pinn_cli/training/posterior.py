@@ -1,0 +1,66 @@
+"""Standard deviations of every state at every time, from the Hessian of the most probable solution."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.training.bordered import BorderedFactor
+from pinn_cli.training.blocks import ChainRows
+from pinn_cli.training.normal_equations import NormalEquations, Point
+
+
+class Posterior:
+    """Gaussian posterior of readout and parameters about a solution."""
+
+    def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
+        self.equations, self.point, self.factor = equations, point, factor
+        self.local = torch.as_tensor(np.maximum(equations.layout.local, 0))  # (I, n, 3 B)
+        self.inside = torch.as_tensor(equations.layout.local >= 0)
+        self.band = torch.as_tensor(factor.inverse_band())
+        self.solved = torch.as_tensor(factor.solved_border)
+        # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
+        self.root = torch.linalg.cholesky(torch.as_tensor(factor.corner_covariance))
+
+    def states(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
+        """Standard deviation of displacement, velocity and acceleration at the segments' times, each (N, n)."""
+        features = segments.displacement.shape[-1]
+        own = slice(features, 2 * features)
+        out = []
+        kinds = (segments.displacement, segments.velocity, segments.acceleration)
+        results: list[list[Tensor]] = [[] for _ in kinds]
+        for dof in range(self.equations.layout.ndof):
+            position = self.local[:, dof, own]
+            covariance = self._window(position)
+            shift = self.solved[position] @ self.root  # (I, B, p)
+            for result, phi in zip(results, kinds, strict=True):
+                phi = phi.cpu()
+                variance = ((phi @ covariance) * phi).sum(-1) + (phi @ shift).square().sum(-1)
+                result.append(variance.clamp(min=0).sqrt())
+        for result in results:
+            out.append(segments.scatter(torch.stack(result, -1).to(segments.mask.device)).cpu())
+        return out[0], out[1], out[2]
+
+    def force(self) -> Tensor:
+        """Standard deviation of the force that the estimated motion takes, at the collocation points, (N, n)."""
+        e = self.equations
+        rows = e.rows(e.physics, self.point)
+        result = [self._force_of_dof(rows, dof) for dof in range(e.layout.ndof)]
+        return e.physics.scatter(torch.stack(result, -1).to(e.physics.mask.device)).cpu()
+
+    def _force_of_dof(self, rows: ChainRows, dof: int) -> Tensor:
+        e = self.equations
+        jacobian = rows.jacobian(e.physics, slice(dof, dof + 1))[:, 0].cpu()  # (I, S, 3 B)
+        position, inside = self.local[:, dof], self.inside[:, dof].to(jacobian)
+        jacobian = jacobian * inside[:, None]
+        variance = ((jacobian @ self._window(position)) * jacobian).sum(-1)
+        by_parameter = e.uncertain_columns(rows.parameter[:, :, dof].cpu(), dof) - jacobian @ self.solved[position]
+        return (variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt()
+
+    def _window(self, position: Tensor) -> Tensor:
+        """Entries (I, C, C) of the inverse's band at the given positions (I, C)."""
+        row, column = position[:, :, None], position[:, None, :]
+        offset = (row - column).abs().clamp(max=len(self.band) - 1)
+        return self.band[offset, torch.minimum(row, column)]

@@ -1,0 +1,97 @@
+"""From a trained linear readout to what is reported: posterior means and standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from pinn_cli.physics import hold_delay
+from pinn_cli.record.record import Response
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.history import History
+from pinn_cli.training.normal_equations import NormalEquations, Point
+from pinn_cli.training.posterior import Posterior
+
+# Half-width of a central 90 % interval of a Gaussian, in standard deviations.
+NINETY_PERCENT = 1.6448536269514722
+
+
+def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
+    """Means, standard deviations, parameters and summary of a trained network."""
+    equations, point = evidence.equations, trained.solution.point
+    posterior = Posterior(equations, point, trained.factor)
+    response = estimated_response(equations, point)
+    std = Response(response.time, *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force())))
+    response, std = _share_force(evidence, trained, response, std)
+    summary = {
+        "iterations": len(history.rows),
+        "stop_reason": "converged" if trained.solution.converged else "iteration limit",
+        "log_evidence": trained.log_evidence,
+        "features_per_dof": equations.network.count,
+        "sigma_discrepancy": trained.noise.discrepancy,
+        "sigma_force": _listed(trained.noise.force),
+        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
+    }
+    return Estimate(response, std, _parameters(equations, trained), history.table(), summary)
+
+
+def estimated_response(equations: NormalEquations, point: Point) -> Response:
+    """Most probable motion at the record's times, and the force that it takes, at the force samples' times.
+
+    Where the force is held between samples, the acceleration of a forced DOF jumps at every sample; the sample holds the value after
+    the jump: the smooth acceleration plus half the jump of the estimated force over the mass.
+    """
+    record = equations.problem.record
+    states = equations.flat_states(equations.observation, point)
+    parameters = equations.parameters(point)
+    physics = equations.flat_states(equations.physics, point)
+    force = equations.chain.external_force(*physics[:3], parameters)
+    acceleration = states.acceleration
+    if hold_delay(record):
+        now = equations.chain.external_force(*states[:3], parameters)
+        acceleration = acceleration + (force - now) / parameters["m"] * equations.target.measured_force
+    motion = (states.displacement, states.velocity, acceleration, force)
+    return Response(record.time, *(x.detach().cpu().numpy() for x in motion))
+
+
+def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
+    """Posterior mean of the force that acts where a sensor measures it: what the motion takes, less the model's own error.
+
+    The residual between the two is discrepancy plus sensor noise, so the mean is the average of the motion's force and of the
+    sensor's (as far as the features follow it), weighted by the other's variance. Without model error that is the motion's force;
+    with a model that is far off it is the filtered measurement. Elsewhere the force stays what the motion takes: on an unforced DOF it
+    shows where the model is wrong.
+    """
+    equations, noise = evidence.equations, trained.noise
+    forced = equations.problem.record.sensors("force")
+    if not forced.any():
+        return response, std
+    measured = equations.problem.record.force[:, forced]
+    filtered = measured - evidence.projection.residual(torch.as_tensor(measured).to(equations.target.force))
+    sensor, model = noise.force[forced] ** 2, noise.discrepancy**2
+    share = model / (model + sensor)
+    # Both variances count N samples for the K values that the features can tell apart.
+    seen = equations.network.count / len(measured)
+    force, force_std = response.force.copy(), std.force.copy()
+    force[:, forced] += share * (filtered - force[:, forced])
+    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * sensor)
+    return replace(response, force=force), replace(std, force=force_std)
+
+
+def _listed(sigma: np.ndarray) -> list[float | None]:
+    return [None if np.isnan(s) else float(s) for s in sigma]
+
+
+def _parameters(equations: NormalEquations, trained: Trained) -> list[ParameterEstimate]:
+    scale = equations.scale.cpu().numpy()
+    std = scale * np.sqrt(np.diag(trained.factor.corner_covariance))
+    moved = scale * trained.solution.point.parameters.cpu().numpy()
+    mean = np.array([p.prescribed for p in equations.problem.uncertain]) + moved
+    lower, upper = mean - NINETY_PERCENT * std, mean + NINETY_PERCENT * std
+    return [
+        ParameterEstimate(p.name, p.prescribed, *(float(x) for x in values))
+        for p, *values in zip(equations.problem.uncertain, mean, std, lower, upper, strict=True)
+    ]

@@ -1,0 +1,28 @@
+"""Orders of magnitude of a problem, from its record."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.spectrum import record_band
+from pinn_cli.scheme.problem import Problem
+
+
+def scales(problem: Problem) -> tuple[float, float]:
+    """Force (N) and velocity (m/s) that the record is about: rms of the measured force, or of mass times measured motion.
+
+    A velocity is worth its acceleration at the band's middle, and so on; only orders of magnitude matter here.
+    """
+    record = problem.record
+    mass = problem.chain.parameters["m"].detach().cpu().numpy()
+    omega = np.pi * record_band(record)
+    motion = [
+        omega ** (2 - order) * mass * np.sqrt(np.mean(getattr(record, quantity) ** 2, axis=0))
+        for order, quantity in enumerate(RESPONSE_QUANTITIES)
+    ]
+    inertia = float(np.nanmax(motion))
+    measured = record.force[:, record.sensors("force")]
+    force = float(np.sqrt(np.mean(measured**2))) if measured.size else inertia
+    force = force if force > 0 else inertia
+    return force, force / float(mass.max()) / omega
