@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-
 from pinn_cli.errors import DivergenceError
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.bordered import BorderedFactor
@@ -22,9 +20,9 @@ DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
 # Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
-PRIOR_PARAMETERS = 1.0
-# Relative change of the spread below which it is settled; it is a variance, known to some tens of percent at best.
-SPREAD_TOLERANCE = 0.1
+PRIOR_PARAMETERS = 0.01
+# Relative change of the spread below which it is settled (a few parameters tell it to some tens of percent), and rounds at most.
+SPREAD_TOLERANCE, SPREAD_ROUNDS = 0.05, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +49,15 @@ class Evidence:
     rest of the force sensors' noise is out of reach of any discrepancy and drops out.
     """
 
-    def __init__(self, equations: NormalEquations, iterations: int, tolerance: float, watch: Callable[..., None]) -> None:
+    def __init__(
+        self,
+        equations: NormalEquations,
+        iterations: int,
+        tolerance: float,
+        watch: Callable[[dict[str, float], NoiseModel], None],
+        learn_spread: bool = True,
+    ) -> None:
+        self.learn_spread = learn_spread
         self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
         segments, network = equations.physics, equations.network
         self.projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
@@ -76,11 +82,11 @@ class Evidence:
         count = equations.network.count
         physics = float((seen / variance).sum() + count * np.log(variance).sum())
         rest = sum(value for name, value in losses.items() if name != "physics")
-        prior = float(torch.log(equations.precision).sum())
+        prior = -2.0 * len(point.parameters) * np.log(noise.spread)
         return -0.5 * (physics + rest + factor.log_determinant - prior)
 
     def scan(self, noise: NoiseModel, largest: float) -> Trained:
-        """Most probable discrepancy, from soft to stiff, every solution starting from the one before.
+        """Most probable discrepancy and spread of the parameters, from soft physics to stiff, each solution starting at the last.
 
         Soft physics is nearly linear and forgives a start at rest; each stiffer problem begins next to its solution. So the search
         for the noise level is also the continuation that long and stiff records need.
@@ -97,7 +103,7 @@ class Evidence:
             if trained is None or not (trained.solution.converged or best is None):
                 break  # stiffer than these steps or these numbers can follow
             tried.append(trained)
-            point = trained.solution.point
+            point, noise = trained.solution.point, noise.with_spread(self.learned_spread(trained))
             idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
             best = trained if best is None or idle == 0 else best
             if trained.log_evidence < best.log_evidence - DECISIVE_DROP:
@@ -105,7 +111,7 @@ class Evidence:
             discrepancy /= SCAN_FACTOR
         if best is None:
             raise DivergenceError("the softest physics already has a singular normal matrix; use fewer knots or more sensors")
-        return self._refine(tried, best)
+        return self._settle_spread(self._refine(tried, best))
 
     def _refine(self, tried: list[Trained], best: Trained) -> Trained:
         """One more solution, at the top of the parabola through the best three of the scan."""
@@ -132,30 +138,30 @@ class Evidence:
         wider = self.train(trained.noise.with_discrepancy(trained.noise.discrepancy / np.sqrt(share)), trained.solution.point)
         return wider if wider is not None and wider.solution.converged else trained
 
-    def learn_spread(self, trained: Trained, rounds: int = 4) -> Trained:
-        """Let the record say how far the prescribed parameters are off, in common.
+    def learned_spread(self, trained: Trained) -> float:
+        """How far the prescribed parameters are off, in common, as far as the record says.
 
-        MacKay's update of one relative spread for all uncertain parameters, (nu s0^2 + sum x^2) / (nu + gamma), with gamma the number of
-        parameters that the record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen
-        each other; parameters that are wrong free each other.
+        MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of parameters that the
+        record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen each other;
+        parameters that are wrong free each other.
         """
-        equations = self.equations
-        for _ in range(rounds):
-            x = trained.solution.point.parameters
-            if len(x) == 0:
+        x = trained.solution.point.parameters
+        if not self.learn_spread or len(x) == 0:
+            return trained.noise.spread
+        variance = np.diag(trained.factor.corner_covariance) / trained.noise.spread**2
+        determined = float((1.0 - variance).clip(min=0.0).sum())
+        return float(np.sqrt((PRIOR_PARAMETERS + float(x.square().sum())) / (PRIOR_PARAMETERS + determined)))
+
+    def _settle_spread(self, trained: Trained) -> Trained:
+        """Alternate spread and solution under one discrepancy until the spread stays."""
+        for _ in range(SPREAD_ROUNDS):
+            spread = self.learned_spread(trained)
+            if abs(spread / trained.noise.spread - 1.0) < SPREAD_TOLERANCE:
                 break
-            before = equations.precision
-            variance = torch.as_tensor(np.diag(trained.factor.corner_covariance).copy()).to(x)
-            determined = float((1.0 - before * variance).clamp(min=0.0).sum())
-            spread = (PRIOR_PARAMETERS + float(x.square().sum())) / (PRIOR_PARAMETERS + determined)
-            equations.precision = torch.full_like(x, 1.0 / spread)
-            again = self.train(trained.noise, trained.solution.point)
+            again = self.train(trained.noise.with_spread(spread), trained.solution.point)
             if again is None or not again.solution.converged:
-                equations.precision = before
                 break
             trained = again
-            if abs(float(before[0]) * spread - 1.0) < SPREAD_TOLERANCE:
-                break
         return trained
 
 

@@ -59,7 +59,7 @@ class GaussNewton(Training):
             raise InputError("training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout")
         history = History(run.progress)
         equations = NormalEquations(network, problem, run.device)
-        evidence = Evidence(equations, self.iterations, self.tolerance, history.add)
+        evidence = Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
         trained = self._train(evidence, problem, network)
         history.close()
         network.readout.data = equations.readout(trained.solution.point)
@@ -70,9 +70,7 @@ class GaussNewton(Training):
         response, sensors = sensor_noise(network, problem.record)
         noise = NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity)
         if self.weights == "inferred":
-            trained = evidence.scan(noise, force)
-            trained = evidence.learn_spread(trained) if self.learn_spread else trained
-            return evidence.widen_for_colour(trained)
+            return evidence.widen_for_colour(evidence.scan(noise, force))
         trained_fixed = evidence.train(self._fixed(noise, problem.record, force, velocity), evidence.equations.start())
         if trained_fixed is None:
             raise InputError("training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular")

@@ -30,16 +30,22 @@ class NoiseModel:
         force: Of the force sensors; NaN where there is none.
         discrepancy: Of the force that the model leaves out, per sample, on every DOF, N.
         continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
+        spread: Prior standard deviation of the uncertain parameters, in common, over the one that the user prescribed.
     """
 
     response: dict[str, np.ndarray]
     force: np.ndarray
     discrepancy: float
     continuity: float
+    spread: float = 1.0
 
     def with_discrepancy(self, discrepancy: float) -> NoiseModel:
         """The same sensors under another model error."""
         return replace(self, discrepancy=discrepancy)
+
+    def with_spread(self, spread: float) -> NoiseModel:
+        """The same under another prior of the parameters."""
+        return replace(self, spread=spread)
 
     @property
     def physics_variance(self) -> np.ndarray:

@@ -51,9 +51,6 @@ class NormalEquations:
         network: Fixed features, linear readout.
         problem: Chain, record, uncertain parameters.
         device: Where residuals and blocks are computed.
-
-    Attributes:
-        precision: (p,) prior precision of the parameters, in units of their prescribed prior.
     """
 
     def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
@@ -78,7 +75,6 @@ class NormalEquations:
         column = [self.kinds.index(p.kind) * n + p.dof for p in uncertain]
         self.column = torch.tensor(column, dtype=torch.long, device=like.device)
         self.scale = torch.tensor([p.prior_std for p in uncertain], dtype=like.dtype, device=like.device)
-        self.precision = torch.ones_like(self.scale)
         # 0 where a parameter is held fixed: its column then vanishes.
         spread = like.new_zeros(len(self.kinds) * n).index_copy(0, self.column, self.scale)
         self.spread = dict(zip(self.kinds, spread.reshape(-1, n), strict=True))
@@ -154,7 +150,7 @@ class NormalEquations:
         residuals = self.residuals(point)
         weights = self.weights(noise)
         out = {name: float((weights[name] * r.square()).sum()) for name, r in residuals.items()}
-        out["prior"] = float((self.precision * point.parameters.square()).sum())
+        out["prior"] = float(point.parameters.square().sum()) / noise.spread**2
         out["ridge"] = (self.ridge or 0.0) * float(point.unknowns.square().sum())
         return out
 
@@ -173,7 +169,7 @@ class NormalEquations:
                 blocks.add_chain_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
             else:
                 blocks.add_own_rows(own[name][1], self.grams[name], residual, weights[name])
-        return self._system(blocks, point)
+        return self._system(blocks, point, noise.spread**-2)
 
     def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> ChainRows:
         """Linearised equation of motion at a point, with or without its inertia force."""
@@ -189,7 +185,7 @@ class NormalEquations:
         out[..., dof : dof + 2] = parameter[..., : min(2, n - dof)]
         return out.flatten(-2)[..., self.column.to(parameter.device)]
 
-    def _system(self, blocks: Blocks, point: Point) -> BorderedSystem:
+    def _system(self, blocks: Blocks, point: Point, precision: float) -> BorderedSystem:
         band = self.layout.band(blocks.readout[..., : blocks.columns])
         gradient = self.layout.vector(blocks.readout[..., -1:])[:, 0]
         if self.ridge is None:
@@ -197,8 +193,8 @@ class NormalEquations:
         band[0] += self.ridge
         gradient = gradient + self.ridge * point.unknowns
         border, corner, slope = self._border(blocks)
-        corner = corner + torch.diag(self.precision)
-        slope = slope + self.precision * point.parameters
+        corner = corner + precision * torch.eye(len(corner)).to(corner)
+        slope = slope + precision * point.parameters
         arrays = (x.detach().cpu().numpy() for x in (band, border, corner, gradient, slope))
         return BorderedSystem(*arrays)
 

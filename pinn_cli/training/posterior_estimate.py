@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from pinn_cli.physics import hold_delay
+from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import Response
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
-from pinn_cli.training.normal_equations import NormalEquations, Point
+from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.posterior import Posterior
 
 # Half-width of a central 90 % interval of a Gaussian, in standard deviations.
@@ -23,7 +23,8 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
     """Means, standard deviations, parameters and summary of a trained network."""
     equations, point = evidence.equations, trained.solution.point
     posterior = Posterior(equations, point, trained.factor)
-    response = estimated_response(equations, point)
+    motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.physics))
+    response = estimated_response(equations.problem.record, equations.chain, equations.parameters(point), *motion)
     std = Response(response.time, *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force())))
     response, std = _share_force(evidence, trained, response, std)
     summary = {
@@ -32,29 +33,11 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "log_evidence": trained.log_evidence,
         "features_per_dof": equations.network.count,
         "sigma_discrepancy": trained.noise.discrepancy,
+        "parameter_spread": trained.noise.spread,
         "sigma_force": _listed(trained.noise.force),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
     return Estimate(response, std, _parameters(equations, trained), history.table(), summary)
-
-
-def estimated_response(equations: NormalEquations, point: Point) -> Response:
-    """Most probable motion at the record's times, and the force that it takes, at the force samples' times.
-
-    Where the force is held between samples, the acceleration of a forced DOF jumps at every sample; the sample holds the value after
-    the jump: the smooth acceleration plus half the jump of the estimated force over the mass.
-    """
-    record = equations.problem.record
-    states = equations.flat_states(equations.observation, point)
-    parameters = equations.parameters(point)
-    physics = equations.flat_states(equations.physics, point)
-    force = equations.chain.external_force(*physics[:3], parameters)
-    acceleration = states.acceleration
-    if hold_delay(record):
-        now = equations.chain.external_force(*states[:3], parameters)
-        acceleration = acceleration + (force - now) / parameters["m"] * equations.target.measured_force
-    motion = (states.displacement, states.velocity, acceleration, force)
-    return Response(record.time, *(x.detach().cpu().numpy() for x in motion))
 
 
 def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:

@@ -1,0 +1,173 @@
+"""Observation, continuity and physics residuals of (network, chain, record): the paper's eqs. 8 to 10, written once.
+
+Where the force between samples is held (``intersample: zero_order_hold``), the structure answers to f(t - dt/2) while samples are taken
+at t. :class:`Targets` puts that in one place: physics is enforced at t_k + dt/2 with the force sample f_k, and the jump that a held
+force puts into the acceleration of its own DOF, (f_k - f_{k-1}) / 2m, is taken out of the measured accelerations, so that everything
+else sees a smooth motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.base import States
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
+from pinn_cli.system.chain import Chain
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What the residuals compare with, as tensors on one device.
+
+    Attributes:
+        observation_time: (N,), s, when the response sensors were read.
+        physics_time: (N,), s, the collocation points that belong to the force samples.
+        response: Quantity to (..., n), 0 where there is no sensor.
+        sensors: Quantity to (n,) bool.
+        force: (N, n) measured force; 0 where known to be zero or unknown.
+        observer_force: (N, n), the force that belongs to the response samples: where it is held, the mean of before and after.
+        measured_force, unforced: (n,) bool; DOFs in neither carry an unknown force, and no equation of motion is enforced on them.
+    """
+
+    observation_time: Tensor
+    physics_time: Tensor
+    response: dict[str, Tensor]
+    sensors: dict[str, Tensor]
+    force: Tensor
+    observer_force: Tensor
+    measured_force: Tensor
+    unforced: Tensor
+
+    @property
+    def equation(self) -> Tensor:
+        """(n,) bool: the DOFs whose equation of motion is enforced."""
+        return self.measured_force | self.unforced
+
+    def grouped(self, gather: Callable[[Tensor], Tensor]) -> Targets:
+        """The same with its histories rearranged, (N, n) to (..., n), as a network groups its times."""
+        response = {quantity: gather(values) for quantity, values in self.response.items()}
+        return replace(self, response=response, force=gather(self.force), observer_force=gather(self.observer_force))
+
+
+def hold_delay(record: Record) -> float:
+    """How much later the structure feels a force sample than it was taken, s."""
+    return record.step / 2.0 if record.intersample == "zero_order_hold" else 0.0
+
+
+def targets(record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtype = torch.float64) -> Targets:
+    """The record as the residuals need it."""
+
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.as_tensor(values, device=device, dtype=torch.bool if values.dtype == bool else dtype)
+
+    response = {quantity: np.nan_to_num(getattr(record, quantity)) for quantity in RESPONSE_QUANTITIES}
+    force = np.nan_to_num(record.force)
+    jump = np.zeros_like(force)
+    if record.intersample == "zero_order_hold":
+        jump = np.diff(force, axis=0, prepend=2 * force[:1] - force[1:2])
+        response["acceleration"] = response["acceleration"] - jump / (2.0 * chain.parameters["m"].detach().cpu().numpy())
+    return Targets(
+        tensor(record.time),
+        tensor(record.time + hold_delay(record)),
+        {quantity: tensor(values) for quantity, values in response.items()},
+        {quantity: tensor(record.sensors(quantity)) for quantity in RESPONSE_QUANTITIES},
+        tensor(force),
+        tensor(force - jump / 2.0),
+        tensor(record.sensors("force")),
+        tensor(record.unforced),
+    )
+
+
+def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:
+    """Which DOFs (n,) each observation residual has, by name; names without any are left out.
+
+    Accelerations are compared ``through`` the network's ``derivative``, the ``observer`` equation (f* - restoring force) / m (paper,
+    eq. 8), or ``both``. The observer needs the force: a DOF whose force is unknown is compared through the derivative.
+    """
+    masks = dict(target.sensors)
+    observer = target.sensors["acceleration"] & target.equation & (through != "derivative")
+    if through == "observer":
+        masks["acceleration"] = masks["acceleration"] & ~observer
+    masks["observer"] = observer
+    return {name: mask for name, mask in masks.items() if bool(mask.any())}
+
+
+def observation_residuals(
+    states: States, target: Targets, chain: Chain, parameters: Mapping[str, Tensor], through: str
+) -> dict[str, Tensor]:
+    """Estimated minus measured response by name, each (..., n), 0 where there is no sensor (paper, eq. 10a)."""
+    estimated = dict(zip(RESPONSE_QUANTITIES, states[:3], strict=True))
+    measured = {**target.response, "observer": target.response["acceleration"]}
+    masks = observation_masks(target, through)
+    if "observer" in masks:
+        estimated["observer"] = chain.acceleration(states.displacement, states.velocity, target.observer_force, parameters)
+    return {name: (estimated[name] - measured[name]) * mask for name, mask in masks.items()}
+
+
+def physics_residual(states: States, target: Targets, chain: Chain, parameters: Mapping[str, Tensor]) -> Tensor:
+    """Force that the estimated motion takes minus the force that acts, (..., n), 0 where that is unknown (paper, eq. 10c)."""
+    needed = chain.external_force(states.displacement, states.velocity, states.acceleration, parameters)
+    return (needed - target.force) * target.equation
+
+
+def estimated_response(
+    record: Record, chain: Chain, parameters: Mapping[str, Tensor], at_observation: States, at_physics: States
+) -> Response:
+    """Estimated motion and force at the record's own samples, in SI units; forces belong to their force samples.
+
+    Where the force is held between samples, the acceleration of a forced DOF jumps at every sample; the sample holds
+    the value after the jump: the smooth acceleration plus half the jump of the estimated force over the mass. This is
+    the inverse of what :func:`targets` does to the measured accelerations.
+
+    Args:
+        record: What was measured.
+        chain: The model.
+        parameters: Every parameter of the chain, each (n,).
+        at_observation: Motion at :attr:`Targets.observation_time` of every sample, each (N, n).
+        at_physics: Motion at :attr:`Targets.physics_time` of every sample, each (N, n).
+    """
+    force = chain.external_force(at_physics.displacement, at_physics.velocity, at_physics.acceleration, parameters)
+    displacement, velocity, acceleration, _ = at_observation
+    if hold_delay(record):
+        forced = torch.as_tensor(record.sensors("force"), device=force.device)
+        before_and_after = chain.external_force(displacement, velocity, acceleration, parameters)
+        acceleration = acceleration + (force - before_and_after) / parameters["m"] * forced
+    motion = (x.detach().cpu().double().numpy() for x in (displacement, velocity, acceleration, force))
+    return Response(record.time, *motion)
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """The connections' internal force and its derivatives, each (..., n).
+
+    Attributes:
+        force: r, N.
+        stiffness, damping: dr/de, dr/d(de/dt).
+        by_parameter: Parameter name to dr/d(parameter); without the mass, on which r does not depend.
+    """
+
+    force: Tensor
+    stiffness: Tensor
+    damping: Tensor
+    by_parameter: dict[str, Tensor]
+
+
+def tangent(chain: Chain, parameters: Mapping[str, Tensor], u: Tensor, v: Tensor) -> Tangent:
+    """Linearise the connections about displacements u and velocities v (..., n).
+
+    The internal force is elementwise in time and connection, so one reverse pass through its sum gives every derivative.
+    """
+    e, de = (chain.elongation(x).detach().requires_grad_() for x in (u, v))
+    local = {name: value.detach().expand_as(e).clone().requires_grad_() for name, value in parameters.items()}
+    with torch.enable_grad():
+        force = chain.connection_force(e, de, local)
+        names = [name for name in local if name != "m"]
+        inputs = (e, de, *(local[name] for name in names))
+        gradients = torch.autograd.grad(force.sum(), inputs, allow_unused=True)
+    filled = [torch.zeros_like(e) if g is None else g for g in gradients]
+    return Tangent(force.detach(), filled[0], filled[1], dict(zip(names, filled[2:], strict=True)))

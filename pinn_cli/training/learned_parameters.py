@@ -1,0 +1,61 @@
+"""The chain's parameters as a module, of which the uncertain ones are learned by gradients."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.estimate import ParameterEstimate
+
+
+class LearnedParameters(nn.Module):
+    """Every parameter of the chain; those that may move start at their prescribed values.
+
+    Attributes:
+        moved: (p,), distance of each uncertain parameter from its prescribed value, over the larger of that value and
+            its prior standard deviation: a step of 0.01 is about one per cent, whatever the unit.
+    """
+
+    prescribed: Tensor
+    unit: Tensor
+    prior_std: Tensor
+    kind: Tensor
+    dof: Tensor
+
+    def __init__(self, problem: Problem, dtype: torch.dtype) -> None:
+        super().__init__()
+        self.uncertain = problem.uncertain
+        self.names = tuple(problem.chain.parameters)
+        prescribed = torch.stack([values.detach() for values in problem.chain.parameters.values()])
+        unit = torch.tensor([max(abs(p.prescribed), p.prior_std) for p in self.uncertain])
+        self.register_buffer("prescribed", prescribed.to(dtype))
+        self.register_buffer("unit", unit.to(dtype))
+        self.register_buffer("prior_std", torch.tensor([p.prior_std for p in self.uncertain]).to(dtype))
+        self.register_buffer("kind", torch.tensor([self.names.index(p.kind) for p in self.uncertain], dtype=torch.long))
+        self.register_buffer("dof", torch.tensor([p.dof for p in self.uncertain], dtype=torch.long))
+        self.moved = nn.Parameter(torch.zeros(self.count, dtype=dtype))
+
+    @property
+    def count(self) -> int:
+        """Number of parameters that may move, p."""
+        return len(self.uncertain)
+
+    def forward(self) -> dict[str, Tensor]:
+        """Every parameter by name, each (n,)."""
+        values = self.prescribed.index_put((self.kind, self.dof), self.unit * self.moved, accumulate=True)
+        return dict(zip(self.names, values.unbind(), strict=True))
+
+    def prior(self) -> Tensor:
+        """Sum of squared distances from the prescribed values, in prior standard deviations."""
+        return (self.unit / self.prior_std * self.moved).square().sum()
+
+    def estimates(self) -> list[ParameterEstimate]:
+        """Where the parameters are now; a gradient method knows no standard deviations."""
+        moved = (self.unit * self.moved).detach().cpu().double().tolist()
+        return [
+            ParameterEstimate(p.name, p.prescribed, p.prescribed + distance, math.nan, math.nan, math.nan)
+            for p, distance in zip(self.uncertain, moved, strict=True)
+        ]

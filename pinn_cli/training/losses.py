@@ -1,0 +1,176 @@
+"""The paper's loss terms (eqs. 10a to 10c) at collocation points, free of units, for first-order training.
+
+A term is a mean over the points of a sum of squares over the DOFs, each residual over the largest measured value of its
+kind. A weight lambda says that the noise of a residual is its scale over sqrt(lambda), so a prior counts as one point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import finite_number
+from pinn_cli.network.base import Network, States
+from pinn_cli.physics import Targets, hold_delay, observation_residuals, physics_residual, targets
+from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import periodogram, signal_band
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.learned_parameters import LearnedParameters
+
+# Points that follow this much of a channel's power leave out a tenth of its amplitude at most.
+BULK_OF_THE_POWER = 0.99
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights lambda of the loss terms.
+
+    Attributes:
+        observation, continuity: As in the paper.
+        physics: Of the equations of motion of the DOFs whose force is measured, and of the others by default.
+        unforced: Of the equations of motion of the DOFs that are known to carry no force; None: as ``physics``.
+
+    Raises:
+        InputError: A weight that is negative or not finite.
+    """
+
+    observation: float = 1.0
+    continuity: float = 10.0
+    physics: float = 100.0
+    unforced: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and finite_number(f"training.weights.{name}", value) < 0:
+                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
+
+    @classmethod
+    def read(cls, weights: Mapping[str, float | None]) -> LossWeights:
+        """From a mapping; what it leaves out has the paper's value.
+
+        Raises:
+            InputError: A name that is no weight, or a value that is none.
+        """
+        for name, value in weights.items():
+            if name not in cls.__dataclass_fields__:
+                raise InputError(f"training.weights.{name}", value, f"one of {', '.join(cls.__dataclass_fields__)}")
+            if value is None and name != "unforced":
+                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
+        return cls(**weights)  # type: ignore[arg-type]
+
+    def by_term(self, physics_factor: float) -> dict[str, float]:
+        """Weight of every term of :meth:`Losses.terms`, those of the equations of motion times a factor."""
+        unforced = self.physics if self.unforced is None else self.unforced
+        return {
+            "observation": self.observation,
+            "continuity": self.continuity,
+            "forced": physics_factor * self.physics,
+            "unforced": physics_factor * unforced,
+            "prior": 1.0,
+        }
+
+
+class Losses:
+    """The loss terms of one problem; everything that does not change from step to step is prepared once.
+
+    Args:
+        problem: Chain, record, uncertain parameters.
+        points: Number of collocation points, a uniform subset of the samples; the sensors are read at the same ones, as
+            the authors of the paper do; None: every sample.
+        device, dtype: Of the tensors.
+
+    Raises:
+        InputError: Too few points for the record's band.
+    """
+
+    def __init__(self, problem: Problem, points: int | None, device: str, dtype: torch.dtype) -> None:
+        record = problem.record
+        self.chain, self.through = problem.chain, problem.acceleration_through
+        self.simultaneous = hold_delay(record) == 0
+        everything = targets(record, problem.chain, device, dtype)
+        self.target = _subset(everything, torch.as_tensor(_samples(record, points), device=device))
+        amplitudes = motion_amplitudes(record)
+        self.scales = {
+            quantity: _largest(getattr(record, quantity)) or amplitudes[quantity] for quantity in RESPONSE_QUANTITIES
+        }
+        self.scales["observer"] = self.scales["acceleration"]
+        inertia = float(problem.chain.parameters["m"].max()) * amplitudes["acceleration"]
+        self.scales["force"] = _largest(record.force) or inertia
+        self.scales["continuity"] = amplitudes["velocity"]
+
+    def states(self, network: Network) -> tuple[States, States]:
+        """Motion when the sensors were read and at the collocation points (later by half a step of a held force)."""
+        target = self.target
+        if self.simultaneous:
+            states = network(target.observation_time)
+            return states, states
+        both = network(torch.cat((target.observation_time, target.physics_time)))
+        halves = [(None, None) if x is None else x.tensor_split(2) for x in both]
+        observed, enforced = zip(*halves, strict=True)
+        return States(*observed), States(*enforced)
+
+    def terms(self, network: Network, parameters: LearnedParameters) -> dict[str, Tensor]:
+        """Unweighted loss terms by name, scalars; those that a problem does not have are left out."""
+        observed, enforced = self.states(network)
+        values = parameters()
+        residuals = observation_residuals(observed, self.target, self.chain, values, self.through)
+        squares = {name: self._mean_square(residual, name).sum() for name, residual in residuals.items()}
+        terms = {"observation": torch.stack(list(squares.values())).sum()}
+        if enforced.continuity is not None:
+            terms["continuity"] = self._mean_square(enforced.continuity, "continuity").sum()
+        physics = self._mean_square(physics_residual(enforced, self.target, self.chain, values), "force")
+        terms["forced"] = (physics * self.target.measured_force).sum()
+        terms["unforced"] = (physics * self.target.unforced).sum()
+        if parameters.count:
+            terms["prior"] = parameters.prior() / len(self.target.physics_time)
+        return terms
+
+    def _mean_square(self, residual: Tensor, kind: str) -> Tensor:
+        """(N, n) to (n,)."""
+        return (residual / self.scales[kind]).square().mean(0)
+
+
+def _samples(record: Record, points: int | None) -> np.ndarray:
+    """Indices of a uniform subset of the samples, first and last included."""
+    available = len(record.time)
+    points = available if points is None else min(points, available)
+    highest = _highest_frequency(record)
+    needed = min(available, math.ceil(2.0 * highest * record.duration))
+    if points < needed:
+        hint = f"the record goes up to {highest:.3g} Hz and lasts {record.duration:.4g} s"
+        raise InputError("training.collocation_points", points, f"a whole number >= {needed}, or null", hint)
+    return np.linspace(0, available - 1, points).round().astype(np.int64)
+
+
+def _highest_frequency(record: Record) -> float:
+    """Frequency that holds, with all below it, nearly all power of every measured channel but its noise, Hz."""
+    highest = 0.0
+    for quantity in QUANTITIES:
+        for channel in getattr(record, quantity)[:, record.sensors(quantity)].T:
+            frequency, power = periodogram(channel, record.step)
+            power = np.cumsum(power[frequency <= signal_band(channel, record.step)])
+            highest = max(highest, float(frequency[np.searchsorted(power, BULK_OF_THE_POWER * power[-1])]))
+    return highest
+
+
+def _subset(target: Targets, samples: Tensor) -> Targets:
+    return replace(
+        target,
+        observation_time=target.observation_time[samples],
+        physics_time=target.physics_time[samples],
+        response={quantity: values[samples] for quantity, values in target.response.items()},
+        force=target.force[samples],
+        observer_force=target.observer_force[samples],
+    )
+
+
+def _largest(measured: np.ndarray) -> float:
+    """Largest absolute value of any channel; 0 where there is none."""
+    return float(np.max(np.abs(measured), initial=0.0, where=np.isfinite(measured)))

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from pinn_cli.network.activation import ACTIVATIONS, propagate
+
+FUNCTIONS = {"silu": torch.nn.functional.silu, "tanh": torch.tanh, "sine": torch.sin}
+
+
+def test_every_activation_is_tested():
+    assert set(FUNCTIONS) == set(ACTIVATIONS)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_derivatives_are_those_of_autograd(name, dtype):
+    z = torch.linspace(-6.0, 6.0, 41, dtype=dtype, requires_grad=True)
+    expected = [FUNCTIONS[name](z)]
+    for _ in range(2):
+        expected.append(torch.autograd.grad(expected[-1].sum(), z, create_graph=True)[0])
+    for order in range(3):
+        given = ACTIVATIONS[name](z, order)
+        assert len(given) == order + 1
+        for mine, theirs in zip(given, expected[: order + 1], strict=True):
+            assert mine.dtype == dtype
+            torch.testing.assert_close(mine, theirs)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_jet_follows_the_chain_rule(name):
+    t = torch.linspace(0.0, 1.0, 11, dtype=torch.float64, requires_grad=True)
+    inner = torch.sin(3.0 * t) + t**2
+    jet = (inner, 3.0 * torch.cos(3.0 * t) + 2.0 * t, -9.0 * torch.sin(3.0 * t) + 2.0)
+    expected = [FUNCTIONS[name](inner)]
+    for _ in range(2):
+        expected.append(torch.autograd.grad(expected[-1].sum(), t, create_graph=True)[0])
+    for order in range(3):
+        given = propagate(ACTIVATIONS[name], jet[: order + 1])
+        assert len(given) == order + 1
+        for mine, theirs in zip(given, expected[: order + 1], strict=True):
+            torch.testing.assert_close(mine, theirs)

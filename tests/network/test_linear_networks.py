@@ -1,0 +1,159 @@
+"""Networks with a linear readout: splines and Fourier features."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from small_problems import accelerations, measured, small_chain, sped_up
+
+from pinn_cli.errors import InputError
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.spline import Spline, SplineNetwork
+from pinn_cli.record.record import Record
+
+DESIGNS = {"spline": Spline, "fourier": Fourier}
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return accelerations(measured(small_chain(), snr_db=40.0).record)
+
+
+def filled(network):
+    """The network with random readout weights."""
+    generator = torch.Generator().manual_seed(1)
+    weights = torch.randn(network.readout.shape, generator=generator, dtype=torch.float64)
+    network.readout.data = weights.to(network.readout.dtype)
+    return network
+
+
+def between_the_samples(record: Record) -> torch.Tensor:
+    """Times in no order, none of them a knot."""
+    generator = torch.Generator().manual_seed(2)
+    return torch.rand(70, generator=generator, dtype=torch.float64) * record.duration + record.time[0]
+
+
+@pytest.mark.parametrize("continuity", ["exact", "penalised"])
+@pytest.mark.parametrize("kind", DESIGNS)
+def test_derivatives_are_those_of_autograd(record, kind, continuity):
+    network = filled(DESIGNS[kind](continuity=continuity).build(record))
+    time = between_the_samples(record).requires_grad_()
+    value, rate, curvature = network.jet(time, 2)
+    assert value.shape == (70, 3 * network.channels)
+    for lower, higher in ((value, rate), (rate, curvature)):
+        expected = [torch.autograd.grad(column.sum(), time, retain_graph=True)[0] for column in lower.T]
+        torch.testing.assert_close(higher, torch.stack(expected, -1))
+    for order in range(2):
+        assert len(network.jet(time, order)) == order + 1
+        torch.testing.assert_close(network.jet(time, order)[order], (value, rate)[order])
+
+
+@pytest.mark.parametrize("kind", DESIGNS)
+def test_continuity(record, kind):
+    time = between_the_samples(record)
+    exact = filled(DESIGNS[kind](continuity="exact").build(record))
+    states, jet = exact(time), exact.jet(time, 2)
+    assert states.continuity is None
+    for given, expected in zip(states[:3], jet, strict=True):
+        torch.testing.assert_close(given, expected)
+    penalised = filled(DESIGNS[kind](continuity="penalised").build(record))
+    states, (value, rate) = penalised(time), penalised.jet(time, 1)
+    torch.testing.assert_close(states.displacement, value[:, :3])
+    torch.testing.assert_close(states.velocity, value[:, 3:])
+    torch.testing.assert_close(states.acceleration, rate[:, 3:])
+    torch.testing.assert_close(states.continuity, rate[:, :3] - value[:, 3:])
+
+
+@pytest.mark.parametrize("kind", DESIGNS)
+def test_float32_agrees_with_float64(record, kind):
+    single, double = (filled(DESIGNS[kind]().build(record, dtype)) for dtype in (torch.float32, torch.float64))
+    # Times that both can hold, so that only the features differ.
+    time = between_the_samples(record).float().double()
+    for low, high in zip(single.jet(time.float(), 2), double.jet(time, 2), strict=True):
+        assert low.dtype == torch.float32
+        torch.testing.assert_close(low.double(), high, rtol=1e-3, atol=1e-4 * high.abs().max().item())
+
+
+@pytest.mark.parametrize("continuity", ["exact", "penalised"])
+@pytest.mark.parametrize("kind", DESIGNS)
+def test_segments_agree_with_the_network(record, kind, continuity):
+    network = filled(DESIGNS[kind](continuity=continuity).build(record))
+    time = torch.tensor(record.time)
+    segments, states = network.segments(time), network(time)
+    # Feature g of output c is number channels * g + c.
+    weights = network.readout.movedim(0, 1).flatten(0, 1)[segments.feature]
+    assert segments.count == network.channels * network.count
+    for name, expected in states._asdict().items():
+        features = getattr(segments, name)
+        assert (features is None) == (expected is None), name
+        if features is not None:
+            torch.testing.assert_close(segments.scatter(features @ weights), expected)
+            torch.testing.assert_close(segments.scatter(segments.gather(expected)), expected)
+
+
+@pytest.mark.parametrize("degree", [3, 4, 5, 7])
+def test_splines_sum_to_one_everywhere(record, degree):
+    network = Spline(degree).build(record)
+    network.readout.data.fill_(1.0)
+    ends = torch.tensor([network.start, network.start + network.intervals * network.spacing])
+    value, rate, curvature = network.jet(torch.cat((torch.tensor(record.time), ends.double())), 2)
+    torch.testing.assert_close(value, torch.ones_like(value))
+    for derivative in (rate, curvature):
+        torch.testing.assert_close(derivative, torch.zeros_like(derivative), rtol=0.0, atol=1e-9)
+
+
+def test_a_quintic_spline_reproduces_a_quintic_polynomial():
+    network = SplineNetwork(1, -1.0, 2.0, 9, 5, "exact", torch.float64)
+    time = torch.linspace(-1.0, 2.0, 200, dtype=torch.float64)
+    coefficients = (0.3, -1.0, 2.0, 0.7, -0.4, 0.2)
+    polynomial = sum(c * time**p for p, c in enumerate(coefficients))
+    first = sum(p * c * time ** max(p - 1, 0) for p, c in enumerate(coefficients))
+    second = sum(p * (p - 1) * c * time ** max(p - 2, 0) for p, c in enumerate(coefficients))
+    segments = network.segments(time)
+    features = torch.zeros(len(time), network.count, dtype=torch.float64)
+    scattered = segments.scatter(segments.displacement)
+    features.scatter_(1, segments.scatter(segments.feature[:, None].expand(*segments.sample.shape, -1)), scattered)
+    network.readout.data = torch.linalg.lstsq(features, polynomial[:, None]).solution[None]
+    for given, expected in zip(network.jet(time, 2), (polynomial, first, second), strict=True):
+        torch.testing.assert_close(given[:, 0], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_spline_is_smooth_across_its_knots(record):
+    network = filled(Spline().build(record))
+    knots = network.start + network.spacing * torch.arange(1, network.intervals, dtype=torch.float64)
+    gap = 1e-9 * network.spacing
+    for before, after in zip(network.jet(knots - gap, 2), network.jet(knots + gap, 2), strict=True):
+        torch.testing.assert_close(before, after, rtol=1e-5, atol=1e-6 * after.abs().max().item())
+
+
+@pytest.mark.parametrize("kind", DESIGNS)
+def test_the_size_depends_on_the_record_and_not_on_its_time_scale(record, kind):
+    fast = DESIGNS[kind]().build(sped_up(record, 30.0))
+    slow = DESIGNS[kind]().build(record)
+    assert fast.count == slow.count
+    assert fast.free_intervals == pytest.approx(30.0 * slow.free_intervals)
+
+
+@pytest.mark.parametrize("kind", DESIGNS)
+def test_it_covers_a_time_axis_that_does_not_begin_at_zero(record, kind):
+    later = Record(**{**vars(record), "time": record.time + 1000.0})
+    networks = [filled(DESIGNS[kind]().build(given)) for given in (record, later)]
+    motions = [network(torch.tensor(given.time)) for network, given in zip(networks, (record, later), strict=True)]
+    torch.testing.assert_close(motions[0].displacement, motions[1].displacement, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: Spline(degree=2), "network.degree=2"),
+        (lambda: Spline(knots_per_period=0.0), "network.knots_per_period=0.0"),
+        (lambda: Spline(intervals=3), "network.intervals=3"),
+        (lambda: Fourier(band_margin=0.0), "network.band_margin=0.0"),
+        (lambda: Fourier(period_margin=0.5), "network.period_margin=0.5"),
+        (lambda: Fourier(harmonics=0), "network.harmonics=0"),
+    ],
+)
+def test_impossible_settings_are_named(make, named):
+    with pytest.raises(InputError) as error:
+        make()
+    assert str(error.value).startswith(named)

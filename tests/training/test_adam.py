@@ -1,0 +1,285 @@
+"""First-order training, on records so small that a step takes a millisecond."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from calls import SMALL, Compose, PinnRun
+from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
+
+from pinn_cli.config import RunConfig
+from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.training.adam import Adam
+from pinn_cli.training.estimate import RunContext
+
+DESIGNS = {
+    "mlp": Mlp(2, 32, "sine"),
+    "mlp-exact": Mlp(2, 32, "sine", "exact"),
+    "spline": Spline(),
+    "fourier": Fourier(),
+    "fourier-penalised": Fourier(continuity="penalised"),
+}
+
+
+def small_problem(hold: str = "exact", **settings) -> Problem:
+    chain = small_chain()
+    return Problem(chain, accelerations(measured(chain, hold, snr_db=40.0).record), **settings)
+
+
+def uncertain(chain, kind: str, dof: int, relative: float) -> UncertainParameter:
+    value = float(chain.parameters[kind][dof])
+    return UncertainParameter(kind, dof, value, relative * value)
+
+
+def short(**settings) -> Adam:
+    return Adam(**{"iterations": 20, "collocation_points": 128, "history_every": 10, **settings})
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_loss_falls(name, hold):
+    training = short(iterations=150, stages=1, learning_rate=5e-3)
+    estimate = training.solve(small_problem(hold), DESIGNS[name], RunContext())
+    losses = estimate.history.filter(like="loss_").sum(axis=1).to_numpy()
+    assert losses[-1] < 0.3 * losses[0]
+    assert estimate.summary["loss"] == pytest.approx(losses[-1])
+    for quantity in (*QUANTITIES, "force"):
+        values = getattr(estimate.response, quantity)
+        assert values.shape == (257, 3)
+        assert values.dtype == np.float64
+        assert np.isfinite(values).all()
+        assert np.isnan(getattr(estimate.std, quantity)).all()
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_it_finds_the_motion_where_all_is_measured(hold):
+    chain = small_chain("linear", ndof=1)
+    measurements = measured(chain, hold, snr_db=50.0)
+    training = Adam(400, learning_rate=1e-2, collocation_points=None)
+    estimate = training.solve(Problem(chain, measurements.record), Fourier(), RunContext())
+    for quantity in (*QUANTITIES, "force"):
+        truth = getattr(measurements.truth.response, quantity)
+        assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
+
+
+def test_it_learns_a_parameter():
+    record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
+    wrong = small_chain("linear", ndof=1, k=18.0)
+    problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 0.3),))
+    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
+    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    assert (learned.name, learned.prescribed) == ("k_1", 18.0)
+    assert learned.estimate == pytest.approx(15.0, rel=0.02)
+    assert all(math.isnan(value) for value in (learned.std, learned.lower_90, learned.upper_90))
+
+
+def test_a_narrow_prior_holds_a_parameter():
+    record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
+    wrong = small_chain("linear", ndof=1, k=18.0)
+    problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 1e-4),))
+    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
+    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    assert learned.estimate == pytest.approx(18.0, rel=0.01)
+
+
+def test_parameters_come_in_the_order_of_the_problem():
+    chain = small_chain()
+    order = (uncertain(chain, "kappa", 2, 0.1), uncertain(chain, "c", 0, 0.1), uncertain(chain, "k", 1, 0.1))
+    estimate = short().solve(small_problem(uncertain=order), Spline(), RunContext())
+    assert [(p.name, p.prescribed) for p in estimate.parameters] == [("kappa_3", 100.0), ("c_1", 1.0), ("k_2", 15.0)]
+    assert all(p.estimate != p.prescribed for p in estimate.parameters)
+    assert {"loss_prior", "weight_prior"} <= set(estimate.history)
+
+
+def test_the_same_seed_gives_the_same_numbers():
+    before = torch.get_rng_state()
+    estimates = [short().solve(small_problem(), DESIGNS["mlp"], RunContext(seed=seed)) for seed in (5, 5, 6)]
+    assert torch.equal(before, torch.get_rng_state())
+    for quantity in (*QUANTITIES, "force"):
+        first, same, other = (getattr(estimate.response, quantity) for estimate in estimates)
+        assert np.array_equal(first, same)
+        assert not np.array_equal(first, other)
+    first, same = (estimate.history.drop(columns="seconds") for estimate in estimates[:2])
+    assert first.equals(same)
+
+
+def test_the_history_has_a_row_every_so_often_and_at_the_end():
+    history = short(iterations=12, stages=2).solve(small_problem(), DESIGNS["mlp"], RunContext()).history
+    assert history["iteration"].tolist() == [0, 10, 20, 24]
+    assert history["seconds"].is_monotonic_increasing
+    names = ("observation", "continuity", "forced", "unforced")
+    assert list(history)[2:] == [f"loss_{name}" for name in names] + [f"weight_{name}" for name in names]
+    assert history["weight_observation"].tolist() == [1.0] * 4
+    assert history["weight_continuity"].tolist() == [10.0] * 4
+    # The equations of motion weigh ten times as much in the second stage.
+    assert history["weight_forced"].tolist() == history["weight_unforced"].tolist() == [100.0, 100.0, 1000.0, 1000.0]
+
+
+def test_a_network_with_exact_continuity_has_no_such_term():
+    history = short().solve(small_problem(), DESIGNS["mlp-exact"], RunContext()).history
+    assert not [name for name in history if "continuity" in name]
+
+
+def test_unforced_dofs_may_have_a_weight_of_their_own():
+    histories = [
+        short(stages=1, weights=weights).solve(small_problem(), DESIGNS["mlp"], RunContext()).history
+        for weights in ({}, {"unforced": 2.0}, {"physics": 50.0})
+    ]
+    assert [history["weight_unforced"][0] for history in histories] == [100.0, 2.0, 50.0]
+    assert [history["weight_forced"][0] for history in histories] == [100.0, 100.0, 50.0]
+    plain, lighter = (history["loss_unforced"][0] for history in histories[:2])
+    assert lighter == pytest.approx(0.02 * plain, rel=1e-5)
+
+
+@pytest.mark.parametrize("through", ["derivative", "observer", "both"])
+def test_accelerations_are_observed_as_the_problem_says(through):
+    weights = {"observation": 1.0, "continuity": 0.0, "physics": 0.0}
+    training = short(iterations=150, stages=1, learning_rate=1e-2, weights=weights, dtype="float64")
+    problem = small_problem(acceleration_through=through)
+    estimate = training.solve(problem, DESIGNS["mlp-exact"], RunContext())
+    by_derivative = relative_error(estimate.response.acceleration[:, :2], problem.record.acceleration[:, :2])
+    # Without physics the derivative is bound to the sensors only if it is what is compared with them.
+    assert (by_derivative < 0.7) == (through != "observer")
+    assert estimate.history["loss_observation"].iloc[-1] < 0.5 * estimate.history["loss_observation"].iloc[0]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("learning_rate", [1e3, 1e30])
+def test_divergence_says_where_and_what_to_try(learning_rate, dtype):
+    training = short(learning_rate=learning_rate, dtype=dtype, iterations=200)
+    with pytest.raises(DivergenceError) as error:
+        training.solve(small_problem(), DESIGNS["mlp"], RunContext())
+    assert "loss_" in str(error.value)
+    assert "at iteration" in str(error.value)
+    assert f"training.learning_rate below {learning_rate:g}" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["mlp", "spline", "fourier-penalised"])
+def test_nothing_rests_on_the_time_scale(name):
+    slow, fast = small_chain(), small_chain(speed=30.0)
+    record = accelerations(measured(slow, snr_db=40.0).record)
+    training = short(dtype="float64")
+    problems = [
+        Problem(chain, given, (uncertain(chain, "k", 1, 0.1), uncertain(chain, "c", 2, 0.1)))
+        for chain, given in ((slow, record), (fast, sped_up(record, 30.0)))
+    ]
+    expected, given = (training.solve(problem, DESIGNS[name], RunContext()) for problem in problems)
+    scale = np.abs(expected.response.displacement).max()
+    np.testing.assert_allclose(given.response.displacement, expected.response.displacement, atol=1e-5 * scale)
+    for mine, theirs in zip(given.parameters, expected.parameters, strict=True):
+        assert mine.estimate / mine.prescribed == pytest.approx(theirs.estimate / theirs.prescribed, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mlp", "spline"])
+def test_clock_times_do_no_harm_in_float32(name):
+    problem = small_problem()
+    step = 2.0**-4  # clock times near 1.7e9 s hold it exactly
+    early = replace(problem, record=replace(problem.record, time=step * np.arange(257)))
+    late = replace(problem, record=replace(problem.record, time=1.7e9 + step * np.arange(257)))
+    expected, given = (short().solve(each, DESIGNS[name], RunContext()) for each in (early, late))
+    assert np.array_equal(given.response.displacement, expected.response.displacement)
+    assert given.response.time[0] == 1.7e9
+
+
+def test_the_progress_bar_is_quiet_where_there_is_no_terminal(capfd):
+    short().solve(small_problem(), DESIGNS["mlp"], RunContext(progress=True))
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_points_that_cannot_follow_the_record_are_refused():
+    with pytest.raises(InputError, match=r"training\.collocation_points=8: must be a whole number >= \d+, or null"):
+        short(collocation_points=8).solve(small_problem(), DESIGNS["mlp"], RunContext())
+
+
+@pytest.mark.parametrize("snr_db", [None, 10.0])
+def test_points_are_judged_by_the_signal_and_not_by_its_noise(snr_db):
+    chain = small_chain()
+    # 15 periods of the highest frequency of the force: two points in each, and a little more.
+    problem = Problem(chain, accelerations(measured(chain, snr_db=snr_db).record))
+    short(collocation_points=40).solve(problem, DESIGNS["mlp"], RunContext())
+    with pytest.raises(InputError):
+        short(collocation_points=20).solve(problem, DESIGNS["mlp"], RunContext())
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"iterations": 0}, "training.iterations=0"),
+        ({"stages": 0}, "training.stages=0"),
+        ({"physics_growth": 0.0}, "training.physics_growth=0.0"),
+        ({"learning_rate": -1e-3}, "training.learning_rate=-0.001"),
+        ({"parameter_learning_rate": math.nan}, "training.parameter_learning_rate=nan"),
+        ({"betas": [0.9]}, "training.betas=[0.9]"),
+        ({"betas": [0.9, 1.0]}, "training.betas=[0.9, 1.0]"),
+        ({"weight_decay": -1.0}, "training.weight_decay=-1.0"),
+        ({"weights": {"data": 1.0}}, "training.weights.data=1.0"),
+        ({"weights": {"physics": None}}, "training.weights.physics=None"),
+        ({"weights": {"unforced": -1.0}}, "training.weights.unforced=-1.0"),
+        ({"collocation_points": 1}, "training.collocation_points=1"),
+        ({"dtype": "float16"}, "training.dtype=float16"),
+        ({"history_every": 0}, "training.history_every=0"),
+    ],
+)
+def test_impossible_settings_are_named(settings, named):
+    with pytest.raises(InputError) as error:
+        Adam(**settings)
+    assert str(error.value).startswith(named)
+
+
+def test_the_configuration_has_the_papers_settings(composed: Compose):
+    config = RunConfig.read(composed("experiment=[paper/sr_6dof_snr50,paper_training]"))
+    training, network = config.training, config.network
+    assert isinstance(training, Adam)
+    assert isinstance(network, Mlp)
+    assert (training.iterations, training.stages, training.physics_growth) == (200_000, 2, 10.0)
+    assert (training.learning_rate, training.betas, training.weight_decay) == (1e-3, (0.99, 0.999), 1e-5)
+    assert training.weights.by_term(1.0) == {
+        "observation": 1.0,
+        "continuity": 10.0,
+        "forced": 100.0,
+        "unforced": 100.0,
+        "prior": 1.0,
+    }
+    assert (training.collocation_points, training.dtype) == (512, torch.float32)
+    assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "silu", "penalised")
+    assert config.case == "sr_6dof_snr50"
+
+
+def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Compose):
+    configured = RunConfig.read(composed("network=mlp", "training=adam", *SMALL))
+    assert vars(configured.training) == vars(Adam())
+    assert vars(configured.network) == vars(Mlp())
+
+
+def test_a_run_of_the_program(pinn_run: PinnRun):
+    training = ("network=mlp", "network.width=16", "training=adam", "training.iterations=5", "training.history_every=4")
+    outcome = pinn_run(*SMALL, *training)
+    assert outcome.status == 0, outcome.err
+    record = json.loads((outcome.directory / "run.json").read_text())
+    assert (record["training"]["iterations"], record["training"]["dtype"]) == (10, "float32")
+    assert pd.read_csv(outcome.directory / "history.csv")["iteration"].tolist() == [0, 4, 8, 10]
+
+
+def test_a_diverging_run_ends_with_status_3(pinn_run: PinnRun):
+    outcome = pinn_run(*SMALL, "network=mlp", "training=adam", "training.learning_rate=1e6")
+    assert outcome.status == 3
+    assert outcome.err.startswith("pinn-run: adam diverged: loss_")
+    assert outcome.err.count("\n") == 1
+
+
+def test_a_network_that_gauss_newton_cannot_train_is_named(pinn_run: PinnRun):
+    outcome = pinn_run(*SMALL, "network=mlp")
+    assert outcome.status == 2
+    assert "training=gauss_newton: must be adam" in outcome.err
