@@ -1,7 +1,7 @@
 """What can go wrong for a user, in one line each.
 
-Two kinds are told apart because a shell script must tell them apart: input that no run can use (exit status 2) and a run that
-diverged (exit status 3). Everything else is a defect of the program and keeps its traceback.
+Two kinds are told apart because a shell script must tell them apart: input that no run can use (exit status 2) and a
+run that diverged (exit status 3). Everything else is a defect of the program and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ class InputError(ValueError):
     """A setting or a file that no run can use.
 
     Args:
-        setting: The setting's name as a user types it (``system.ndof``) or a place in a file (``data.csv, column 'f1', line 7``).
+        setting: The setting's name as a user types it (``system.ndof``) or a place in a file (``data.csv, column 'f1',
+            line 7``).
         value: What was given.
         allowed: What is allowed.
         hint: The likely cause, or what to do about it.
@@ -23,7 +24,8 @@ class InputError(ValueError):
         super().__init__(" ".join(text.split()))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
-        # Exceptions cross process borders in sweeps; the default pickling would call __init__ with the finished text only.
+        # Exceptions cross process borders in sweeps; the default pickling would call __init__ with the finished text
+        # only.
         return type(self), (self.setting, self.value, self.allowed, self.hint)
 
 

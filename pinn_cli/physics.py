@@ -1,9 +1,9 @@
 """Observation, continuity and physics residuals of (network, chain, record): the paper's eqs. 8 to 10, written once.
 
-Where the force between samples is held (``intersample: zero_order_hold``), the structure answers to f(t - dt/2) while samples are taken
-at t. :class:`Targets` puts that in one place: physics is enforced at t_k + dt/2 with the force sample f_k, and the jump that a held
-force puts into the acceleration of its own DOF, (f_k - f_{k-1}) / 2m, is taken out of the measured accelerations, so that everything
-else sees a smooth motion.
+Where the force between samples is held (``intersample: zero_order_hold``), the structure answers to f(t - dt/2) while
+samples are taken at t. :class:`Targets` puts that in one place: physics is enforced at t_k + dt/2 with the force sample
+f_k, and the jump that a held force puts into the acceleration of its own DOF, (f_k - f_{k-1}) / 2m, is taken out of the
+measured accelerations, so that everything else sees a smooth motion.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ class Targets:
         response: Quantity to (..., n), 0 where there is no sensor.
         sensors: Quantity to (n,) bool.
         force: (N, n) measured force; 0 where known to be zero or unknown.
-        observer_force: (N, n), the force that belongs to the response samples: where it is held, the mean of before and after.
-        measured_force, unforced: (n,) bool; DOFs in neither carry an unknown force, and no equation of motion is enforced on them.
+        observer_force: (N, n), the force that belongs to the response samples: where it is held, the mean of before and
+            after.
+        measured_force, unforced: (n,) bool; DOFs in neither carry an unknown force, and no equation of motion is
+            enforced on them.
     """
 
     observation_time: Tensor
@@ -70,7 +72,9 @@ def targets(record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtyp
     jump = np.zeros_like(force)
     if record.intersample == "zero_order_hold":
         jump = np.diff(force, axis=0, prepend=2 * force[:1] - force[1:2])
-        response["acceleration"] = response["acceleration"] - jump / (2.0 * chain.parameters["m"].detach().cpu().numpy())
+        response["acceleration"] = response["acceleration"] - jump / (
+            2.0 * chain.parameters["m"].detach().cpu().numpy()
+        )
     return Targets(
         tensor(record.time),
         tensor(record.time + hold_delay(record)),
@@ -86,8 +90,9 @@ def targets(record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtyp
 def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:
     """Which DOFs (n,) each observation residual has, by name; names without any are left out.
 
-    Accelerations are compared ``through`` the network's ``derivative``, the ``observer`` equation (f* - restoring force) / m (paper,
-    eq. 8), or ``both``. The observer needs the force: a DOF whose force is unknown is compared through the derivative.
+    Accelerations are compared ``through`` the network's ``derivative``, the ``observer`` equation (f* - restoring
+    force) / m (paper, eq. 8), or ``both``. The observer needs the force: a DOF whose force is unknown is compared
+    through the derivative.
     """
     masks = dict(target.sensors)
     observer = target.sensors["acceleration"] & target.equation & (through != "derivative")
@@ -105,12 +110,14 @@ def observation_residuals(
     measured = {**target.response, "observer": target.response["acceleration"]}
     masks = observation_masks(target, through)
     if "observer" in masks:
-        estimated["observer"] = chain.acceleration(states.displacement, states.velocity, target.observer_force, parameters)
+        estimated["observer"] = chain.acceleration(
+            states.displacement, states.velocity, target.observer_force, parameters
+        )
     return {name: (estimated[name] - measured[name]) * mask for name, mask in masks.items()}
 
 
 def physics_residual(states: States, target: Targets, chain: Chain, parameters: Mapping[str, Tensor]) -> Tensor:
-    """Force that the estimated motion takes minus the force that acts, (..., n), 0 where that is unknown (paper, eq. 10c)."""
+    """Force that the motion takes minus the force that acts, (..., n), 0 where unknown (paper, eq. 10c)."""
     needed = chain.external_force(states.displacement, states.velocity, states.acceleration, parameters)
     return (needed - target.force) * target.equation
 
@@ -160,7 +167,8 @@ class Tangent:
 def tangent(chain: Chain, parameters: Mapping[str, Tensor], u: Tensor, v: Tensor) -> Tangent:
     """Linearise the connections about displacements u and velocities v (..., n).
 
-    The internal force is elementwise in time and connection, so one reverse pass through its sum gives every derivative.
+    The internal force is elementwise in time and connection, so one reverse pass through its sum gives every
+    derivative.
     """
     e, de = (chain.elongation(x).detach().requires_grad_() for x in (u, v))
     local = {name: value.detach().expand_as(e).clone().requires_grad_() for name, value in parameters.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from pinn_cli.record.record import Record
 
 Continuity = Literal["exact", "penalised"]
+CONTINUITIES: tuple[str, ...] = get_args(Continuity)
 
 
 class States(NamedTuple):
@@ -18,8 +19,8 @@ class States(NamedTuple):
 
     Attributes:
         displacement, velocity, acceleration: m, m/s, m/s^2.
-        continuity: d(displacement)/dt - velocity, m/s, where the network has separate outputs for the two; None where it vanishes by
-            construction.
+        continuity: d(displacement)/dt - velocity, m/s, where the network has separate outputs for the two; None where
+            it vanishes by construction.
     """
 
     displacement: Tensor
@@ -31,9 +32,9 @@ class States(NamedTuple):
 class Network(nn.Module, ABC):
     """A network from time to the motion of ``ndof`` degrees of freedom.
 
-    With ``continuity="exact"`` its outputs are displacements and everything else are their derivatives. With ``"penalised"`` it has
-    separate outputs for displacement and velocity, (N, 2 ndof), as in the paper, and a residual says how far they disagree (paper,
-    eq. 10b).
+    With ``continuity="exact"`` its outputs are displacements and everything else are their derivatives. With
+    ``"penalised"`` it has separate outputs for displacement and velocity, (N, 2 ndof), as in the paper, and a residual
+    says how far they disagree (paper, eq. 10b).
     """
 
     def __init__(self, ndof: int, continuity: Continuity) -> None:
@@ -48,19 +49,25 @@ class Network(nn.Module, ABC):
 
     @abstractmethod
     def jet(self, time: Tensor, order: int) -> tuple[Tensor, ...]:
-        """Outputs and their time derivatives up to ``order`` (0, 1 or 2), each (N, channels * ndof); time (N,), s."""
+        """Outputs and their time derivatives up to ``order`` (0, 1 or 2), each (N, channels * ndof).
+
+        Args:
+            time: (N,), s, in the network's dtype.
+            order: The highest derivative.
+        """
 
     def forward(self, time: Tensor) -> States:
         """Motion at the given times (N,), s."""
         if self.continuity == "exact":
-            return States(*self.jet(time, 2), continuity=None)
+            displacement, velocity, acceleration = self.jet(time, 2)
+            return States(displacement, velocity, acceleration, None)
         value, rate = self.jet(time, 1)
         n = self.ndof
         return States(value[:, :n], value[:, n:], rate[:, n:], rate[:, :n] - value[:, n:])
 
 
 class NetworkDesign(ABC):
-    """How to build a network for a record: what a config chooses. A new one is a file here and a file in ``conf/network``."""
+    """What a config chooses: how to build a network for a record. A new one is a file here and in ``conf/network``."""
 
     name: str
 

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from pinn_cli.errors import InputError
-from pinn_cli.network.base import Continuity, NetworkDesign
+from pinn_cli.legal_values import is_finite_number, one_of, positive_number, whole_number
+from pinn_cli.network.base import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
@@ -18,7 +19,14 @@ class FourierNetwork(LinearReadout):
     """1, t, and cos and sin of 2 pi j t / period for j = 1..harmonics, t from ``start``, s."""
 
     def __init__(
-        self, ndof: int, start: float, span: float, period: float, harmonics: int, continuity: Continuity, dtype: torch.dtype
+        self,
+        ndof: int,
+        start: float,
+        span: float,
+        period: float,
+        harmonics: int,
+        continuity: Continuity,
+        dtype: torch.dtype,
     ) -> None:
         super().__init__(ndof, continuity, 2 + 2 * harmonics, dtype)
         self.start, self.span, self.period, self.harmonics = start, span, period, harmonics
@@ -37,7 +45,11 @@ class FourierNetwork(LinearReadout):
         for q in range(order + 1):
             # d/dt turns cos(x) into omega cos(x + pi/2), and sin likewise.
             wave = omega**q * torch.cos(phase + q * math.pi / 2), omega**q * torch.sin(phase + q * math.pi / 2)
-            trend = (torch.ones_like(t), t / self.span) if q == 0 else (torch.zeros_like(t), torch.full_like(t, (q == 1) / self.span))
+            trend = (
+                (torch.ones_like(t), t / self.span)
+                if q == 0
+                else (torch.zeros_like(t), torch.full_like(t, (q == 1) / self.span))
+            )
             features.append(torch.cat((torch.stack(trend, -1), *wave), -1)[None])
         sample = torch.arange(len(time), device=time.device)[None]
         mask = torch.ones(1, len(time), dtype=time.dtype, device=time.device)
@@ -48,8 +60,8 @@ class Fourier(NetworkDesign):
     """Fourier features up to a multiple of the record's band.
 
     Args:
-        band_margin: Highest feature frequency over the highest frequency that stands out of the noise in any channel; hidden DOFs
-            and higher harmonics of a nonlinearity lie beyond what the sensors show.
+        band_margin: Highest feature frequency over the highest frequency that stands out of the noise in any channel;
+            hidden DOFs and higher harmonics of a nonlinearity lie beyond what the sensors show.
         period_margin: Period over the record's length; above 1 so that nothing need be periodic.
         harmonics: Number of harmonics; None: chosen by the margins.
         continuity: See :class:`pinn_cli.network.base.Network`.
@@ -67,13 +79,18 @@ class Fourier(NetworkDesign):
         harmonics: int | None = None,
         continuity: Continuity = "exact",
     ) -> None:
-        if not band_margin > 0:
-            raise InputError("network.band_margin", band_margin, "a positive number")
-        if not period_margin >= 1:
+        positive_number("network.band_margin", band_margin)
+        if not is_finite_number(period_margin) or period_margin < 1:
             raise InputError("network.period_margin", period_margin, "a number >= 1")
-        if harmonics is not None and harmonics < 1:
-            raise InputError("network.harmonics", harmonics, "null or an integer >= 1")
-        self.band_margin, self.period_margin, self.harmonics, self.continuity = band_margin, period_margin, harmonics, continuity
+        if harmonics is not None:
+            whole_number("network.harmonics", harmonics, least=1)
+        one_of("network.continuity", continuity, CONTINUITIES)
+        self.band_margin, self.period_margin, self.harmonics, self.continuity = (
+            band_margin,
+            period_margin,
+            harmonics,
+            continuity,
+        )
 
     def build(self, record: Record, dtype: torch.dtype = torch.float64) -> FourierNetwork:
         """See :meth:`NetworkDesign.build`."""

@@ -1,4 +1,4 @@
-"""Networks whose last layer is linear and whose features are fixed: z(t) = Phi(t) W, so that residuals are nearly linear in W."""
+"""Networks with fixed features and a linear last layer, z(t) = Phi(t) W: residuals are nearly linear in W."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pinn_cli.network.base import Continuity, Network
 class Segments:
     """The features of one DOF at N times, grouped so that all times of a group share the same few features.
 
-    A spline has one group per knot interval and few features in each; features that are alive everywhere form a single group.
-    I groups, S times at most in each (padded), B features of one DOF in each.
+    A spline has one group per knot interval and few features in each; features that are alive everywhere form a single
+    group. I groups, S times at most in each (padded), B features of one DOF in each.
 
     Attributes:
         sample: (I, S) long, index into the times; 0 at padding.
@@ -67,23 +67,23 @@ class LinearReadout(Network):
 
     @abstractmethod
     def groups(self, time: Tensor, order: int) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, ...]]:
-        """Sample indices (I, S), mask (I, S), feature indices (I, B) and features with derivatives up to ``order``, each (I, S, B)."""
+        """Sample indices and mask (I, S), feature indices (I, B), and features and derivatives, each (I, S, B)."""
 
     @property
     @abstractmethod
     def free_intervals(self) -> float:
-        """Independent values per second that the features can take, Hz; half of it is the highest frequency that they follow."""
+        """Independent values per second of the features, Hz; they follow frequencies up to half of it."""
 
     def segments(self, time: Tensor) -> Segments:
         """The features of the motion of one DOF at times (N,), s, for both kinds of continuity.
 
-        With separate outputs for displacement and velocity a DOF has twice the features: output c's feature g is number 2 g + c, so
-        that features that are neighbours in time stay neighbours.
+        With separate outputs for displacement and velocity a DOF has twice the features: output c's feature g is number
+        2 g + c, so that features that are neighbours in time stay neighbours.
         """
         sample, mask, feature, jet = self.groups(time, 2)
         if self.channels == 1:
-            return Segments(sample, mask, feature, *jet, continuity=None, count=self.count, samples=len(time))
-        value, rate, _ = jet
+            return Segments(sample, mask, feature, jet[0], jet[1], jet[2], None, self.count, len(time))
+        value, rate = jet[:2]
         zero = torch.zeros_like(value)
 
         def interleave(first: Tensor, second: Tensor) -> Tensor:

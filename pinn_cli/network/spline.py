@@ -10,7 +10,8 @@ from scipy.interpolate import BSpline
 from torch import Tensor
 
 from pinn_cli.errors import InputError
-from pinn_cli.network.base import Continuity, NetworkDesign
+from pinn_cli.legal_values import is_whole_number, one_of, positive_number, whole_number
+from pinn_cli.network.base import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
@@ -20,15 +21,16 @@ def piece_coefficients(degree: int) -> np.ndarray:
     """Polynomials of the uniform B-splines that are alive in one knot interval.
 
     Returns:
-        (degree + 1, degree + 1): row p, column a is the coefficient of tau^p, tau in [0, 1], of the a-th alive B-spline, the one that
-        began degree - a intervals ago.
+        (degree + 1, degree + 1): row p, column a is the coefficient of tau^p, tau in [0, 1], of the a-th alive
+        B-spline, the one that began degree - a intervals ago.
     """
     spline = BSpline.basis_element(np.arange(degree + 2), extrapolate=False)
     pieces = np.empty((degree + 1, degree + 1))
     for a in range(degree + 1):
         start = degree - a
         for power in range(degree + 1):
-            # One-sided Taylor coefficients at the interval's start; the last knot's own piece is the one that begins there.
+            # One-sided Taylor coefficients at the interval's start; the last knot's own piece is the one that begins
+            # there.
             pieces[power, a] = float(spline.derivative(power)(start)) / math.factorial(power)
     return pieces
 
@@ -36,8 +38,17 @@ def piece_coefficients(degree: int) -> np.ndarray:
 class SplineNetwork(LinearReadout):
     """Uniform B-splines of one degree on [start, start + intervals * spacing], s."""
 
+    pieces: Tensor
+
     def __init__(
-        self, ndof: int, start: float, stop: float, intervals: int, degree: int, continuity: Continuity, dtype: torch.dtype
+        self,
+        ndof: int,
+        start: float,
+        stop: float,
+        intervals: int,
+        degree: int,
+        continuity: Continuity,
+        dtype: torch.dtype,
     ) -> None:
         super().__init__(ndof, continuity, intervals + degree, dtype)
         self.start, self.intervals, self.degree = start, intervals, degree
@@ -63,7 +74,9 @@ class SplineNetwork(LinearReadout):
         sample[cell[by_cell], rank] = by_cell
         mask[cell[by_cell], rank] = 1.0
         tau = (position - cell)[sample]
-        feature = torch.arange(self.intervals, device=time.device)[:, None] + torch.arange(self.degree + 1, device=time.device)
+        feature = torch.arange(self.intervals, device=time.device)[:, None] + torch.arange(
+            self.degree + 1, device=time.device
+        )
         features = tuple(self._derivative(tau, q) * mask[..., None] for q in range(order + 1))
         return sample, mask, feature, features
 
@@ -82,8 +95,8 @@ class Spline(NetworkDesign):
 
     Args:
         degree: Polynomial degree; accelerations are splines of degree - 2. 5 leaves them smooth.
-        knots_per_period: Knots in one period of the highest frequency that stands out of the noise in any channel. Three begin to
-            follow it, four follow its second derivative to a few parts in ten thousand.
+        knots_per_period: Knots in one period of the highest frequency that stands out of the noise in any channel.
+            Three begin to follow it, four follow its second derivative to a few parts in ten thousand.
         intervals: Number of knot intervals; None: chosen by ``knots_per_period``.
         continuity: See :class:`pinn_cli.network.base.Network`.
 
@@ -94,15 +107,26 @@ class Spline(NetworkDesign):
     name = "spline"
 
     def __init__(
-        self, degree: int = 5, knots_per_period: float = 4.0, intervals: int | None = None, continuity: Continuity = "exact"
+        self,
+        degree: int = 5,
+        knots_per_period: float = 4.0,
+        intervals: int | None = None,
+        continuity: Continuity = "exact",
     ) -> None:
-        if not 3 <= degree <= 9:
-            raise InputError("network.degree", degree, "an integer from 3 to 9", "accelerations need two derivatives")
-        if not knots_per_period > 0:
-            raise InputError("network.knots_per_period", knots_per_period, "a positive number")
-        if intervals is not None and intervals < 4:
-            raise InputError("network.intervals", intervals, "null or an integer >= 4")
-        self.degree, self.knots_per_period, self.intervals, self.continuity = degree, knots_per_period, intervals, continuity
+        if not is_whole_number(degree) or not 3 <= degree <= 9:
+            raise InputError(
+                "network.degree", degree, "a whole number from 3 to 9", "accelerations need two derivatives"
+            )
+        positive_number("network.knots_per_period", knots_per_period)
+        if intervals is not None:
+            whole_number("network.intervals", intervals, least=4)
+        one_of("network.continuity", continuity, CONTINUITIES)
+        self.degree, self.knots_per_period, self.intervals, self.continuity = (
+            degree,
+            knots_per_period,
+            intervals,
+            continuity,
+        )
 
     def build(self, record: Record, dtype: torch.dtype = torch.float64) -> SplineNetwork:
         """See :meth:`NetworkDesign.build`."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import welch
 
 from pinn_cli.record.record import QUANTITIES, Record
 
 # Anti-alias filters leave little above 80 % of the Nyquist frequency; noise read there would come out too small.
 USABLE_NYQUIST_FRACTION = 0.8
+# Content 70 dB below a channel's mean square does not count as signal: a noise-free record has no band otherwise.
+FINEST_FLOOR = 1e-7
+AVERAGED_PIECES = 8
 
 
 def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (Hz) and the periodogram of one channel (N,), Hann window, scaled so that white noise of variance s^2 reads s^2."""
+    """Frequencies (Hz) and Hann periodogram of one channel (N,); white noise of variance s^2 reads s^2."""
     window = np.hanning(len(x))
     spectrum = np.fft.rfft((x - x.mean()) * window)
     return np.fft.rfftfreq(len(x), step), np.abs(spectrum) ** 2 / np.sum(window**2)
@@ -21,14 +23,14 @@ def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
 def signal_band(x: np.ndarray, step: float) -> float:
     """Frequency up to which keeping a channel's content removes more error than the noise that comes with it, Hz.
 
-    Cutting at f leaves out the signal power above f and lets through the noise power below it; their sum is least where the cumulative
-    sum of (2 floor - periodogram) is, and that needs no threshold and no smoothing. The floor is the median of the upper half of the
-    usable spectrum, which a signal that is oversampled twice leaves to the noise.
+    Cutting at f leaves out the signal power above f and lets through the noise power below it; their sum is least where
+    the cumulative sum of (2 floor - periodogram) is, and that needs no threshold and no smoothing. The floor is the
+    median of the upper half of the usable spectrum, which a signal that is oversampled twice leaves to the noise.
     """
     frequency, power = periodogram(x, step)
     usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
     frequency, power = frequency[usable], power[usable]
-    floor = np.median(power[len(power) // 2 :]) / np.log(2.0)
+    floor = max(np.median(power[len(power) // 2 :]) / np.log(2.0), FINEST_FLOOR * power.mean())
     return float(frequency[np.argmin(np.cumsum(2.0 * floor - power))])
 
 
@@ -43,7 +45,7 @@ def record_band(record: Record) -> float:
 
 
 def white_level(residual: np.ndarray, step: float, above: float) -> float:
-    """Standard deviation of the white noise that shows in a residual (N,) between the frequency ``above`` (Hz) and the usable top."""
+    """Standard deviation of the white noise of a residual (N,), read above a frequency (Hz)."""
     frequency, power = periodogram(residual, step)
     top = USABLE_NYQUIST_FRACTION * frequency[-1]
     window = (frequency > min(above, 0.9 * top)) & (frequency <= top)
@@ -51,10 +53,13 @@ def white_level(residual: np.ndarray, step: float, above: float) -> float:
 
 
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:
-    """Share of the band up to ``top`` (Hz) that histories (N, n) fill, together: 1 when white, small when they sit in a narrow band."""
-    length = max(16, len(residual) // 8)
-    frequency, power = welch(residual, fs=1.0 / step, nperseg=length, axis=0)
-    below = power[(frequency <= top) & (frequency > 0)].sum(axis=1)
+    """Share of the band up to ``top`` (Hz) that histories (N, n) fill, together; 1 when they are white."""
+    # Averaging over pieces steadies the periodogram, whose own scatter would pass for colour.
+    length = max(16, len(residual) // AVERAGED_PIECES)
+    pieces = [column[i : i + length] for column in residual.T for i in range(0, len(column) - length + 1, length)]
+    frequency, _ = periodogram(pieces[0], step)
+    power = np.mean([periodogram(piece, step)[1] for piece in pieces], axis=0)
+    below = power[(frequency <= top) & (frequency > 0)]
     if len(below) == 0 or not below.any():
         return 1.0
     return float(below.sum() ** 2 / (len(below) * np.sum(below**2)))

@@ -21,7 +21,7 @@ class Scheme(ABC):
 
     @abstractmethod
     def observe(self, record: Record) -> Record:
-        """The record with the sensors that the scheme allows, of a simulated record in which every DOF has every sensor.
+        """The record with the sensors that the scheme allows, of a simulated one in which every DOF has them all.
 
         Raises:
             InputError: The choice does not fit the record, or leaves no sensor.

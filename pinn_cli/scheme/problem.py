@@ -10,7 +10,7 @@ from pinn_cli.system.chain import Chain
 
 @dataclass(frozen=True, eq=False)
 class UncertainParameter:
-    """A parameter of one connection that is learned along with the states, under a Gaussian prior around its prescribed value.
+    """A parameter of one connection that is learned along with the states, under a Gaussian prior.
 
     Attributes:
         kind: ``m``, ``c``, ``k``, ``kappa``, ...
@@ -38,8 +38,8 @@ class Problem:
         chain: The prescribed model.
         record: What was measured, with the sensors that the scheme allows.
         uncertain: The parameters that may move; all others are held at their prescribed values.
-        acceleration_through: Whether measured accelerations are compared with the network's second derivative (``derivative``), with
-            the observer equation (paper, eq. 8; ``observer``), or with ``both``.
+        acceleration_through: Whether measured accelerations are compared with the network's second derivative
+            (``derivative``), with the observer equation (paper, eq. 8; ``observer``), or with ``both``.
     """
 
     chain: Chain

@@ -19,8 +19,10 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
 
     Args:
         ndof: Number of DOFs.
-        fraction: b_r; without ``unobserved`` the last round(b_r n) DOFs are unobserved (domain extension; paper, section 4.1).
-        unobserved: A list of DOFs, or ``every_2nd``, ``every_3rd``, ...: every second, third, ... DOF is unobserved (interpolation).
+        fraction: b_r; without ``unobserved`` the last round(b_r n) DOFs are unobserved (domain extension; paper,
+            section 4.1).
+        unobserved: A list of DOFs, or ``every_2nd``, ``every_3rd``, ...: every second, third, ... DOF is unobserved
+            (interpolation).
 
     Raises:
         InputError: Any of them outside what is possible, or nothing left to observe.
@@ -38,9 +40,16 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
     else:
         dofs = entries(unobserved)
         if not all(is_whole_number(dof) and 1 <= dof <= ndof for dof in dofs):
-            raise InputError("scheme.unobserved", list(unobserved), f"DOFs from 1 to {ndof}", "DOFs are counted from 1 at the fixed end")
+            raise InputError(
+                "scheme.unobserved",
+                list(unobserved),
+                f"DOFs from 1 to {ndof}",
+                "DOFs are counted from 1 at the fixed end",
+            )
     if len(set(dofs)) == ndof:
-        raise InputError("scheme.unobserved", unobserved, f"fewer than all {ndof} DOFs", "an estimator needs one observed DOF")
+        raise InputError(
+            "scheme.unobserved", unobserved, f"fewer than all {ndof} DOFs", "an estimator needs one observed DOF"
+        )
     return sorted(set(dofs))
 
 
@@ -63,5 +72,7 @@ def sensor_quantities(sensors: Mapping[str, bool]) -> tuple[str, ...]:
             raise InputError(f"scheme.sensors.{name}", chosen, allowed)
     quantities = tuple(q for q in RESPONSE_QUANTITIES if sensors.get(q, False))
     if not quantities:
-        raise InputError("scheme.sensors", dict(sensors), "at least one of displacement, velocity, acceleration set to true")
+        raise InputError(
+            "scheme.sensors", dict(sensors), "at least one of displacement, velocity, acceleration set to true"
+        )
     return quantities

@@ -22,8 +22,8 @@ class SparseRecovery(Scheme):
         unobserved_fraction: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         unobserved: Likewise.
         sensors: What an observed DOF of a simulated record has sensors for.
-        parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds them fixed, as
-            the paper does.
+        parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
+            them fixed, as the paper does.
         acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
 
     Raises:
@@ -43,7 +43,9 @@ class SparseRecovery(Scheme):
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
         if not is_finite_number(parameter_uncertainty) or parameter_uncertainty < 0:
-            raise InputError("scheme.parameter_uncertainty", parameter_uncertainty, "a number >= 0", "0 holds the parameters fixed")
+            raise InputError(
+                "scheme.parameter_uncertainty", parameter_uncertainty, "a number >= 0", "0 holds the parameters fixed"
+            )
         self.parameter_uncertainty = float(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.physics import Tangent
 
-# Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches, and no more
-# than that for Fourier features.
+# Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
+# and no more # than that for Fourier features.
 CHUNK = 2_000_000
 
 
@@ -22,7 +22,8 @@ class ChainRows:
     Attributes:
         stiffness, damping: Derivative by the displacement and velocity of DOFs i-1, i, i+1, each (I, S, n, 3).
         mass: (n,), derivative by the acceleration of DOF i; None without the inertia force.
-        parameter: (I, S, n, kinds, 2), derivative by the parameters of connections i and i+1, per prior standard deviation.
+        parameter: (I, S, n, kinds, 2), derivative by the parameters of connections i and i+1, per prior standard
+            deviation.
     """
 
     stiffness: Tensor
@@ -52,7 +53,7 @@ class ChainRows:
         return cls(_tridiagonal(slope.stiffness), _tridiagonal(slope.damping), mass, parameter)
 
     def jacobian(self, segments: Segments, dofs: slice) -> Tensor:
-        """The given DOFs' rows by the weights that they touch, (I, dofs, S, 3 B): first DOF i-1's features, then i's, then i+1's."""
+        """The given DOFs' rows by the features of DOFs i-1, i, i+1 in this order, (I, dofs, S, 3 B)."""
         displacement, velocity = (phi[:, None, :, None, :] for phi in (segments.displacement, segments.velocity))
         stiffness, damping = (x[:, :, dofs].movedim(2, 1)[..., None] for x in (self.stiffness, self.damping))
         out = displacement * stiffness
@@ -102,7 +103,7 @@ class Blocks:
             self.parameters[dofs] += weighted[..., self.columns :].movedim(1, 0).flatten(1, 2).mT @ by_parameter
 
     def add_own_rows(self, features: Tensor, gram: Tensor, residual: Tensor, weight: Tensor) -> None:
-        """Add rows that touch their own DOF with the same features (I, S, B) everywhere, gram (I, B, B) their products; weight (n,)."""
+        """Add rows that touch their own DOF, with features (I, S, B) and their gram (I, B, B); weight (n,)."""
         own = slice(self.features, 2 * self.features)
         self.readout[:, :, own, own] += gram[:, None] * weight[None, :, None, None]
         self.readout[:, :, own, -1] += ((features.mT @ residual) * weight).mT

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-# Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its largest entry.
+# Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
+# largest entry.
 ROUNDING_JITTER = 1e-14
 
 
@@ -31,7 +32,7 @@ class BorderedSystem:
     corner_gradient: np.ndarray
 
     def factor(self, damping: float = 0.0) -> BorderedFactor | None:
-        """Cholesky factors after scaling the diagonal to one and adding ``damping`` to it; None if the matrix is not positive definite."""
+        """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
         scale = np.sqrt(self.band[0])
         if not np.all(np.isfinite(scale)) or np.any(scale == 0):
             return None
@@ -78,7 +79,7 @@ class BorderedFactor:
 
     @property
     def corner_covariance(self) -> np.ndarray:
-        """(p, p), covariance of the parameters with the readout weights marginalised: the inverse of the Schur complement."""
+        """(p, p), covariance of the parameters, readout weights marginalised: the Schur complement's inverse."""
         inverse = solve_triangular(self.schur, np.eye(len(self.schur)), lower=True)
         return inverse.T @ inverse
 
@@ -90,15 +91,17 @@ class BorderedFactor:
     def inverse_band(self) -> np.ndarray:
         """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.
 
-        Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band, the factor is block bidiagonal, and
-        the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
+        Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band, the factor is block
+        bidiagonal, and the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
         """
         width, size = max(len(self.band) - 1, 1), self.band.shape[1]
         out = np.zeros_like(self.band)
         below = np.zeros((0, 0))
         for start in range((size - 1) // width * width, -1, -width):
             stop, end = min(start + width, size), min(start + 2 * width, size)
-            inverse = solve_triangular(_dense_block(self.band, start, stop, start, stop), np.eye(stop - start), lower=True)
+            inverse = solve_triangular(
+                _dense_block(self.band, start, stop, start, stop), np.eye(stop - start), lower=True
+            )
             gain = _dense_block(self.band, stop, end, start, stop) @ inverse
             coupling = -below @ gain
             diagonal = inverse.T @ inverse - gain.T @ coupling

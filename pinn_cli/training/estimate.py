@@ -39,7 +39,8 @@ class Estimate:
         response: Posterior mean of every quantity at the record's times, (N, n).
         std: Posterior standard deviation of the same; NaN where the training gives none.
         parameters: The parameters that were uncertain, in the order of the connections.
-        history: One row per iteration: ``iteration``, ``seconds``, every loss term ``loss_*`` and every weight ``weight_*``.
+        history: One row per iteration: ``iteration``, ``seconds``, every loss term ``loss_*`` and every weight
+            ``weight_*``.
         summary: Iterations, stop reason, noise levels and the like, for run.json.
     """
 

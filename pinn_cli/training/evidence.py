@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
 from pinn_cli.errors import DivergenceError
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.bordered import BorderedFactor
@@ -13,7 +14,8 @@ from pinn_cli.training.levenberg_marquardt import Solution, minimise
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations, Point
 
-# The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three points.
+# The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three
+# points.
 SCAN_FACTOR = 10.0**0.5
 # A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
 DECISIVE_DROP = 20.0
@@ -21,7 +23,8 @@ DECISIVE_DROP = 20.0
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
 # Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
 PRIOR_PARAMETERS = 0.01
-# Relative change of the spread below which it is settled (a few parameters tell it to some tens of percent), and rounds at most.
+# Relative change of the spread below which it is settled (a few parameters tell it to some tens of percent), and rounds
+# at most.
 SPREAD_TOLERANCE, SPREAD_ROUNDS = 0.05, 4
 
 
@@ -43,10 +46,11 @@ class Trained:
 
 
 class Evidence:
-    """Laplace approximation of the marginal likelihood of a noise model (MacKay 1992), with readout and parameters integrated out.
+    """Laplace approximation of the marginal likelihood of a noise model (MacKay 1992), everything integrated out.
 
-    The physics residual counts as what the features can see of it, K values per DOF with a discrepancy that is white among them; the
-    rest of the force sensors' noise is out of reach of any discrepancy and drops out.
+    Readout and parameters are integrated out. The physics residual counts as what the features can see of it, K values
+    per DOF with a discrepancy that is white among them; the rest of the force sensors' noise is out of reach of any
+    discrepancy and drops out.
     """
 
     def __init__(
@@ -63,7 +67,7 @@ class Evidence:
         self.projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
 
     def train(self, noise: NoiseModel, start: Point) -> Trained | None:
-        """Solve under a noise model; None where the Hessian has no Cholesky factor, which is stiffer than the numbers carry."""
+        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
         equations = self.equations
         watch = lambda losses: self.watch(losses, noise)  # noqa: E731
         solution = minimise(equations, noise, start, self.iterations, self.tolerance, watch)
@@ -86,10 +90,11 @@ class Evidence:
         return -0.5 * (physics + rest + factor.log_determinant - prior)
 
     def scan(self, noise: NoiseModel, largest: float) -> Trained:
-        """Most probable discrepancy and spread of the parameters, from soft physics to stiff, each solution starting at the last.
+        """Most probable discrepancy and spread of the parameters, searched from soft physics to stiff.
 
-        Soft physics is nearly linear and forgives a start at rest; each stiffer problem begins next to its solution. So the search
-        for the noise level is also the continuation that long and stiff records need.
+        Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
+        problem begins next to its solution. So the search for the noise level is also the continuation that long and
+        stiff records need.
 
         Args:
             noise: Sensor noise; its discrepancy is ignored.
@@ -110,7 +115,9 @@ class Evidence:
                 break
             discrepancy /= SCAN_FACTOR
         if best is None:
-            raise DivergenceError("the softest physics already has a singular normal matrix; use fewer knots or more sensors")
+            raise DivergenceError(
+                "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
+            )
         return self._settle_spread(self._refine(tried, best))
 
     def _refine(self, tried: list[Trained], best: Trained) -> Trained:
@@ -121,29 +128,37 @@ class Evidence:
         before, after = tried[middle - 1].log_evidence, tried[middle + 1].log_evidence
         curvature = before - 2.0 * best.log_evidence + after
         offset = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
-        refined = self.train(best.noise.with_discrepancy(best.noise.discrepancy / SCAN_FACTOR**offset), best.solution.point)
-        return refined if _better(refined, best) else best
+        refined = self.train(
+            best.noise.with_discrepancy(best.noise.discrepancy / SCAN_FACTOR**offset), best.solution.point
+        )
+        better = refined is not None and refined.solution.converged and refined.log_evidence > best.log_evidence
+        return refined if refined is not None and better else best
 
     def widen_for_colour(self, trained: Trained) -> Trained:
         """Solve once more with the discrepancy that its own colour asks for.
 
-        The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the features' band has
-        fewer, N_eff, and larger ones; counting K of them makes states look better known than they are. N_eff / K is the
-        bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that the features follow.
+        The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the
+        features' band has fewer, N_eff, and larger ones; counting K of them makes states look better known than they
+        are. N_eff / K is the bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that
+        the features follow.
         """
         equations = self.equations
         enforced = equations.target.unforced if bool(equations.target.unforced.any()) else equations.target.equation
         residual = equations.physics.scatter(equations.residuals(trained.solution.point)["physics"])[:, enforced]
-        share = occupied_band(residual.cpu().numpy(), equations.problem.record.step, equations.network.free_intervals / 2.0)
-        wider = self.train(trained.noise.with_discrepancy(trained.noise.discrepancy / np.sqrt(share)), trained.solution.point)
+        share = occupied_band(
+            residual.cpu().numpy(), equations.problem.record.step, equations.network.free_intervals / 2.0
+        )
+        wider = self.train(
+            trained.noise.with_discrepancy(trained.noise.discrepancy / np.sqrt(share)), trained.solution.point
+        )
         return wider if wider is not None and wider.solution.converged else trained
 
     def learned_spread(self, trained: Trained) -> float:
         """How far the prescribed parameters are off, in common, as far as the record says.
 
-        MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of parameters that the
-        record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen each other;
-        parameters that are wrong free each other.
+        MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of
+        parameters that the record determines and the user's own spread counting as nu parameters. Parameters that are
+        right sharpen each other; parameters that are wrong free each other.
         """
         x = trained.solution.point.parameters
         if not self.learn_spread or len(x) == 0:
@@ -163,7 +178,3 @@ class Evidence:
                 break
             trained = again
         return trained
-
-
-def _better(candidate: Trained | None, best: Trained) -> bool:
-    return candidate is not None and candidate.solution.converged and candidate.log_evidence > best.log_evidence

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pinn_cli.errors import InputError
+from pinn_cli.legal_values import is_finite_number, positive_number, whole_number
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
@@ -20,8 +21,10 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.posterior_estimate import posterior_estimate
 from pinn_cli.training.scales import scales
 
-# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the force scale implies.
+# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
+# force scale implies.
 CONTINUITY_TOLERANCE = 1e-4
+FIXED_WEIGHTS = ("observation", "physics", "continuity")
 
 
 class GaussNewton(Training):
@@ -30,8 +33,9 @@ class GaussNewton(Training):
     Args:
         iterations: Steps at most under one noise model.
         tolerance: Relative decrease of the loss below which a noise model's solution has converged.
-        weights: ``inferred`` (see :mod:`pinn_cli.training.noise_model`), or fixed loss weights lambda by ``observation``, ``physics``
-            and ``continuity`` on residuals that are scaled by the largest measured value of their kind, as in the paper.
+        weights: ``inferred`` (see :mod:`pinn_cli.training.noise_model`), or fixed loss weights lambda by
+            ``observation``, ``physics`` and ``continuity`` on residuals that are scaled by the largest measured value
+            of their kind, as in the paper.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
 
     Raises:
@@ -45,18 +49,21 @@ class GaussNewton(Training):
         weights: str | Mapping[str, float] = "inferred",
         learn_spread: bool = True,
     ) -> None:
-        if iterations < 1:
-            raise InputError("training.iterations", iterations, "an integer >= 1")
-        if not 0 < tolerance < 1:
+        self.iterations = whole_number("training.iterations", iterations, least=1)
+        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
             raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
-        self.iterations, self.tolerance, self.learn_spread = iterations, tolerance, learn_spread
-        self.weights = weights
+        if not isinstance(learn_spread, bool):
+            raise InputError("training.learn_spread", learn_spread, "true or false")
+        self.tolerance, self.learn_spread = tolerance, learn_spread
+        self.weights = _checked_weights(weights)
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
         network = design.build(problem.record)
         if not isinstance(network, LinearReadout):
-            raise InputError("training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout")
+            raise InputError(
+                "training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout"
+            )
         history = History(run.progress)
         equations = NormalEquations(network, problem, run.device)
         evidence = Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
@@ -69,21 +76,32 @@ class GaussNewton(Training):
         force, velocity = scales(problem)
         response, sensors = sensor_noise(network, problem.record)
         noise = NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity)
-        if self.weights == "inferred":
+        if not self.weights:
             return evidence.widen_for_colour(evidence.scan(noise, force))
         trained_fixed = evidence.train(self._fixed(noise, problem.record, force, velocity), evidence.equations.start())
         if trained_fixed is None:
-            raise InputError("training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular")
+            raise InputError(
+                "training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular"
+            )
         return trained_fixed
 
     def _fixed(self, noise: NoiseModel, record: Record, force: float, velocity: float) -> NoiseModel:
         """Noise levels that weigh the residuals as the given lambdas do."""
-        assert isinstance(self.weights, Mapping)
         largest = {q: np.abs(getattr(record, q)).max(axis=0) for q in RESPONSE_QUANTITIES}
-        observation, physics, continuity = (float(self.weights[name]) for name in ("observation", "physics", "continuity"))
+        observation, physics, continuity = (self.weights[name] for name in FIXED_WEIGHTS)
         return NoiseModel(
             {q: value / np.sqrt(observation) for q, value in largest.items()},
             np.where(np.isnan(noise.force), np.nan, 0.0),
             force / np.sqrt(physics),
             velocity / np.sqrt(continuity),
         )
+
+
+def _checked_weights(weights: str | Mapping[str, float]) -> dict[str, float]:
+    """Fixed loss weights by name, empty where they are to be inferred."""
+    if weights == "inferred":
+        return {}
+    if not isinstance(weights, Mapping) or set(weights) != set(FIXED_WEIGHTS):
+        given = dict(weights) if isinstance(weights, Mapping) else weights
+        raise InputError("training.weights", given, f"inferred, or a number for each of {', '.join(FIXED_WEIGHTS)}")
+    return {name: positive_number(f"training.weights.{name}", weights[name]) for name in FIXED_WEIGHTS}

@@ -8,11 +8,11 @@ from torch import Tensor
 
 
 class BandLayout:
-    """Order of the readout weights (feature, dof) that gives the normal matrix the narrower band, and the maps into that band.
+    """Order of the readout weights (feature, dof) that gives the normal matrix the narrower band.
 
-    A residual of DOF i touches the features alive at its time, of DOFs i-1, i and i+1. Ordered by feature first (local features:
-    splines) the half-width is (span of features alive together) * n + 2; ordered by DOF first (global features: Fourier) it is
-    2 * count + span.
+    A residual of DOF i touches the features alive at its time, of DOFs i-1, i and i+1. Ordered by feature first (local
+    features: splines) the half-width is (span of features alive together) * n + 2; ordered by DOF first (global
+    features: Fourier) it is 2 * count + span.
 
     Args:
         feature: (I, B) long, the features of one DOF that are alive in each group.
@@ -32,7 +32,7 @@ class BandLayout:
         self._band_maps()
 
     def _local_columns(self, groups: np.ndarray) -> np.ndarray:
-        """(I, n, 3 B): position of each unknown that a residual of DOF i touches in a group, -1 beyond the chain's ends."""
+        """(I, n, 3 B): position of each unknown that a residual of DOF i touches, -1 beyond the chain's ends."""
         dof = np.arange(self.ndof)[None, :, None, None] + np.arange(-1, 2)[:, None]
         position = self.positions(groups[:, None, None, :], dof)
         inside = np.broadcast_to((dof >= 0) & (dof < self.ndof), position.shape)
@@ -53,7 +53,7 @@ class BandLayout:
         return feature * self.ndof + dof if self.feature_first else dof * self.count + feature
 
     def band(self, blocks: Tensor) -> Tensor:
-        """Sum local blocks (I, n, C, C) into the lower band (half_width + 1, size): entry [i - j, j] is the matrix's [i, j]."""
+        """Sum local blocks (I, n, C, C) into the lower band (half_width + 1, size); [i - j, j] is entry [i, j]."""
         out = blocks.new_zeros((self.half_width + 1) * self.size)
         out.index_add_(0, self._target, blocks.reshape(-1)[self._kept])
         return out.reshape(self.half_width + 1, self.size)
@@ -73,4 +73,6 @@ class BandLayout:
 
     def weights(self, unknowns: Tensor) -> Tensor:
         """Vector of unknowns (size,) as readout weights (count, ndof)."""
-        return unknowns.reshape(self.count, self.ndof) if self.feature_first else unknowns.reshape(self.ndof, self.count).T
+        return (
+            unknowns.reshape(self.count, self.ndof) if self.feature_first else unknowns.reshape(self.ndof, self.count).T
+        )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from pinn_cli.errors import DivergenceError
@@ -26,7 +27,8 @@ class Solution:
         loss: Weighted sum of squares there.
         iterations: Accepted steps.
         converged: Whether the last step changed the loss by less than the tolerance.
-        factor: Undamped factors of the Hessian from which that last, negligible step was taken; None where it did not converge.
+        factor: Undamped factors of the Hessian from which that last, negligible step was taken; None where it did not
+            converge.
     """
 
     point: Point
@@ -46,8 +48,8 @@ def minimise(
 ) -> Solution:
     """Levenberg-Marquardt from a starting point.
 
-    A step is taken when the loss does not rise; otherwise the damping grows tenfold. After an accepted step it falls tenfold, and to
-    zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
+    A step is taken when the loss does not rise; otherwise the damping grows tenfold. After an accepted step it falls
+    tenfold, and to zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
 
     Args:
         equations: The least-squares problem.
@@ -63,7 +65,9 @@ def minimise(
     point, damping = start, 0.0
     loss = sum(equations.losses(point, noise).values())
     if not math.isfinite(loss):
-        raise DivergenceError("the loss is not finite at the start of Gauss-Newton; look for extreme values in the record or parameters")
+        raise DivergenceError(
+            "the loss is not finite at the start of Gauss-Newton; look for extreme values in the record or parameters"
+        )
     for iteration in range(iterations):
         system = equations.assemble(point, noise)
         while True:
@@ -85,5 +89,5 @@ def minimise(
     return Solution(point, loss, iterations, False)
 
 
-def _tensors(step: tuple, like: Point) -> tuple[torch.Tensor, torch.Tensor]:
+def _tensors(step: tuple[np.ndarray, np.ndarray], like: Point) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.as_tensor(step[0]).to(like.unknowns), torch.as_tensor(step[1]).to(like.unknowns)

@@ -1,7 +1,8 @@
-"""Noise levels: what the weights of a least-squares loss mean, lambda = 1 / sigma^2, and how they are read off the record.
+"""Noise levels: what loss weights mean, lambda = 1 / sigma^2, and how they are read off the record.
 
-Sensor noise is white, and shows in each channel beyond what the network's features can follow. Model error is a force on every DOF,
-the discrepancy, as rich as the features and no richer: K independent values per DOF, however often it is sampled.
+Sensor noise is white, and shows in each channel beyond what the network's features can follow. Model error is a force
+on every DOF, the discrepancy, as rich as the features and no richer: K independent values per DOF, however often it is
+sampled.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import white_level
 
-# No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error rule.
+# No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error
+# rule.
 FINEST_SENSOR = 1e-6
 
 

@@ -1,7 +1,7 @@
 """Residuals of a linear-readout network on a chain, and their Gauss-Newton normal equations as a band with a border.
 
-A residual of DOF i at one time touches the features alive there, of DOFs i-1, i, i+1, and the parameters of connections i and i+1. So
-its Jacobian is a short dense row [J | P], and all of a group's rows together give one small dense block.
+A residual of DOF i at one time touches the features alive there, of DOFs i-1, i, i+1, and the parameters of connections
+i and i+1. So its Jacobian is a short dense row [J | P], and all of a group's rows together give one small dense block.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pinn_cli.training.bordered import BorderedSystem
 from pinn_cli.training.layout import BandLayout
 from pinn_cli.training.noise_model import NoiseModel
 
-# Prior on the readout weights, relative to the largest diagonal of the first normal matrix: only keeps directions that nothing
-# measures from running away.
+# Prior on the readout weights, relative to the largest diagonal of the first normal matrix: only keeps directions that
+# nothing # measures from running away.
 RELATIVE_RIDGE = 1e-20
 
 
@@ -100,7 +100,9 @@ class NormalEquations:
         """Every parameter of the chain at a point, each (n,)."""
         n, out = self.problem.record.ndof, dict(self.prescribed)
         if self.kinds:
-            moved = self.target.force.new_zeros(len(self.kinds) * n).index_copy(0, self.column, self.scale * point.parameters)
+            moved = self.target.force.new_zeros(len(self.kinds) * n).index_copy(
+                0, self.column, self.scale * point.parameters
+            )
             for kind, by in zip(self.kinds, moved.reshape(-1, n), strict=True):
                 out[kind] = out[kind] + by
         return out
@@ -116,7 +118,9 @@ class NormalEquations:
     def _states(self, segments: Segments, point: Point) -> States:
         local = self.layout.weights(point.unknowns)[segments.feature]
         continuity = None if segments.continuity is None else segments.continuity @ local
-        return States(segments.displacement @ local, segments.velocity @ local, segments.acceleration @ local, continuity)
+        return States(
+            segments.displacement @ local, segments.velocity @ local, segments.acceleration @ local, continuity
+        )
 
     def flat_states(self, segments: Segments, point: Point) -> States:
         """Motion at a point in the order of the times, each (N, n)."""
@@ -124,7 +128,7 @@ class NormalEquations:
         return States(segments.scatter(displacement), segments.scatter(velocity), segments.scatter(acceleration), None)
 
     def residuals(self, point: Point) -> dict[str, Tensor]:
-        """Every residual by name: ``physics``, ``continuity`` and those of :func:`pinn_cli.physics.observation_masks`."""
+        """Residuals by name: ``physics``, ``continuity``, those of :func:`pinn_cli.physics.observation_masks`."""
         parameters = self.parameters(point)
         observed, states = self.states(self.observation, point), self.states(self.physics, point)
         through = self.problem.acceleration_through
@@ -139,7 +143,9 @@ class NormalEquations:
         like = self.target.force
         mass = self.prescribed["m"].cpu().numpy()
         masks = observation_masks(self.target, self.problem.acceleration_through)
-        out = {name: torch.as_tensor(noise.observation_weight(name, mass)).to(like) * mask for name, mask in masks.items()}
+        out = {
+            name: torch.as_tensor(noise.observation_weight(name, mass)).to(like) * mask for name, mask in masks.items()
+        }
         out["physics"] = torch.as_tensor(1.0 / noise.physics_variance).to(like) * self.target.equation
         if self.physics.continuity is not None:
             out["continuity"] = torch.full_like(self.prescribed["m"], 1.0 / noise.continuity**2)
@@ -157,7 +163,8 @@ class NormalEquations:
     def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
         """Normal matrix and gradient at a point."""
         residuals, weights = self.residuals(point), self.weights(noise)
-        blocks = Blocks(*self.physics.feature.shape, self.problem.record.ndof, len(self.kinds), self.target.force)
+        groups, features = self.physics.feature.shape
+        blocks = Blocks(groups, features, self.problem.record.ndof, len(self.kinds), self.target.force)
         own = self._own_features()
         for name, residual in residuals.items():
             if name == "physics":
@@ -204,7 +211,9 @@ class NormalEquations:
         new = self.target.force.new_zeros
         border, corner, slope = new((self.layout.size, kinds, n)), new((kinds, n, kinds, n)), new((kinds, n))
         for i in range(n) if kinds else ():
-            against = self.layout.columns_of_dof(blocks.readout[:, i, :, blocks.columns : -1], i).unflatten(-1, (kinds, 2))
+            against = self.layout.columns_of_dof(blocks.readout[:, i, :, blocks.columns : -1], i).unflatten(
+                -1, (kinds, 2)
+            )
             block = blocks.parameters[i, :, :-1].reshape(kinds, 2, kinds, 2)
             for x in range(min(2, n - i)):
                 border[:, :, i + x] += against[..., x]

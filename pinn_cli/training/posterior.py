@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.blocks import ChainRows
+from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.normal_equations import NormalEquations, Point
 
 
@@ -27,21 +27,18 @@ class Posterior:
     def states(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
         """Standard deviation of displacement, velocity and acceleration at the segments' times, each (N, n)."""
         features = segments.displacement.shape[-1]
-        own = slice(features, 2 * features)
-        out = []
-        kinds = (segments.displacement, segments.velocity, segments.acceleration)
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
-            position = self.local[:, dof, own]
+            position = self.local[:, dof, features : 2 * features]
             covariance = self._window(position)
             shift = self.solved[position] @ self.root  # (I, B, p)
             for result, phi in zip(results, kinds, strict=True):
-                phi = phi.cpu()
                 variance = ((phi @ covariance) * phi).sum(-1) + (phi @ shift).square().sum(-1)
                 result.append(variance.clamp(min=0).sqrt())
-        for result in results:
-            out.append(segments.scatter(torch.stack(result, -1).to(segments.mask.device)).cpu())
-        return out[0], out[1], out[2]
+        grouped = [torch.stack(result, -1).to(segments.mask.device) for result in results]
+        displacement, velocity, acceleration = (segments.scatter(std).cpu() for std in grouped)
+        return displacement, velocity, acceleration
 
     def force(self) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the collocation points, (N, n)."""

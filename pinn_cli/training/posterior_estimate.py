@@ -41,12 +41,12 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
 
 
 def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
-    """Posterior mean of the force that acts where a sensor measures it: what the motion takes, less the model's own error.
+    """Posterior mean of the force that acts where a sensor measures it: what the motion takes, less model error.
 
-    The residual between the two is discrepancy plus sensor noise, so the mean is the average of the motion's force and of the
-    sensor's (as far as the features follow it), weighted by the other's variance. Without model error that is the motion's force;
-    with a model that is far off it is the filtered measurement. Elsewhere the force stays what the motion takes: on an unforced DOF it
-    shows where the model is wrong.
+    The residual between the two is discrepancy plus sensor noise, so the mean is the average of the motion's force and
+    of the sensor's (as far as the features follow it), weighted by the other's variance. Without model error that is
+    the motion's force; with a model that is far off it is the filtered measurement. Elsewhere the force stays what the
+    motion takes: on an unforced DOF it shows where the model is wrong.
     """
     equations, noise = evidence.equations, trained.noise
     forced = equations.problem.record.sensors("force")

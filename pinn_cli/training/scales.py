@@ -10,9 +10,10 @@ from pinn_cli.scheme.problem import Problem
 
 
 def scales(problem: Problem) -> tuple[float, float]:
-    """Force (N) and velocity (m/s) that the record is about: rms of the measured force, or of mass times measured motion.
+    """Force (N) and velocity (m/s) that the record is about.
 
-    A velocity is worth its acceleration at the band's middle, and so on; only orders of magnitude matter here.
+    Rms of the measured force, or of mass times measured motion. A velocity is worth its acceleration at the band's
+    middle, and so on; only orders of magnitude matter here.
     """
     record = problem.record
     mass = problem.chain.parameters["m"].detach().cpu().numpy()
