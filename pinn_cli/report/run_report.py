@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pandas
 
     from pinn_cli.config import RunConfig
-    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.record import Record, Response, Truth
     from pinn_cli.stages import Stages
     from pinn_cli.training.estimate import Estimate
 
@@ -49,10 +49,20 @@ def write_report(
         write_table(estimate.history, directory / "history.csv")
         write_dataset(response_dataset(estimate, record, truth.response, labels), directory / "response.nc")
     with stages("figures"):
-        write_figures(estimate, record, truth, directory / "figures", truth_label=config.truth_label)
+        write_figures(
+            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label
+        )
     write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
     shown = [parameters_text(parameters), fitness_text(fitness, record.observed, _published(labels))]
     return "\n\n".join(text for text in shown if text)
+
+
+def _equivalent_linear(config: RunConfig) -> Response | None:
+    """The linear chain under the same force, for the figure of a linear model error (paper, Fig. 6)."""
+    if not config.source.simulated or config.model_error.name != "linear":
+        return None
+    true, _ = config.model_error.chains(config.chain)
+    return config.source.measure(true.linearised()).truth.response
 
 
 def _published(labels: dict[str, object]) -> pandas.DataFrame:

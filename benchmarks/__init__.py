@@ -1,0 +1,1 @@
+"""Measurements of speed and scaling: `make bench`. Never part of the tests."""

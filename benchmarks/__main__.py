@@ -1,0 +1,71 @@
+"""Time of training, and how it grows with the number of DOFs and with the record's length: `make bench`.
+
+Every row is one `pinn-run` in a process of its own, with the command's defaults (Duffing chain, SNR 50, 67 % of the DOFs
+unobserved, uncertain parameters). The exponents are slopes of log time over log size between the first row and the last.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pandas as pd
+
+# The paper samples 60 s with 4096 points; longer records keep the rate.
+SAMPLES_PER_MINUTE = 4096
+BY_DOFS = [(6, 60), (20, 60), (100, 60)]
+BY_DURATION = [(6, 60), (6, 240), (6, 960)]
+
+
+def measure(ndof: int, duration: int, directory: Path) -> dict[str, float]:
+    """One run: seconds by stage, iterations, memory and range fitness over all DOFs."""
+    overrides = {
+        "system.ndof": ndof,
+        "simulation.duration": duration,
+        "simulation.samples": SAMPLES_PER_MINUTE * duration // 60,
+        "hydra.run.dir": directory,
+    }
+    command = [sys.executable, "-m", "pinn_cli.main", *(f"{name}={value}" for name, value in overrides.items())]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    run = json.loads((directory / "run.json").read_text())
+    fitness = pd.read_csv(directory / "fitness.csv")
+    fitness = fitness[fitness["group"] == "all"].set_index("quantity")["range_fitness_percent"]
+    return {
+        "ndof": ndof,
+        "duration_s": duration,
+        "training_s": run["seconds"]["estimate"],
+        "total_s": run["seconds"]["total"],
+        "iterations": run["training"]["iterations"],
+        "features_per_dof": run["training"]["features_per_dof"],
+        "memory_mib": run["peak_memory_mib"]["process"],
+        **{f"fitness_{quantity}": fitness[quantity] for quantity in ("displacement", "velocity", "acceleration")},
+    }
+
+
+def exponent(table: pd.DataFrame, size: str) -> float:
+    """Slope of log training time over log size, from the first row to the last."""
+    first, last = table.iloc[0], table.iloc[-1]
+    return math.log(last["training_s"] / first["training_s"]) / math.log(last[size] / first[size])
+
+
+def main() -> None:
+    """Measure, print and write ``outputs/bench/scaling.csv``."""
+    folder = Path("outputs/bench")
+    folder.mkdir(parents=True, exist_ok=True)
+    tables = {}
+    with TemporaryDirectory() as scratch:
+        for size, cases in (("ndof", BY_DOFS), ("duration_s", BY_DURATION)):
+            rows = [measure(*case, Path(scratch) / f"{size}_{i}") for i, case in enumerate(cases)]
+            tables[size] = pd.DataFrame(rows)
+            print(tables[size].round(2).to_string(index=False))
+            print(f"training time grows with {size} to the power {exponent(tables[size], size):.2f}\n", flush=True)
+    pd.concat(tables, names=["scaling"]).reset_index("scaling").to_csv(folder / "scaling.csv", index=False)
+    print(folder / "scaling.csv")
+
+
+if __name__ == "__main__":
+    main()
