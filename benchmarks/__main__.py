@@ -1,7 +1,7 @@
 """Time of training, and how it grows with the number of DOFs and with the record's length: `make bench`.
 
-Every row is one `pinn-run` in a process of its own, with the command's defaults (Duffing chain, SNR 50, 67 % of the DOFs
-unobserved, uncertain parameters). The exponents are slopes of log time over log size between the first row and the last.
+Every row is one `pinn-run` in a process of its own, with its defaults (Duffing chain, SNR 50, 67 % of the DOFs
+unobserved, uncertain parameters). The exponents are slopes of log time over log size from the first row to the last.
 """
 
 from __future__ import annotations
