@@ -38,13 +38,13 @@ class ChainRows:
         Args:
             slope: Derivatives of the internal forces, (I, S, n).
             mass: (n,) or None, see above.
-            acceleration: (I, S, n), what a mass parameter multiplies.
+            acceleration: (I, S, n), what a mass parameter multiplies: the motion's, or the observer's.
             spread: Kind of every uncertain parameter to its prior standard deviations (n,), 0 where it is held fixed.
         """
         blocks = []
         for kind, by in spread.items():
             if kind == "m":
-                inertia = acceleration * by if mass is not None else torch.zeros_like(acceleration)
+                inertia = acceleration * by
                 blocks.append(torch.stack((inertia, torch.zeros_like(inertia)), -1))
             else:
                 own = slope.by_parameter[kind] * by

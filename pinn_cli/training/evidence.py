@@ -21,6 +21,8 @@ SCAN_FACTOR = 10.0**0.5
 DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# Parabolas at most, and the gain in log evidence below which another is not worth a solution.
+REFINEMENTS, NEGLIGIBLE_GAIN = 4, 0.5
 # Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
 PRIOR_PARAMETERS = 0.01
 # Relative change of the spread below which it is settled (a few parameters tell it to some tens of percent), and rounds
@@ -105,7 +107,8 @@ class Evidence:
         best: Trained | None = None
         while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
             trained = self.train(noise.with_discrepancy(discrepancy), point)
-            if trained is None or not (trained.solution.converged or best is None):
+            followed = best is not None and best.solution.converged
+            if trained is None or (followed and not trained.solution.converged):
                 break  # stiffer than these steps or these numbers can follow
             tried.append(trained)
             point, noise = trained.solution.point, noise.with_spread(self.learned_spread(trained))
@@ -121,18 +124,21 @@ class Evidence:
         return self._settle_spread(self._refine(tried, best))
 
     def _refine(self, tried: list[Trained], best: Trained) -> Trained:
-        """One more solution, at the top of the parabola through the best three of the scan."""
-        middle = tried.index(best)
-        if not 0 < middle < len(tried) - 1:
-            return best
-        before, after = tried[middle - 1].log_evidence, tried[middle + 1].log_evidence
-        curvature = before - 2.0 * best.log_evidence + after
-        offset = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
-        refined = self.train(
-            best.noise.with_discrepancy(best.noise.discrepancy / SCAN_FACTOR**offset), best.solution.point
-        )
-        better = refined is not None and refined.solution.converged and refined.log_evidence > best.log_evidence
-        return refined if refined is not None and better else best
+        """Close in on the most probable discrepancy by parabolas through the best and its neighbours."""
+        for _ in range(REFINEMENTS):
+            tried.sort(key=lambda trained: trained.noise.discrepancy)
+            middle = tried.index(best)
+            if not 0 < middle < len(tried) - 1:
+                break
+            top = _parabola_top(tried[middle - 1 : middle + 2])
+            if top is None or top[1] - best.log_evidence < NEGLIGIBLE_GAIN:
+                break
+            trained = self.train(best.noise.with_discrepancy(top[0]), best.solution.point)
+            if trained is None or not trained.solution.converged:
+                break
+            tried.append(trained)
+            best = max(best, trained, key=lambda candidate: candidate.log_evidence)
+        return best
 
     def widen_for_colour(self, trained: Trained) -> Trained:
         """Solve once more with the discrepancy that its own colour asks for.
@@ -178,3 +184,14 @@ class Evidence:
                 break
             trained = again
         return trained
+
+
+def _parabola_top(three: list[Trained]) -> tuple[float, float] | None:
+    """Discrepancy and log evidence at the top of the parabola through three of them; None where it opens upwards."""
+    x = np.log([trained.noise.discrepancy for trained in three])
+    curvature, slope, level = np.polyfit(x - x[1], [trained.log_evidence for trained in three], 2)
+    if curvature >= 0:
+        return None
+    # A lopsided peak throws the parabola onto a neighbour: stay inside.
+    offset = np.clip(-0.5 * slope / curvature, 0.9 * (x[0] - x[1]), 0.9 * (x[2] - x[1]))
+    return float(np.exp(x[1] + offset)), float(level + offset * (slope + curvature * offset))

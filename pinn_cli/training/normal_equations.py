@@ -20,9 +20,10 @@ from pinn_cli.training.bordered import BorderedSystem
 from pinn_cli.training.layout import BandLayout
 from pinn_cli.training.noise_model import NoiseModel
 
-# Prior on the readout weights, relative to the largest diagonal of the first normal matrix: only keeps directions that
-# nothing # measures from running away.
-RELATIVE_RIDGE = 1e-20
+# Prior on the readout weights, relative to the largest diagonal of the first normal matrix: keeps directions that
+# nothing measures from running away. Fourier features on a period longer than the record have such directions: below
+# 1e-15 their Gauss-Newton steps never settle; splines do not notice it.
+RELATIVE_RIDGE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +184,9 @@ class NormalEquations:
         parameters = self.parameters(point)
         displacement, velocity, acceleration, _ = self.states(segments, point)
         slope = tangent(self.chain, parameters, displacement, velocity)
+        if not with_mass:
+            force = self.observation_target.observer_force
+            acceleration = self.chain.acceleration(displacement, velocity, force, parameters)
         return ChainRows.of(slope, parameters["m"] if with_mass else None, acceleration, self.spread)
 
     def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:

@@ -1,0 +1,109 @@
+"""A channel's band and white noise, read off its periodogram."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_problems import accelerations, measured, small_chain, sped_up
+
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.spectrum import occupied_band, periodogram, record_band, signal_band, white_level
+
+DURATION, SAMPLES = 40.0, 2049
+STEP = DURATION / (SAMPLES - 1)
+TIME = np.linspace(0.0, DURATION, SAMPLES)
+
+
+def banded(low: float, high: float, dofs: int = 1) -> np.ndarray:
+    """(N, dofs) of rms 1."""
+    return BandedNoise(dofs, DURATION, SAMPLES, [low, high], 1.0, list(range(1, dofs + 1)), seed=3).signals(TIME)
+
+
+def white(std: float, columns: int = 1, seed: int = 0) -> np.ndarray:
+    return std * np.random.default_rng(seed).normal(size=(SAMPLES, columns))
+
+
+def test_the_periodogram_of_white_noise_is_its_variance():
+    frequency, power = periodogram(white(3.0)[:, 0], STEP)
+    assert frequency[-1] == pytest.approx(0.5 / STEP, rel=1e-3)
+    assert power[2:-2].mean() == pytest.approx(9.0, rel=0.1)
+
+
+def test_the_periodogram_peaks_at_a_sines_frequency():
+    frequency, power = periodogram(7.0 + np.sin(2 * np.pi * 3.0 * TIME), STEP)
+    assert frequency[np.argmax(power)] == pytest.approx(3.0, abs=1.0 / DURATION)
+
+
+@pytest.mark.parametrize("noise", [1e-3, 0.03, 0.3])
+@pytest.mark.parametrize("top", [1.0, 4.0])
+def test_signal_band(top, noise):
+    x = banded(0.1, top)[:, 0] + white(noise)[:, 0]
+    # A Hann window widens a line by two bins.
+    assert signal_band(x, STEP) == pytest.approx(top, abs=0.1 * top + 4.0 / DURATION)
+
+
+def test_the_band_of_white_noise_holds_little_of_it():
+    found = [signal_band(white(1.0, seed=seed)[:, 0], STEP) for seed in range(10)]
+    assert np.median(found) < 0.02 * 0.5 / STEP
+
+
+def test_the_band_does_not_depend_on_the_unit():
+    x = banded(0.1, 2.0)[:, 0] + white(0.05)[:, 0]
+    assert signal_band(1e-6 * x, STEP) == signal_band(x, STEP)
+
+
+@pytest.fixture(scope="module")
+def record():
+    return measured(small_chain(), snr_db=40.0, duration=24.0, samples=769).record
+
+
+def test_the_band_of_a_record_is_that_of_its_widest_channel(record):
+    seen = accelerations(record)
+    channels = [seen.force[:, 0], seen.acceleration[:, 0], seen.acceleration[:, 1]]
+    assert record_band(seen) == max(signal_band(x, seen.step) for x in channels)
+    assert record_band(seen) >= 0.9 * 15.0 / 24.0  # what the excitation reaches
+
+
+def test_the_band_goes_with_the_time_scale(record):
+    assert record_band(sped_up(accelerations(record), 30.0)) == pytest.approx(30.0 * record_band(accelerations(record)))
+
+
+@pytest.mark.parametrize("above", [0.0, 5.0, 24.9, 1000.0])
+def test_white_level(above):
+    found = np.mean([white_level(white(0.2, seed=seed)[:, 0], STEP, above) for seed in range(20)])
+    assert found == pytest.approx(0.2, rel=0.05)
+
+
+def test_white_level_looks_only_above_the_signal():
+    x = banded(0.1, 4.0)[:, 0] + white(0.01)[:, 0]
+    assert white_level(x, STEP, 5.0) == pytest.approx(0.01, rel=0.1)
+
+
+def test_white_level_is_not_fooled_by_an_anti_alias_filter():
+    frequency = np.fft.rfftfreq(SAMPLES, STEP)
+    spectrum = np.fft.rfft(white(0.2)[:, 0]) * (frequency < 0.85 * frequency[-1])
+    assert white_level(np.fft.irfft(spectrum, SAMPLES), STEP, 5.0) == pytest.approx(0.2, rel=0.1)
+
+
+def test_white_histories_fill_the_band():
+    assert occupied_band(white(1.0, columns=4), STEP, 10.0) > 0.85
+
+
+def test_histories_in_a_narrow_band_fill_little_of_it():
+    assert occupied_band(banded(1.0, 1.5, dofs=3), STEP, 10.0) < 0.15
+
+
+def test_histories_fill_the_share_that_they_occupy():
+    assert occupied_band(banded(0.05, 5.0, dofs=4), STEP, 10.0) == pytest.approx(0.5, abs=0.12)
+
+
+def test_what_is_above_the_band_does_not_count():
+    x = banded(0.05, 5.0, dofs=4)
+    assert occupied_band(x + 10.0 * banded(12.0, 13.0, dofs=4), STEP, 10.0) == pytest.approx(
+        occupied_band(x, STEP, 10.0), rel=0.05
+    )
+
+
+def test_silence_is_white():
+    assert occupied_band(np.zeros((100, 2)), STEP, 10.0) == 1.0
+    assert occupied_band(white(1.0), STEP, 0.0) == 1.0

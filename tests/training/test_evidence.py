@@ -1,0 +1,119 @@
+"""The search for the model error: what was put in is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from small_problems import QUANTITIES, excitation, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.record import Record
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+from pinn_cli.training.normal_equations import NormalEquations
+
+DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
+
+
+def disturbed(
+    level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9
+) -> tuple[Evidence, NoiseModel, float]:
+    """A record with a force of rms ``level`` on every DOF that no sensor sees, over a share of the features' band."""
+    chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
+    known = excitation(chain, DURATION, SAMPLES)
+    band = [0.05, share * INTERVALS / DURATION / 2.0]
+    unknown = BandedNoise(3, DURATION, SAMPLES, band, level, [1, 2, 3], seed=seed)
+    truth = simulation.run(chain, lambda t: known.force(t) + unknown.force(t))
+    rng = np.random.default_rng(seed)
+    noisy = [getattr(truth, q) + 0.003 * getattr(truth, q).std() * rng.normal(size=(SAMPLES, 3)) for q in QUANTITIES]
+    force = known.force(simulation.time)
+    force[:, 0] += 0.003 * rng.normal(size=SAMPLES)
+    record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
+    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record))
+    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
+    # K values per DOF carry the power of N samples.
+    put_in = level * np.sqrt(SAMPLES / equations.network.count)
+    return Evidence(equations, 12, 1e-6, lambda losses, noise: None), noise, put_in
+
+
+@pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
+@pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
+def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
+    evidence, noise, put_in = disturbed(level, 1, nonlinearity)
+    best = evidence.scan(noise, 1.0)
+    assert best.solution.converged
+    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_evidence_is_greatest_at_the_discrepancy_that_was_put_in(level, seed):
+    evidence, noise, put_in = disturbed(level, seed)
+    ratios = np.exp(np.linspace(-0.5, 0.5, 21))
+    tried = [evidence.train(noise.with_discrepancy(put_in * x), evidence.equations.start()) for x in ratios]
+    assert ratios[np.argmax([t.log_evidence for t in tried])] == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_derivative_of_the_evidence_is_that_of_its_formula():
+    evidence, noise, put_in = disturbed(0.1, 1)
+    equations = evidence.equations
+
+    def trained(x: float):
+        return evidence.train(noise.with_discrepancy(put_in * np.exp(x)), equations.start())
+
+    middle, step = trained(0.0), 1e-3
+    numerical = (trained(step).log_evidence - trained(-step).log_evidence) / (2 * step)
+    # Physics alone depends on the discrepancy: sum (x^2 - 1) + tr(H^-1 H_physics) per share of the discrepancy.
+    variance, squared = middle.noise.physics_variance, middle.noise.discrepancy**2
+    seen = evidence.projection.sum_of_squares(equations.residuals(middle.solution.point)["physics"])
+    share = squared / variance
+    size = equations.layout.size
+    inverse = np.linalg.inv(dense_band(equations, middle.solution.point, middle.noise))
+    change = dense_band(equations, middle.solution.point, middle.noise, step=1e-4)
+    trace = -0.5 * np.sum(inverse * change)
+    expected = float(((seen / variance - equations.network.count) * share).sum() + trace)
+    assert size == len(inverse)
+    assert numerical == pytest.approx(expected, rel=0.01, abs=0.5)
+
+
+def dense_band(equations: NormalEquations, point, noise: NoiseModel, step: float | None = None) -> np.ndarray:
+    """The Hessian, or its derivative by the logarithm of the discrepancy."""
+    if step is not None:
+        ends = [
+            dense_band(equations, point, noise.with_discrepancy(noise.discrepancy * np.exp(s))) for s in (step, -step)
+        ]
+        return (ends[0] - ends[1]) / (2 * step)
+    band = equations.assemble(point, noise).band
+    lower = sum(np.diag(row[: len(row) - k], -k) for k, row in enumerate(band))
+    return lower + np.tril(lower, -1).T
+
+
+def test_the_evidence_prefers_the_right_stiffness():
+    evidence, noise, put_in = disturbed(0.05, 1)
+    right = evidence.train(noise.with_discrepancy(put_in), evidence.equations.start())
+    chain, record = small_chain("linear", k=12.0), evidence.equations.problem.record
+    wrong = Evidence(NormalEquations(evidence.equations.network, Problem(chain, record)), 12, 1e-6, lambda *a: None)
+    # The ridge is relative to the first matrix: the same in both.
+    wrong.equations.ridge = evidence.equations.ridge
+    assert wrong.train(noise.with_discrepancy(put_in), wrong.equations.start()).log_evidence < right.log_evidence - 10.0
+
+
+def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
+    growth = {}
+    for share in (0.1, 1.0):
+        evidence, noise, _ = disturbed(0.1, 1, share=share)
+        best = evidence.scan(noise, 1.0)
+        growth[share] = evidence.widen_for_colour(best).noise.discrepancy / best.noise.discrepancy
+    assert growth[1.0] < 1.4
+    assert growth[0.1] > 1.5 * growth[1.0]
+
+
+def test_without_parameters_the_spread_stays():
+    evidence, noise, _ = disturbed(0.1, 1)
+    trained = evidence.scan(noise.with_spread(0.7), 1.0)
+    assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
+    assert isinstance(trained.solution.point.parameters, torch.Tensor)

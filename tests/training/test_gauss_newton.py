@@ -1,0 +1,174 @@
+"""Sparse recovery from end to end by Gauss-Newton, on a record of three DOFs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from calls import Compose
+from small_problems import QUANTITIES, measured, small_chain, sped_up
+
+from pinn_cli.config import RunConfig
+from pinn_cli.errors import InputError
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Measurements
+from pinn_cli.report.fitness import fitness_percent
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.chain import Chain
+from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
+
+WITHIN_95 = 1.959964
+
+
+@cache
+def example(hold: str = "exact") -> Measurements:
+    return measured(small_chain(), hold, snr_db=40.0, duration=20.0, samples=1024)
+
+
+def recovered(prescribed: Chain | None = None, record=None, design=None, **settings) -> Estimate:
+    scheme = SparseRecovery(unobserved=[3])
+    problem = scheme.problem(prescribed or small_chain(), scheme.observe(record or example().record))
+    return GaussNewton(**settings).solve(problem, design or Spline(), RunContext())
+
+
+def off_by(relative: float, seed: int) -> Chain:
+    """The chain with every c, k and kappa off by as much, up or down."""
+    chain, rng = small_chain(), np.random.default_rng(seed)
+    factors = {kind: torch.as_tensor(1 + relative * rng.choice([-1, 1], 3)) for kind in ("c", "k", "kappa")}
+    return chain.with_parameters(**{kind: chain.parameters[kind] * factor for kind, factor in factors.items()})
+
+
+def covered(estimate: Estimate, truth, quantity: str) -> np.ndarray:
+    error = getattr(estimate.response, quantity) - getattr(truth, quantity)
+    return (np.abs(error) < WITHIN_95 * getattr(estimate.std, quantity)).mean(axis=0)
+
+
+@pytest.mark.parametrize("design", [Spline(), Fourier()], ids=["spline", "fourier"])
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_an_unobserved_dof_is_recovered(hold, design):
+    estimate, truth = recovered(record=example(hold).record, design=design), example(hold).truth.response
+    for quantity in QUANTITIES:
+        fitness = fitness_percent(getattr(estimate.response, quantity), getattr(truth, quantity))
+        assert fitness[2] > 95.0, quantity
+
+
+def test_the_95_percent_band_covers_the_truth():
+    estimate = recovered()
+    for quantity in QUANTITIES:
+        assert 0.85 <= covered(estimate, example().truth.response, quantity).mean() <= 1.0, quantity
+    assert estimate.summary["stop_reason"] == "converged"
+    assert estimate.std.displacement.mean() < 0.05 * example().truth.response.displacement.std()
+
+
+def test_there_is_no_time_scale_anywhere():
+    speed, slow, truth = 30.0, recovered(), example().truth.response
+    record = sped_up(example().record, speed)
+    chain = build_chain(3, Duffing(), m=10.0, c=speed, k=15.0 * speed**2, kappa=100.0 * speed**2)
+    fast = recovered(chain, replace(record, force=record.force * speed**2))
+    for order, quantity in enumerate(QUANTITIES):
+        wanted = fitness_percent(getattr(slow.response, quantity), getattr(truth, quantity))
+        given = fitness_percent(getattr(fast.response, quantity), speed**order * getattr(truth, quantity))
+        np.testing.assert_allclose(given, wanted, atol=0.01)
+
+
+def test_twice_is_the_same_to_the_last_bit():
+    first, second = recovered(), recovered()
+    for quantity in (*QUANTITIES, "force"):
+        for kind in ("response", "std"):
+            np.testing.assert_array_equal(*(getattr(getattr(e, kind), quantity) for e in (first, second)))
+    assert [vars(p) for p in first.parameters] == [vars(p) for p in second.parameters]
+    assert first.summary == second.summary
+
+
+def test_right_parameters_sharpen_each_other():
+    estimate = recovered()
+    assert estimate.summary["parameter_spread"] < 0.5
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_wrong_parameters_free_each_other(seed):
+    estimate = recovered(off_by(0.07, seed))
+    assert 0.5 < estimate.summary["parameter_spread"] < 2.0
+    for p in estimate.parameters:
+        if p.name.startswith("k_"):
+            assert p.estimate == pytest.approx(15.0, rel=0.02)
+
+
+def test_a_spread_that_is_not_learned_stays():
+    assert recovered(learn_spread=False).summary["parameter_spread"] == 1.0
+
+
+def test_intervals_are_centred_and_named():
+    parameters = recovered().parameters
+    assert [p.name for p in parameters] == [f"{kind}_{i}" for kind in ("c", "k", "kappa") for i in (1, 2, 3)]
+    for p in parameters:
+        assert p.lower_90 < p.estimate < p.upper_90
+        assert p.upper_90 - p.lower_90 == pytest.approx(2 * 1.6448536 * p.std)
+
+
+def test_history_has_a_row_per_step():
+    estimate = recovered()
+    table = estimate.history
+    assert list(table["iteration"]) == list(range(1, estimate.summary["iterations"] + 1))
+    assert table["seconds"].is_monotonic_increasing
+    assert {
+        "loss_acceleration",
+        "loss_physics",
+        "loss_prior",
+        "weight_acceleration",
+        "weight_forced",
+        "weight_unforced",
+    } <= set(table)
+    assert table.notna().all(axis=None)
+
+
+def test_fixed_weights():
+    weights = {"observation": 1.0, "continuity": 10.0, "physics": 100.0}
+    estimate = recovered(weights=weights, iterations=40)
+    truth = example().truth.response
+    largest = np.abs(example().record.acceleration).max(axis=0)
+    np.testing.assert_allclose(estimate.summary["sigma_acceleration"][:2], largest[:2])
+    assert fitness_percent(estimate.response.acceleration, truth.acceleration)[0] > 80.0
+
+
+def test_a_network_without_linear_readout_is_an_input_error():
+    with pytest.raises(InputError, match=r"training=gauss_newton: must be adam.*network=mlp has no linear readout"):
+        recovered(design=Mlp(2, 8, "sine"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"iterations": 0}, "training.iterations=0"),
+        ({"tolerance": 0.0}, "training.tolerance=0.0"),
+        ({"tolerance": 1.0}, "training.tolerance=1.0"),
+    ],
+)
+def test_impossible_settings_are_named(settings, named):
+    with pytest.raises(InputError) as error:
+        GaussNewton(**settings)
+    assert str(error.value).startswith(named)
+
+
+@pytest.mark.slow
+def test_coverage_over_noise_seeds_of_the_default_problem(composed: Compose):
+    shares = []
+    for seed in range(10):
+        config = RunConfig.read(composed("noise.snr_db=20", f"seed={seed}"), base=Path.cwd())
+        true, prescribed = config.model_error.chains(config.chain)
+        measurements = config.source.measure(true)
+        problem = config.scheme.problem(prescribed, config.observe(measurements.record))
+        estimate = config.training.solve(problem, config.network, RunContext(seed=seed))
+        shares.append([covered(estimate, measurements.truth.response, quantity).mean() for quantity in QUANTITIES[:2]])
+    displacement, velocity = np.mean(shares, axis=0)
+    assert 0.88 <= displacement <= 0.99
+    assert 0.88 <= velocity <= 0.99
