@@ -59,7 +59,10 @@ def main() -> None:
     tables = {}
     with TemporaryDirectory() as scratch:
         for size, cases in (("ndof", BY_DOFS), ("duration_s", BY_DURATION)):
-            rows = [measure(*case, Path(scratch) / f"{size}_{i}") for i, case in enumerate(cases)]
+            rows = []
+            for i, case in enumerate(cases):
+                rows.append(measure(*case, Path(scratch) / f"{size}_{i}"))
+                print(f"{case[0]} DOFs, {case[1]} s: training {rows[-1]['training_s']:.1f} s", flush=True)
             tables[size] = pd.DataFrame(rows)
             print(tables[size].round(2).to_string(index=False))
             print(f"training time grows with {size} to the power {exponent(tables[size], size):.2f}\n", flush=True)
