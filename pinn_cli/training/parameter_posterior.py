@@ -28,9 +28,11 @@ def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[l
     estimates = []
     for i, p in enumerate(equations.problem.uncertain):
         posterior = truncnorm((p.lower - peak[i]) / spread[i], np.inf, peak[i], spread[i])
-        lower, upper = (p.prescribed + scale[i] * x for x in posterior.ppf(NINETY_PERCENT))
-        values = (p.prescribed, p.prescribed + scale[i] * point[i], scale[i] * posterior.std(), lower, upper, prior[i])
-        estimates.append(ParameterEstimate(p.name, *(float(x) for x in values), p.unknown))
+        lower, upper = (float(p.prescribed + scale[i] * x) for x in posterior.ppf(NINETY_PERCENT))
+        estimate, std = float(p.prescribed + scale[i] * point[i]), float(scale[i] * posterior.std())
+        estimates.append(
+            ParameterEstimate(p.name, p.prescribed, estimate, std, lower, upper, float(prior[i]), p.unknown)
+        )
     return estimates, covariance / np.outer(spread, spread)
 
 
