@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import Response
@@ -17,10 +19,12 @@ class ParameterEstimate:
 
     Attributes:
         name: Kind and connection, counted from 1: ``k_2``, ``kappa_4``.
-        prescribed: The value that the estimator was given.
-        estimate: The value that it found; the prescribed one where it was held fixed.
-        std: Posterior standard deviation, 0 where held fixed, NaN where the training gives none.
+        prescribed: The value that the estimator was given: believed, or where an unknown one started.
+        estimate: The value that it found.
+        std: Posterior standard deviation, NaN where the training gives none.
         lower_90, upper_90: The central 90 % interval.
+        prior_std: Prior standard deviation, NaN where there was none.
+        unknown: Whether it was identified from the record alone; otherwise it was prescribed and merely uncertain.
     """
 
     name: str
@@ -29,6 +33,8 @@ class ParameterEstimate:
     std: float
     lower_90: float
     upper_90: float
+    prior_std: float = math.nan
+    unknown: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +48,7 @@ class Estimate:
         history: One row per iteration: ``iteration``, ``seconds``, every loss term ``loss_*`` and every weight
             ``weight_*``.
         summary: Iterations, stop reason, noise levels and the like, for run.json.
+        correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
     """
 
     response: Response
@@ -49,6 +56,7 @@ class Estimate:
     parameters: list[ParameterEstimate]
     history: pd.DataFrame
     summary: dict[str, Any]
+    correlation: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
