@@ -58,7 +58,13 @@ def write_report(
         write_dataset(response_dataset(estimate, record, truth.response, labels), directory / "response.nc")
     with stages("figures"):
         write_figures(
-            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label
+            estimate,
+            record,
+            truth,
+            directory / "figures",
+            _equivalent_linear(config),
+            truth_label=config.truth_label,
+            units=config.chain.units,
         )
     write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
     shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
