@@ -74,3 +74,7 @@ class NetworkDesign(ABC):
     @abstractmethod
     def build(self, record: Record, dtype: torch.dtype = torch.float64) -> Network:
         """A network fitted to the record's span, band and amplitudes (never to its truth), untrained."""
+
+    def refined(self) -> NetworkDesign:
+        """The same for a problem with unknown parameters, which a network too coarse for the motion would bias."""
+        return self

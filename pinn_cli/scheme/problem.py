@@ -2,32 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 from pinn_cli.record.record import Record
 from pinn_cli.system.chain import Chain
 
+# What measured accelerations can be compared with.
+THROUGH = ("derivative", "observer", "both")
+
 
 @dataclass(frozen=True, eq=False)
 class UncertainParameter:
-    """A parameter of one connection that is learned along with the states, under a Gaussian prior.
+    """A parameter of one connection that is estimated along with the states, under a Gaussian prior.
 
     Attributes:
         kind: ``m``, ``c``, ``k``, ``kappa``, ...
         dof: Its connection, counted from 0.
-        prescribed: Prior mean, the value that the user believes in.
+        prescribed: Prior mean: the value that the user believes in, or where an unknown one starts.
         prior_std: Prior standard deviation, in the parameter's unit.
+        unknown: Whether it is to be identified from the record; otherwise it is believed, and its prior may be
+            sharpened or widened together with that of all others that are believed.
+        positive: Whether it cannot be below zero.
     """
 
     kind: str
     dof: int
     prescribed: float
     prior_std: float
+    unknown: bool = False
+    positive: bool = False
 
     @property
     def name(self) -> str:
         """Kind and connection, counted from 1, as tables print it: ``k_2``."""
         return f"{self.kind}_{self.dof + 1}"
+
+    @property
+    def lower(self) -> float:
+        """Least value, in prior standard deviations from the prescribed one."""
+        return -self.prescribed / self.prior_std if self.positive else -math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +49,7 @@ class Problem:
     """One estimation problem.
 
     Attributes:
-        chain: The prescribed model.
+        chain: The prescribed model; of an unknown parameter it has the value at which it starts.
         record: What was measured, with the sensors that the scheme allows.
         uncertain: The parameters that may move; all others are held at their prescribed values.
         acceleration_through: Whether measured accelerations are compared with the network's second derivative
@@ -47,6 +61,7 @@ class Problem:
     uncertain: tuple[UncertainParameter, ...] = ()
     acceleration_through: str = "derivative"
 
-    def without_uncertainty(self) -> Problem:
-        """The same problem with every parameter held fixed."""
-        return replace(self, uncertain=())
+    @property
+    def identifies(self) -> bool:
+        """Whether any parameter is unknown."""
+        return any(parameter.unknown for parameter in self.uncertain)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinn_cli.errors import InputError
 from pinn_cli.legal_values import entries, is_finite_number, is_whole_number
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 
 PATTERN = re.compile(r"every_(\d+)(?:st|nd|rd|th)")
 
@@ -51,6 +51,15 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
             "scheme.unobserved", unobserved, f"fewer than all {ndof} DOFs", "an estimator needs one observed DOF"
         )
     return sorted(set(dofs))
+
+
+def observed_through(
+    record: Record, quantities: Sequence[str], fraction: float, unobserved: str | Sequence[int] | None
+) -> Record:
+    """A simulated record with sensors for the given quantities on the observed DOFs; see :func:`unobserved_dofs`."""
+    hidden = unobserved_dofs(record.ndof, fraction, unobserved)
+    observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
+    return record.keep(dict.fromkeys(quantities, observed))
 
 
 def _pattern(text: str, ndof: int) -> list[int]:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, one_of
+from pinn_cli.legal_values import one_of
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
-from pinn_cli.scheme.problem import Problem, UncertainParameter
-from pinn_cli.scheme.sensors import sensor_quantities, unobserved_dofs
+from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.problem import THROUGH, Problem
+from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.system.chain import Chain
-
-THROUGH = ("derivative", "observer", "both")
 
 
 class SparseRecovery(Scheme):
@@ -42,25 +40,14 @@ class SparseRecovery(Scheme):
     ) -> None:
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
-        if not is_finite_number(parameter_uncertainty) or parameter_uncertainty < 0:
-            raise InputError(
-                "scheme.parameter_uncertainty", parameter_uncertainty, "a number >= 0", "0 holds the parameters fixed"
-            )
-        self.parameter_uncertainty = float(parameter_uncertainty)
+        self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
-        hidden = unobserved_dofs(record.ndof, self.unobserved_fraction, self.unobserved)
-        observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
-        return record.keep(dict.fromkeys(self.quantities, observed))
+        return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved)
 
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""
-        uncertain = tuple(
-            UncertainParameter(kind, dof, float(value), self.parameter_uncertainty * abs(float(value)))
-            for kind, values in prescribed.parameters.items()
-            for dof, value in enumerate(values)
-            if kind != "m" and self.parameter_uncertainty * float(value) != 0
-        )
+        uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         return Problem(prescribed, record, uncertain, self.acceleration_through)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy.optimize import lsq_linear
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.
@@ -70,12 +71,25 @@ class BorderedFactor:
     solved_border: np.ndarray
     schur: np.ndarray
 
-    def step(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
-        """Solution (w, x) of the system."""
+    def step(self, system: BorderedSystem, lower: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Solution (w, x) of the system: the least of its quadratic form, with x >= lower if that is given.
+
+        With the readout weights eliminated the bounded problem is as small as the parameters are few, so the bounds
+        are met exactly and not by a penalty or a transformation.
+        """
         free = _band_solve(self.band, self.scale, system.gradient)
         right = system.border.T @ free - system.corner_gradient
         x = self.corner_covariance @ right
+        if lower is not None and np.any(x < lower):
+            x = self._bounded(right, lower)
         return -free - self.solved_border @ x, x
+
+    def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
+        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement."""
+        unit = 1.0 / np.linalg.norm(self.schur, axis=1)
+        target = solve_triangular(self.schur, right, lower=True)
+        bounds = (np.minimum(lower, 0.0) / unit, np.full(len(unit), np.inf))
+        return unit * np.asarray(lsq_linear(self.schur.T * unit, target, bounds, method="bvls").x)
 
     @property
     def corner_covariance(self) -> np.ndarray:

@@ -88,7 +88,7 @@ class Evidence:
         count = equations.network.count
         physics = float((seen / variance).sum() + count * np.log(variance).sum())
         rest = sum(value for name, value in losses.items() if name != "physics")
-        prior = -2.0 * len(point.parameters) * np.log(noise.spread)
+        prior = -2.0 * int((~equations.unknown).sum()) * np.log(noise.spread)
         return -0.5 * (physics + rest + factor.log_determinant - prior)
 
     def scan(self, noise: NoiseModel, largest: float) -> Trained:
@@ -166,10 +166,11 @@ class Evidence:
         parameters that the record determines and the user's own spread counting as nu parameters. Parameters that are
         right sharpen each other; parameters that are wrong free each other.
         """
-        x = trained.solution.point.parameters
+        believed = ~self.equations.unknown
+        x = trained.solution.point.parameters[believed]
         if not self.learn_spread or len(x) == 0:
             return trained.noise.spread
-        variance = np.diag(trained.factor.corner_covariance) / trained.noise.spread**2
+        variance = np.diag(trained.factor.corner_covariance)[believed.cpu().numpy()] / trained.noise.spread**2
         determined = float((1.0 - variance).clip(min=0.0).sum())
         return float(np.sqrt((PRIOR_PARAMETERS + float(x.square().sum())) / (PRIOR_PARAMETERS + determined)))
 

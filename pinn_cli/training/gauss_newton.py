@@ -59,7 +59,7 @@ class GaussNewton(Training):
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
-        network = design.build(problem.record)
+        network = (design.refined() if problem.identifies else design).build(problem.record)
         if not isinstance(network, LinearReadout):
             raise InputError(
                 "training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout"

@@ -73,7 +73,7 @@ def minimise(
         while True:
             factor = system.factor(damping)
             if factor is not None:
-                moved = point.moved(_tensors(factor.step(system), point))
+                moved = point.moved(_tensors(factor.step(system, equations.room_below(point)), point))
                 terms = equations.losses(moved, noise)
                 if sum(terms.values()) <= loss * (1.0 + 1e-12):
                     break

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -76,6 +77,8 @@ class NormalEquations:
         column = [self.kinds.index(p.kind) * n + p.dof for p in uncertain]
         self.column = torch.tensor(column, dtype=torch.long, device=like.device)
         self.scale = torch.tensor([p.prior_std for p in uncertain], dtype=like.dtype, device=like.device)
+        self.unknown = torch.tensor([p.unknown for p in uncertain], dtype=torch.bool, device=like.device)
+        self.lower = np.array([p.lower for p in uncertain])
         # 0 where a parameter is held fixed: its column then vanishes.
         spread = like.new_zeros(len(self.kinds) * n).index_copy(0, self.column, self.scale)
         self.spread = dict(zip(self.kinds, spread.reshape(-1, n), strict=True))
@@ -152,12 +155,17 @@ class NormalEquations:
             out["continuity"] = torch.full_like(self.prescribed["m"], 1.0 / noise.continuity**2)
         return out
 
+    def room_below(self, point: Point) -> np.ndarray:
+        """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
+        room: np.ndarray = self.lower - point.parameters.cpu().numpy()
+        return np.minimum(room, 0.0)
+
     def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
         """Weighted sum of squares of every residual, of the parameters' prior and of the ridge."""
         residuals = self.residuals(point)
         weights = self.weights(noise)
         out = {name: float((weights[name] * r.square()).sum()) for name, r in residuals.items()}
-        out["prior"] = float(point.parameters.square().sum()) / noise.spread**2
+        out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
         out["ridge"] = (self.ridge or 0.0) * float(point.unknowns.square().sum())
         return out
 
@@ -177,7 +185,7 @@ class NormalEquations:
                 blocks.add_chain_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
             else:
                 blocks.add_own_rows(own[name][1], self.grams[name], residual, weights[name])
-        return self._system(blocks, point, noise.spread**-2)
+        return self._system(blocks, point, self.precision(noise))
 
     def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> ChainRows:
         """Linearised equation of motion at a point, with or without its inertia force."""
@@ -196,7 +204,11 @@ class NormalEquations:
         out[..., dof : dof + 2] = parameter[..., : min(2, n - dof)]
         return out.flatten(-2)[..., self.column.to(parameter.device)]
 
-    def _system(self, blocks: Blocks, point: Point, precision: float) -> BorderedSystem:
+    def precision(self, noise: NoiseModel) -> Tensor:
+        """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
+        return torch.where(self.unknown, 1.0, noise.spread**-2)
+
+    def _system(self, blocks: Blocks, point: Point, precision: Tensor) -> BorderedSystem:
         band = self.layout.band(blocks.readout[..., : blocks.columns])
         gradient = self.layout.vector(blocks.readout[..., -1:])[:, 0]
         if self.ridge is None:
@@ -204,7 +216,7 @@ class NormalEquations:
         band[0] += self.ridge
         gradient = gradient + self.ridge * point.unknowns
         border, corner, slope = self._border(blocks)
-        corner = corner + precision * torch.eye(len(corner)).to(corner)
+        corner = corner + torch.diag(precision).to(corner)
         slope = slope + precision * point.parameters
         arrays = (x.detach().cpu().numpy() for x in (band, border, corner, gradient, slope))
         return BorderedSystem(*arrays)

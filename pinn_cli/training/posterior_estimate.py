@@ -9,14 +9,11 @@ import torch
 
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import Response
-from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
-from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.parameter_posterior import parameter_posterior
 from pinn_cli.training.posterior import Posterior
-
-# Half-width of a central 90 % interval of a Gaussian, in standard deviations.
-NINETY_PERCENT = 1.6448536269514722
 
 
 def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
@@ -37,7 +34,8 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "sigma_force": _listed(trained.noise.force),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
-    return Estimate(response, std, _parameters(equations, trained), history.table(), summary)
+    parameters, correlation = parameter_posterior(equations, trained)
+    return Estimate(response, std, parameters, history.table(), summary, correlation)
 
 
 def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
@@ -66,15 +64,3 @@ def _share_force(evidence: Evidence, trained: Trained, response: Response, std: 
 
 def _listed(sigma: np.ndarray) -> list[float | None]:
     return [None if np.isnan(s) else float(s) for s in sigma]
-
-
-def _parameters(equations: NormalEquations, trained: Trained) -> list[ParameterEstimate]:
-    scale = equations.scale.cpu().numpy()
-    std = scale * np.sqrt(np.diag(trained.factor.corner_covariance))
-    moved = scale * trained.solution.point.parameters.cpu().numpy()
-    mean = np.array([p.prescribed for p in equations.problem.uncertain]) + moved
-    lower, upper = mean - NINETY_PERCENT * std, mean + NINETY_PERCENT * std
-    return [
-        ParameterEstimate(p.name, p.prescribed, *(float(x) for x in values))
-        for p, *values in zip(equations.problem.uncertain, mean, std, lower, upper, strict=True)
-    ]

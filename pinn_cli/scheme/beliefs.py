@@ -1,0 +1,40 @@
+"""Parameters that the user believes in, but for a few per cent."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import is_finite_number
+from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.system.chain import Chain
+
+
+def checked_uncertainty(value: Any) -> float:
+    """``scheme.parameter_uncertainty`` as a number.
+
+    Raises:
+        InputError: It is none, or negative.
+    """
+    if not is_finite_number(value) or value < 0:
+        raise InputError("scheme.parameter_uncertainty", value, "a number >= 0", "0 holds the parameters fixed")
+    return float(value)
+
+
+def believed_parameters(
+    chain: Chain, uncertainty: float, but: Collection[tuple[str, int]] = ()
+) -> tuple[UncertainParameter, ...]:
+    """Every parameter of a chain but its masses, with a relative prior standard deviation.
+
+    Args:
+        chain: The prescribed model.
+        uncertainty: The standard deviation over the value; 0 leaves every parameter fixed.
+        but: (kind, connection from 0) of parameters that are left out.
+    """
+    return tuple(
+        UncertainParameter(kind, dof, float(value), uncertainty * abs(float(value)))
+        for kind, values in chain.parameters.items()
+        for dof, value in enumerate(values)
+        if kind != "m" and (kind, dof) not in but and uncertainty * float(value) != 0
+    )

@@ -1,0 +1,45 @@
+"""How large a parameter may be that nobody knows, read off the record: where it starts, and how far it may go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.record import Record
+from pinn_cli.system.chain import Chain
+
+
+def parameter_scales(chain: Chain, record: Record) -> dict[str, float]:
+    """Kind of parameter to the value with which it alone would carry the force that acts, at the motion that there is.
+
+    With F, U, V, A the root mean squares of force, displacement, velocity and acceleration: m is F / A, c is F / V, k
+    is F / U, and a nonlinear parameter is F over the force that a value of one makes at (U, V). Only orders of
+    magnitude: an elongation is not a displacement.
+
+    Args:
+        chain: For its nonlinearity; its parameters are not read.
+        record: What was measured.
+    """
+    size = motion_amplitudes(record)
+    measured = record.force[:, record.sensors("force")]
+    force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0
+    # Without a load cell there is no force to compare with: newtons then have no scale but one kilogram's.
+    force = force if force > 0 else size["acceleration"]
+    u, v = (np.full(record.ndof, size[quantity]) for quantity in ("displacement", "velocity"))
+    scales = {}
+    for kind in chain.parameters:
+        if kind == "m":
+            scales[kind] = force / size["acceleration"]
+            continue
+        alone = {name: np.full(record.ndof, float(name == kind)) for name in chain.parameters}
+        per_unit = abs(float(chain.connection_force(u, v, alone)[0]))
+        scales[kind] = force / per_unit if per_unit > 0 else 1.0
+    return scales
+
+
+def starting_value(kind: str, scale: float) -> float:
+    """Where an unknown parameter starts when the user does not say: masses and springs at their scale, others at 0.
+
+    A chain without damping and nonlinearity is a chain; one without springs or masses is none.
+    """
+    return scale if kind in ("m", "k") else 0.0

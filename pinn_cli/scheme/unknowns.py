@@ -1,0 +1,126 @@
+"""Which parameters are unknown, as a user says it: names and patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Any
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import entries, is_finite_number
+from pinn_cli.record.record import Record
+from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
+
+# (kind, connection counted from 0)
+Place = tuple[str, int]
+
+
+def all_names(chain: Chain) -> dict[str, Place]:
+    """``k_2`` to ("k", 1), for every parameter of the chain, in its order."""
+    return {f"{kind}_{dof + 1}": (kind, dof) for kind in chain.parameters for dof in range(chain.ndof)}
+
+
+def unknown_places(chain: Chain, record: Record, unknown: str | Sequence[str] | None) -> list[Place]:
+    """The unknown parameters, in the chain's order.
+
+    Args:
+        chain: The prescribed model.
+        record: What the estimator sees.
+        unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
+            the nonlinear parameter of every connection whose DOF has no sensor (paper, section 4.2).
+
+    Raises:
+        InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
+    """
+    names = all_names(chain)
+    if unknown is None:
+        kinds = {"k", *chain.parameters} - {"m", "c"}
+        chosen = {name for name, (kind, dof) in names.items() if kind in kinds and not record.observed[dof]}
+        if not chosen:
+            raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
+    else:
+        patterns = [unknown] if isinstance(unknown, str) else entries(unknown)
+        chosen = {name for pattern in patterns for name in _matching(pattern, chain, names, "scheme.unknown")}
+        if not chosen:
+            raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
+    places = [place for name, place in names.items() if name in chosen]
+    for place in places:
+        _check_touched(place, record)
+    return places
+
+
+def _matching(pattern: Any, chain: Chain, names: Mapping[str, Place], setting: str) -> list[str]:
+    found = [name for name in names if isinstance(pattern, str) and fnmatchcase(name, pattern)]
+    if not found:
+        kinds = ", ".join(chain.parameters)
+        allowed = f"one of {kinds} with _1 to _{chain.ndof}, or a pattern such as k_* (any connection)"
+        raise InputError(setting, pattern, allowed, f"the estimator's model is a {chain.nonlinearity.name} chain")
+    return found
+
+
+def _check_touched(place: Place, record: Record) -> None:
+    """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
+    kind, dof = place
+    ends = [dof] if kind == "m" else [dof - 1, dof]
+    enforced = record.unforced | record.sensors("force")
+    if not any(enforced[end] for end in ends if end >= 0):
+        raise InputError(
+            "scheme.unknown",
+            f"{kind}_{dof + 1}",
+            "parameters that an equation of motion contains",
+            "the forces on the DOFs at its ends are unknown, so nothing says what it is",
+        )
+    jumps = record.intersample == "zero_order_hold" and record.sensors("force")[dof]
+    if kind == "m" and jumps and record.sensors("acceleration")[dof]:
+        raise InputError(
+            "scheme.unknown",
+            f"m_{dof + 1}",
+            "another parameter, or a record whose force is not held between samples",
+            "a held force makes that DOF's measured acceleration jump by an amount that needs its mass",
+        )
+
+
+def initial_values(
+    chain: Chain, given: Mapping[str, float | None] | None, positive: Sequence[str]
+) -> dict[Place, float]:
+    """Where unknown parameters start, by place, for those that the user says something about.
+
+    Args:
+        chain: The prescribed model.
+        given: Kind, name or pattern to value; later entries overrule earlier ones; None: nothing said.
+        positive: Kinds that cannot be negative.
+
+    Raises:
+        InputError: A name that does not exist, no number, or a value that violates the kind's constraint.
+    """
+    names, out = all_names(chain), {}
+    for key, value in (given or {}).items():
+        if value is None:
+            continue
+        setting = f"scheme.initial.{key}"
+        if not is_finite_number(value):
+            raise InputError(setting, value, "a finite number, or null: from the record")
+        # A kind without a connection means all of them; one that this chain lacks is another nonlinearity's.
+        if key in (*LINEAR_PARAMETERS, "kappa", "mu") and key not in chain.parameters:
+            continue
+        pattern = f"{key}_*" if key in chain.parameters else key
+        for name in _matching(pattern, chain, names, setting):
+            kind = names[name][0]
+            if (kind in positive and value < 0) or (kind == "m" and value == 0):
+                why = f"scheme.positive=[{', '.join(positive)}] keeps {kind} from falling below zero"
+                raise InputError(setting, value, "> 0" if kind == "m" else ">= 0", why)
+            out[names[name]] = float(value)
+    return out
+
+
+def checked_positive(positive: Any) -> tuple[str, ...]:
+    """``scheme.positive`` as a tuple of kinds.
+
+    Raises:
+        InputError: It is no list of words.
+    """
+    kinds = entries(positive)
+    is_list = isinstance(positive, Sequence) and not isinstance(positive, str)
+    if not is_list or not all(isinstance(kind, str) for kind in kinds):
+        raise InputError("scheme.positive", positive, "a list of kinds of parameters, such as [m, c, k]")
+    return tuple(kinds)
