@@ -110,8 +110,10 @@ def _own_findings(p: ParameterEstimate) -> list[str]:
     of_value = f"its standard deviation is {_percent(relative)} of its value"
     if not np.isfinite(p.std):
         finding = f"{p.name} has no standard deviation: this training gives none"
-    elif p.prescribed and abs(p.estimate) <= 1e-9 * abs(p.prescribed):
+    elif p.unknown and abs(p.estimate) <= 1e-9 * max(abs(p.prescribed), p.std):
         finding = f"{p.name} is held at its lower bound of 0: the record asks for less"
+    elif not p.unknown and ratio > LEANS_ON_PRIOR:
+        finding = f"{p.name} rests on its prescribed value: its standard deviation is {_percent(ratio)} of the prior's"
     elif ratio > PRIOR_UNTOUCHED:
         finding = (
             f"the record says nearly nothing about {p.name}: its standard deviation is still {_percent(ratio)} of the "

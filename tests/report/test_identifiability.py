@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,7 +46,7 @@ def test_numbers(make_case):
     np.testing.assert_allclose(table["largest_correlation"], [-0.4, 0.3, -0.4])
     assert table["correlated_with"].tolist() == ["c_1", "k_2", "k_2"]
     assert table["verdict"].tolist()[:2] == [WELL_DETERMINED, WELL_DETERMINED]
-    assert table["verdict"][2].startswith("the record says nearly nothing about c_1")
+    assert table["verdict"][2].startswith("c_1 rests on its prescribed value: its standard deviation is 93 %")
 
 
 @pytest.mark.parametrize("correlation", [None, np.eye(1)])
@@ -60,6 +62,7 @@ def test_one_parameter_or_no_correlation_has_no_neighbour(correlation, make_case
         (parameter("kappa_2", 100.0, 62.0, 500.0), "kappa_2 cannot be told from zero: its standard deviation is 62 %"),
         (parameter("k_2", -10.0, 9.0, 500.0), "k_2 cannot be told from zero: its standard deviation is 90 % of"),
         (parameter("k_2", 0.0, 1.0), "k_2 is held at its lower bound of 0: the record asks for less"),
+        (replace(parameter("kappa_2", 0.0, 1.0), prescribed=0.0), "kappa_2 is held at its lower bound of 0"),
         (parameter("k_2", 15.0, 8.3), "the record says nearly nothing about k_2: its standard deviation is still 83 %"),
         (parameter("k_2", 60.0, 6.0), "k_2 leans on its prior: the record narrows its standard deviation only to 60 %"),
     ],
