@@ -111,7 +111,9 @@ def _own_findings(p: ParameterEstimate) -> list[str]:
     if not np.isfinite(p.std):
         finding = f"{p.name} has no standard deviation: this training gives none"
     elif p.unknown and abs(p.estimate) <= 1e-9 * max(abs(p.prescribed), p.std):
-        finding = f"{p.name} is held at its lower bound of 0: the record asks for less"
+        finding = (
+            f"{p.name} is held at its lower bound of 0: all that is known is that it is below {p.upper_90:.3g} (95 %)"
+        )
     elif not p.unknown and ratio > LEANS_ON_PRIOR:
         finding = f"{p.name} rests on its prescribed value: its standard deviation is {_percent(ratio)} of the prior's"
     elif ratio > PRIOR_UNTOUCHED:

@@ -61,7 +61,10 @@ def test_one_parameter_or_no_correlation_has_no_neighbour(correlation, make_case
         (parameter("kappa_2", 100.0, 48.0, 500.0), "kappa_2 is poorly determined: its standard deviation is 48 % of"),
         (parameter("kappa_2", 100.0, 62.0, 500.0), "kappa_2 cannot be told from zero: its standard deviation is 62 %"),
         (parameter("k_2", -10.0, 9.0, 500.0), "k_2 cannot be told from zero: its standard deviation is 90 % of"),
-        (parameter("k_2", 0.0, 1.0), "k_2 is held at its lower bound of 0: the record asks for less"),
+        (
+            parameter("k_2", 0.0, 1.0),
+            "k_2 is held at its lower bound of 0: all that is known is that it is below 1.65 (95 %)",
+        ),
         (replace(parameter("kappa_2", 0.0, 1.0), prescribed=0.0), "kappa_2 is held at its lower bound of 0"),
         (parameter("k_2", 15.0, 8.3), "the record says nearly nothing about k_2: its standard deviation is still 83 %"),
         (parameter("k_2", 60.0, 6.0), "k_2 leans on its prior: the record narrows its standard deviation only to 60 %"),

@@ -187,6 +187,14 @@ def test_a_start_far_away_does_not_squash_the_scale(make_case):
     assert _texts(figure) == ["start", "estimate, 90 % interval"]
 
 
+def test_the_interval_of_a_parameter_at_its_bound_does_not_reach_the_estimate(make_case):
+    (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
+    bounded = replace(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
+    axes = parameters_figure([bounded], None, {"k": "N/m"}).axes[0]
+    (segment,) = [path.vertices for lines in axes.collections for path in lines.get_paths() if len(path.vertices)]
+    np.testing.assert_allclose(segment[:, 1], [0.1, 2.0])
+
+
 def test_values_without_intervals_and_large_values(make_case):
     parameters = [
         replace(p, unknown=True, estimate=44e3, std=np.nan, lower_90=np.nan, upper_90=np.nan)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -99,13 +99,15 @@ def _extent(values: np.ndarray) -> tuple[float, float]:
 def _draw_estimates(
     axes: Axes, connection: np.ndarray, estimate: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> None:
-    # A prescribed value below zero turns a relative interval round.
-    reach = np.abs(np.sort(np.stack([lower, upper]), axis=0) - estimate)
-    axes.errorbar(
-        connection, estimate, yerr=np.nan_to_num(reach), fmt="o", color=style.VERMILLION, markersize=3, elinewidth=0.9,
-        capsize=2, capthick=0.9, zorder=3,
-        label="estimate, 90 % interval" if np.isfinite(reach).any() else "estimate",
-    )  # fmt: skip
+    look: dict[str, Any] = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
+    bars: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+    # The interval stands on its own: that of a parameter held at a bound does not hold the estimate. A prescribed value
+    # below zero turns a relative one round.
+    middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
+    axes.plot(connection, estimate, "o", **look, label="" if np.isfinite(reach).any() else "estimate")
+    if np.isfinite(reach).any():
+        axes.errorbar(connection, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **bars)
+        axes.errorbar([], [], yerr=[], fmt="o", **look, **bars, label="estimate, 90 % interval")
 
 
 def _draw_truth(axes: Axes, connection: np.ndarray, truth: np.ndarray) -> None:
