@@ -23,7 +23,7 @@ class InputError(ValueError):
         text = f"{setting}={value}: must be {allowed}" + (f"; {hint}" if hint else "")
         super().__init__(" ".join(text.split()))
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
+    def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:
         # Exceptions cross process borders in sweeps; the default pickling would call __init__ with the finished text
         # only.
         return type(self), (self.setting, self.value, self.allowed, self.hint)

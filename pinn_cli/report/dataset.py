@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from pinn_cli.record.record import QUANTITIES, UNITS
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, UNITS
 from pinn_cli.report.writing import replacing
 
 if TYPE_CHECKING:
@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 
 def response_dataset(
-    estimate: Estimate, record: Record, truth: Response | None, attributes: Mapping[str, object]
+    estimate: Estimate,
+    record: Record,
+    truth: Response | None,
+    attributes: Mapping[str, object],
+    free_run: Response | None = None,
 ) -> xr.Dataset:
     """Everything that a figure of the response needs, labelled.
 
@@ -29,12 +33,14 @@ def response_dataset(
         truth: The true response, NaN where unknown; None if nothing is known.
         attributes: Global attributes: text, numbers and booleans; those that are None are left out (netCDF has no
             null).
+        free_run: The motion of the estimated system by itself; None where there is none.
 
     Returns:
         For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
-        DOF's truth is known) and ``displacement_observed`` (NaN where there is no sensor), and so on for velocity,
-        acceleration and force, over ``time`` (s) and ``dof`` (from 1, nearest the fixed end); ``observed`` and
-        ``unforced``: DOFs with a response sensor, and those known to carry no force.
+        DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor) and ``displacement_free_run``
+        (left out where there is none), and so on for velocity, acceleration and force (which has no free run), over
+        ``time`` (s) and ``dof`` (from 1, nearest the fixed end); ``observed`` and ``unforced``: DOFs with a response
+        sensor, and those known to carry no force.
     """
     variables: dict[str, tuple[tuple[str, str], np.ndarray, dict[str, str]]] = {}
     for quantity in QUANTITIES:
@@ -44,6 +50,9 @@ def response_dataset(
             "_true": (None if truth is None else getattr(truth, quantity), f"true {quantity}"),
             "_observed": (_observed(record, quantity), f"observed {quantity}"),
         }
+        if free_run is not None and quantity in RESPONSE_QUANTITIES:
+            long_name = f"{quantity} of the estimated system under the measured force"
+            sources["_free_run"] = (getattr(free_run, quantity), long_name)
         for suffix, (values, long_name) in sources.items():
             if values is None or (suffix == "_true" and np.isnan(values).all()):
                 continue

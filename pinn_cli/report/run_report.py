@@ -8,6 +8,7 @@ from pinn_cli.report import published
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.figures import write_figures
 from pinn_cli.report.fitness import fitness_table
+from pinn_cli.report.free_run import free_run, free_run_table
 from pinn_cli.report.identifiability import (
     any_unknown,
     correlation_table,
@@ -16,7 +17,7 @@ from pinn_cli.report.identifiability import (
 )
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.run_record import run_record
-from pinn_cli.report.terminal import fitness_text, parameters_text
+from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text
 from pinn_cli.report.writing import write_json, write_table
 
 if TYPE_CHECKING:
@@ -44,18 +45,24 @@ def write_report(
         stages: The seconds so far; the report's own are added.
 
     Returns:
-        The tables of fitness and parameters, as text.
+        The tables of parameters, fitness and the free run, as text.
     """
     labels = config.labels(estimator="pinn")
+    with stages("free_run"):
+        _, prescribed = config.model_error.chains(config.chain)
+        free = free_run(prescribed, estimate, record)
+        free_table = free_run_table(free, estimate, record, truth.response, config.labels(estimator="free_run"))
     with stages("report"):
         fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
         parameters = parameter_table(estimate.parameters, truth.parameters, labels)
         write_table(fitness, directory / "fitness.csv")
         write_table(parameters, directory / "parameters.csv")
+        write_table(free_table, directory / "free_run.csv")
         if any_unknown(estimate.parameters):
             _write_identifiability(estimate, labels, directory)
         write_table(estimate.history, directory / "history.csv")
-        write_dataset(response_dataset(estimate, record, truth.response, labels), directory / "response.nc")
+        dataset = response_dataset(estimate, record, truth.response, labels, free.response)
+        write_dataset(dataset, directory / "response.nc")
     with stages("figures"):
         write_figures(
             estimate,
@@ -68,6 +75,7 @@ def write_report(
         )
     write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
     shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
+    shown.append(free_run_text(free, free_table))
     return "\n\n".join(text for text in shown if text)
 
 

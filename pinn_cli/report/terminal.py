@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     import pandas as pd
+
+    from pinn_cli.report.free_run import FreeRun
 
 WIDTH = 100
 DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
@@ -55,17 +57,38 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     return "\n".join([*_head(), *lines, *notes])
 
 
-def _head() -> list[str]:
+def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
+    """The free run's fitness over all DOFs against truth, sensors and estimate, and what was found of it.
+
+    Args:
+        run: The free run.
+        table: From `pinn_cli.report.free_run.free_run_table`, of this run. The sensors are left out where the whole
+            truth is known.
+    """
+    finding = textwrap.fill(run.finding, WIDTH)
+    if run.response is None:
+        return finding
+    every = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
+    lines = []
+    for name in dict.fromkeys(table["against"]):
+        scores = every.loc[name].reindex(list(RESPONSE_QUANTITIES)).to_numpy().T
+        if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(every.loc["truth"].to_numpy()).all()):
+            lines.append(_row(name, *scores))
+    title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
+    return "\n".join([title, *_head("against", RESPONSE_QUANTITIES), *lines, *([finding] if finding else [])])
+
+
+def _head(first: str = "DOFs", quantities: Sequence[str] = QUANTITIES) -> list[str]:
     half = _CELL * len(QUANTITIES)
     titles = _GAP.join(f"{_TITLES[formula] + ' (%)':>{half}}" for formula in FORMULAS)
-    quantities = "".join(f"{_HEADINGS[quantity]:>{_CELL}}" for quantity in QUANTITIES)
-    columns = f"{'DOFs':<{_NAME}}" + _GAP.join([quantities] * len(FORMULAS))
-    return [" " * _NAME + titles, columns, "-" * len(columns)]
+    headings = f"{''.join(f'{_HEADINGS[quantity]:>{_CELL}}' for quantity in quantities):<{half}}"
+    columns = f"{first:<{_NAME}}" + _GAP.join([headings] * len(FORMULAS))
+    return [" " * _NAME + titles, columns.rstrip(), "-" * len(columns)]
 
 
-def _row(name: str, *halves: list[float]) -> str:
-    empty = " " * _CELL * len(QUANTITIES)
-    cells = ["".join(f"{_percent(value):>{_CELL}}" for value in half) or empty for half in halves]
+def _row(name: str, *halves: Iterable[float]) -> str:
+    half_width = _CELL * len(QUANTITIES)
+    cells = [f"{''.join(f'{_percent(value):>{_CELL}}' for value in half):<{half_width}}" for half in halves]
     return (f"{name:<{_NAME}}" + _GAP.join(cells)).rstrip()
 
 

@@ -21,6 +21,8 @@ class UncertainParameter:
         dof: Its connection, counted from 0.
         prescribed: Prior mean: the value that the user believes in, or where an unknown one starts.
         prior_std: Prior standard deviation, in the parameter's unit.
+        scale: Its order of magnitude, the step of gradient methods; None: its value, or its prior standard deviation
+            where that is larger.
         unknown: Whether it is to be identified from the record; otherwise it is believed, and its prior may be
             sharpened or widened together with that of all others that are believed.
         positive: Whether it cannot be below zero.
@@ -30,6 +32,7 @@ class UncertainParameter:
     dof: int
     prescribed: float
     prior_std: float
+    scale: float | None = None
     unknown: bool = False
     positive: bool = False
 
@@ -39,9 +42,14 @@ class UncertainParameter:
         return f"{self.kind}_{self.dof + 1}"
 
     @property
+    def unit(self) -> float:
+        """What a gradient method's steps of the parameter are counted in."""
+        return max(abs(self.prescribed), self.prior_std) if self.scale is None else self.scale
+
+    @property
     def lower(self) -> float:
-        """Least value, in prior standard deviations from the prescribed one."""
-        return -self.prescribed / self.prior_std if self.positive else -math.inf
+        """Most negative distance from the prescribed value, in the parameter's unit."""
+        return -self.prescribed if self.positive else -math.inf
 
 
 @dataclass(frozen=True, eq=False)

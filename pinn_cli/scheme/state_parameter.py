@@ -82,6 +82,8 @@ class StateParameter(Scheme):
         parameters = []
         for kind, dof in places:
             start = given.get((kind, dof), starting_value(kind, scales[kind]))
-            spread = self.prior_width * max(abs(start), scales[kind])
-            parameters.append(UncertainParameter(kind, dof, start, spread, True, kind in self.positive))
+            scale = max(abs(start), scales[kind])
+            parameters.append(
+                UncertainParameter(kind, dof, start, self.prior_width * scale, scale, True, kind in self.positive)
+            )
         return parameters

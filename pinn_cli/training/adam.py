@@ -124,6 +124,7 @@ class Adam(Training):
                 optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 optimiser.step()
+                parameters.respect_bounds()
 
     def _stage_weights(self, iteration: int) -> dict[str, float]:
         stage = min(iteration // self.iterations, self.stages - 1)

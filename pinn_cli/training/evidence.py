@@ -154,9 +154,7 @@ class Evidence:
         share = occupied_band(
             residual.cpu().numpy(), equations.problem.record.step, equations.network.free_intervals / 2.0
         )
-        wider = self.train(
-            trained.noise.with_discrepancy(trained.noise.discrepancy / np.sqrt(share)), trained.solution.point
-        )
+        wider = self.train(trained.noise.widened(share), trained.solution.point)
         return wider if wider is not None and wider.solution.converged else trained
 
     def learned_spread(self, trained: Trained) -> float:

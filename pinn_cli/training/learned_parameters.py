@@ -15,13 +15,14 @@ class LearnedParameters(nn.Module):
     """Every parameter of the chain; those that may move start at their prescribed values.
 
     Attributes:
-        moved: (p,), distance of each uncertain parameter from its prescribed value, over the larger of that value and
-            its prior standard deviation: a step of 0.01 is about one per cent, whatever the unit.
+        moved: (p,), distance of each uncertain parameter from its prescribed value, over its order of magnitude: a step
+            of 0.01 is about one per cent, whatever the unit.
     """
 
     prescribed: Tensor
     unit: Tensor
     prior_std: Tensor
+    lower: Tensor
     kind: Tensor
     dof: Tensor
 
@@ -30,10 +31,11 @@ class LearnedParameters(nn.Module):
         self.uncertain = problem.uncertain
         self.names = tuple(problem.chain.parameters)
         prescribed = torch.stack([values.detach() for values in problem.chain.parameters.values()])
-        unit = torch.tensor([max(abs(p.prescribed), p.prior_std) for p in self.uncertain])
+        unit = torch.tensor([p.unit for p in self.uncertain])
         self.register_buffer("prescribed", prescribed.to(dtype))
         self.register_buffer("unit", unit.to(dtype))
         self.register_buffer("prior_std", torch.tensor([p.prior_std for p in self.uncertain]).to(dtype))
+        self.register_buffer("lower", torch.tensor([p.lower / p.unit for p in self.uncertain]).to(dtype))
         self.register_buffer("kind", torch.tensor([self.names.index(p.kind) for p in self.uncertain], dtype=torch.long))
         self.register_buffer("dof", torch.tensor([p.dof for p in self.uncertain], dtype=torch.long))
         self.moved = nn.Parameter(torch.zeros(self.count, dtype=dtype))
@@ -48,6 +50,11 @@ class LearnedParameters(nn.Module):
         values = self.prescribed.index_put((self.kind, self.dof), self.unit * self.moved, accumulate=True)
         return dict(zip(self.names, values.unbind(), strict=True))
 
+    @torch.no_grad()
+    def respect_bounds(self) -> None:
+        """Put parameters that a step has taken below their least value back onto it."""
+        self.moved.clamp_(min=self.lower)
+
     def prior(self) -> Tensor:
         """Sum of squared distances from the prescribed values, in prior standard deviations."""
         return (self.unit / self.prior_std * self.moved).square().sum()
@@ -56,6 +63,15 @@ class LearnedParameters(nn.Module):
         """Where the parameters are now; a gradient method knows no standard deviations."""
         moved = (self.unit * self.moved).detach().cpu().double().tolist()
         return [
-            ParameterEstimate(p.name, p.prescribed, p.prescribed + distance, math.nan, math.nan, math.nan)
+            ParameterEstimate(
+                p.name,
+                p.prescribed,
+                p.prescribed + distance,
+                math.nan,
+                math.nan,
+                math.nan,
+                p.prior_std,
+                p.unknown,
+            )
             for p, distance in zip(self.uncertain, moved, strict=True)
         ]

@@ -32,6 +32,7 @@ class NoiseModel:
         force: Of the force sensors; NaN where there is none.
         discrepancy: Of the force that the model leaves out, per sample, on every DOF, N.
         continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
+        occupied: Share of the features' band that the discrepancy fills, 1 where it is taken for white.
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that the user prescribed.
     """
 
@@ -40,10 +41,19 @@ class NoiseModel:
     discrepancy: float
     continuity: float
     spread: float = 1.0
+    occupied: float = 1.0
 
     def with_discrepancy(self, discrepancy: float) -> NoiseModel:
         """The same sensors under another model error."""
         return replace(self, discrepancy=discrepancy)
+
+    def widened(self, occupied: float) -> NoiseModel:
+        """The same model error in a part of the features' band: fewer independent values, and larger ones."""
+        return replace(self, discrepancy=self.discrepancy / np.sqrt(occupied), occupied=occupied)
+
+    def misfit(self, values: int, samples: int) -> float:
+        """Root mean square of the force that the model leaves out, N, with ``values`` features over ``samples``."""
+        return float(self.discrepancy * np.sqrt(self.occupied * values / samples))
 
     def with_spread(self, spread: float) -> NoiseModel:
         """The same under another prior of the parameters."""

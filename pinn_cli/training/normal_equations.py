@@ -78,7 +78,7 @@ class NormalEquations:
         self.column = torch.tensor(column, dtype=torch.long, device=like.device)
         self.scale = torch.tensor([p.prior_std for p in uncertain], dtype=like.dtype, device=like.device)
         self.unknown = torch.tensor([p.unknown for p in uncertain], dtype=torch.bool, device=like.device)
-        self.lower = np.array([p.lower for p in uncertain])
+        self.lower = np.array([p.lower / p.prior_std for p in uncertain])
         # 0 where a parameter is held fixed: its column then vanishes.
         spread = like.new_zeros(len(self.kinds) * n).index_copy(0, self.column, self.scale)
         self.spread = dict(zip(self.kinds, spread.reshape(-1, n), strict=True))

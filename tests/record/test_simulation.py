@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.linalg import expm
 from pinn_cli.errors import InputError
 from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.record import Response
-from pinn_cli.record.simulation import Simulation, simulate, substeps_needed
+from pinn_cli.record.simulation import OverflowsError, Simulation, simulate, substeps_needed
 from pinn_cli.system import Chain, build_chain, matrices
 from pinn_cli.system.nonlinearity import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 
@@ -137,6 +138,51 @@ def test_a_new_nonlinearity_needs_one_class_only():
     assert np.max(np.abs(states(ours) - states(linear))) > 0.01
 
 
+@pytest.fixture(scope="module")
+def moving_start() -> np.ndarray:
+    return np.array([[0.1, -0.2, 0.15], [-0.1, 0.2, 0.3]])
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_from_any_start_and_time_runge_kutta_stays_of_fourth_order(name, moving_start):
+    chain, first = CHAINS[name], 3.0
+    grid = np.linspace(first, first + DURATION, 17)
+    solution = states(simulate(chain, FORCE, grid, method="dop853", initial=moving_start))
+
+    def error(steps: int) -> float:
+        time = np.linspace(first, first + DURATION, steps + 1)
+        response = simulate(chain, FORCE, time, substeps=1, initial=(moving_start[0], moving_start[1]))
+        return float(np.max(np.abs(states(response)[:: steps // 16] - solution)))
+
+    assert order(error, [128, 256, 512]) == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("method", ["rk4", "dop853"])
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_a_simulation_goes_on_from_its_middle(method, hold):
+    chain, middle = CHAINS["duffing"], 100
+    whole = simulate(chain, FORCE, np.linspace(0.0, DURATION, 257), hold, method)
+    initial = whole.displacement[middle], whole.velocity[middle]
+    rest = simulate(chain, FORCE, whole.time[middle:], hold, method, initial=initial)
+    np.testing.assert_allclose(states(rest), states(whole)[middle:], atol=1e-10)
+    np.testing.assert_allclose(rest.acceleration, whole.acceleration[middle:], atol=1e-10)
+    np.testing.assert_array_equal(rest.time, whole.time[middle:])
+
+
+def test_the_initial_state_is_left_as_it_was(moving_start):
+    before = moving_start.copy()
+    response = simulate(CHAINS["linear"], FORCE, np.linspace(0.0, DURATION, 257), initial=moving_start)
+    np.testing.assert_array_equal(states(response)[0], before.ravel())
+    response.displacement[0] = 7.0
+    np.testing.assert_array_equal(moving_start, before)
+
+
+@pytest.mark.parametrize("initial", [np.zeros(3), np.zeros((2, 2)), np.full((2, 3), np.nan)])
+def test_an_initial_state_that_does_not_fit_is_refused(initial):
+    with pytest.raises(ValueError, match=r"initial state must be .* \(2, 3\) finite"):
+        simulate(CHAINS["linear"], FORCE, np.linspace(0.0, DURATION, 257), initial=initial)
+
+
 def test_substeps_follow_the_chain():
     paper = build_chain(6, Duffing(), m=10.0, c=1.0, k=15.0, kappa=100.0)
     assert substeps_needed(paper, 60.0 / 4095) == 1
@@ -146,6 +192,23 @@ def test_substeps_follow_the_chain():
     default = simulate(stiff, lambda t: np.outer(np.sin(30 * t), [1.0, 0.0, 0.0]), time)
     exact = simulate(stiff, lambda t: np.outer(np.sin(30 * t), [1.0, 0.0, 0.0]), time, method="dop853")
     assert np.max(np.abs(default.velocity - exact.velocity)) < 1e-4 * np.max(np.abs(exact.velocity))
+
+
+def test_substeps_of_a_chain_with_negative_parameters():
+    # Nobody prescribes one, but an estimate may be one.
+    soft = build_chain(3, Linear(), m=10.0, c=1.0, k=15.0)
+    negative = soft.with_parameters(k=-soft.parameters["k"], c=-soft.parameters["c"])
+    assert substeps_needed(negative, 1.0) == substeps_needed(soft, 1.0) > 1
+
+
+def test_an_overflow_says_when_and_crosses_processes():
+    unstable = build_chain(3, Linear(), m=1.0, c=0.0, k=1.0)
+    unstable = unstable.with_parameters(k=-1e4 * unstable.parameters["k"])
+    with pytest.raises(OverflowsError) as caught:
+        simulate(unstable, FORCE, np.linspace(5.0, 5.0 + DURATION, 257))
+    assert 6.0 < caught.value.time < 5.0 + DURATION
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert (str(copy), copy.time) == (str(caught.value), caught.value.time)
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])

@@ -56,6 +56,19 @@ def test_global_attributes(written):
     assert read.attrs["intersample"] == "band_limited"
 
 
+def test_a_free_run_is_of_the_motion_only(make_case):
+    case = make_case(ndof=2, observed=1)
+    free = case.truth.response
+    dataset = response_dataset(case.estimate, case.record, None, case.labels, free)
+    for quantity in ("displacement", "velocity", "acceleration"):
+        np.testing.assert_array_equal(dataset[f"{quantity}_free_run"], getattr(free, quantity))
+        assert dataset[f"{quantity}_free_run"].attrs["units"] == UNITS[quantity]
+        assert quantity in dataset[f"{quantity}_free_run"].attrs["long_name"]
+    assert "force_free_run" not in dataset
+    without = response_dataset(case.estimate, case.record, None, case.labels)
+    assert not [name for name in without if str(name).endswith("_free_run")]
+
+
 def test_unknown_truth_is_left_out(make_case):
     case = make_case(ndof=2, observed=1)
     nothing = Response.unknown(case.record.time, 2)

@@ -1,0 +1,262 @@
+"""The estimated system left to itself: right parameters reproduce the truth, wrong ones are found out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from calls import SMALL, PinnRun
+from small_problems import accelerations, measured, small_chain
+
+from pinn_cli.record.noise import add_noise
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Measurements, Record, Response
+from pinn_cli.report.fitness import FORMULAS, fitness_table
+from pinn_cli.report.free_run import REFERENCES, estimated_chain, free_run, free_run_table
+from pinn_cli.report.labels import LABELS
+from pinn_cli.report.terminal import WIDTH, free_run_text
+from pinn_cli.system import Chain, build_chain
+from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
+
+SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
+HOLDS = ("exact", "zero_order")
+RUN_LABELS = dict.fromkeys(LABELS, "x")
+
+
+def estimated(response: Response, **parameters: float) -> Estimate:
+    """An estimate of this motion and these parameters."""
+    nan = float("nan")
+    found = [ParameterEstimate(name, nan, value, nan, nan, nan) for name, value in parameters.items()]
+    unknown = Response.unknown(response.time, response.force.shape[1])
+    return Estimate(response, unknown, found, pd.DataFrame(), {})
+
+
+def largest_error(response: Response, truth: Response, quantities: tuple[str, ...] = RESPONSE_QUANTITIES) -> float:
+    """Over time, DOFs and quantities, relative to each quantity's largest value."""
+    pairs = [(getattr(response, quantity), getattr(truth, quantity)) for quantity in quantities]
+    return max(float(np.max(np.abs(x - true)) / np.max(np.abs(true))) for x, true in pairs)
+
+
+def from_sample(measurements: Measurements, first: int) -> tuple[Record, Response]:
+    """Record and truth without their first samples: they begin neither at 0 s nor at rest."""
+
+    def cut(histories: Record | Response) -> dict[str, np.ndarray]:
+        return {name: getattr(histories, name)[first:] for name in ("time", *QUANTITIES)}
+
+    record, truth = measurements.record, measurements.truth.response
+    return replace(record, **cut(record)), Response(**cut(truth))
+
+
+# A held force is known exactly. A spline through 257 samples knows the other kind to 1e-5 (8 samples per period).
+@pytest.mark.parametrize(("hold", "tolerance"), [("exact", 1e-5), ("zero_order", 1e-12)])
+@pytest.mark.parametrize("first", [0, 50])
+@pytest.mark.parametrize("nonlinearity", ["linear", "duffing", "van_der_pol"])
+def test_the_true_system_reproduces_the_truth(hold, tolerance, first, nonlinearity):
+    chain = small_chain(nonlinearity)
+    record, truth = from_sample(measured(chain, hold), first)
+    run = free_run(chain, estimated(truth), record)
+    assert run.response is not None
+    assert run.finding == ""
+    assert largest_error(run.response, truth) < tolerance
+    table = free_run_table(run, estimated(truth), record, truth, RUN_LABELS)
+    assert table["fitness_percent"].min() > 99.99
+
+
+def test_a_force_that_is_taken_for_held_is_late():
+    chain = small_chain()
+    measurements = measured(chain)
+    record, truth = replace(measurements.record, intersample="zero_order_hold"), measurements.truth.response
+    run = free_run(chain, estimated(truth), record)
+    assert run.response is not None
+    assert largest_error(run.response, truth) > 1e-2
+
+
+def test_the_authors_system_reproduces_their_signals():
+    if not SIGNALS.is_dir():
+        pytest.skip(f"the reference signals are not at {SIGNALS}")
+    signals = dict(np.load(SIGNALS / "sp_5dof.npz"))
+    truth = Response(**{name: signals[name] for name in ("time", *QUANTITIES)})
+    unforced = ~truth.force.any(axis=0)
+    record = Record(**vars(truth), unforced=unforced, intersample="zero_order_hold")
+    # Prescribed are parameters that are far off: all of the true ones come in as estimates.
+    prescribed = build_chain(5, Duffing(), m=3.0, c=3.0, k=3.0, kappa=3.0)
+    estimates = {f"{name}_{i + 1}": signals[name][i] for name in ("m", "c", "k", "kappa") for i in range(5)}
+    run = free_run(prescribed, estimated(truth, **estimates), record)
+    assert run.response is not None
+    assert run.finding == ""
+    assert largest_error(run.response, truth) < 1e-9
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_wrong_stiffness_is_found_out(hold):
+    chain = small_chain()
+    measurements = measured(chain, hold, duration=24.0, samples=513)
+    truth = measurements.truth.response
+    estimate = estimated(truth, k_1=18.0, k_2=18.0, k_3=18.0)
+    run = free_run(chain, estimate, measurements.record)
+    assert run.response is not None
+    assert run.finding.startswith("warning: the estimated parameters do not reproduce the estimated response: ")
+    text = free_run_text(run, free_run_table(run, estimate, measurements.record, truth, RUN_LABELS))
+    assert "warning: the estimated parameters do not reproduce the estimated response" in " ".join(text.split())
+
+
+def with_noisy_force(measurements: Measurements, snr_db: float) -> Record:
+    return replace(measurements.record, force=add_noise(measurements.truth.response, snr_db, seed=3).force)
+
+
+def test_the_noise_of_the_force_is_no_fault_of_the_parameters():
+    chain = small_chain()
+    measurements = measured(chain, duration=24.0, samples=513)
+    truth = measurements.truth.response
+    assert free_run(chain, estimated(truth), with_noisy_force(measurements, 20.0)).finding == ""
+    # A free run under more noise than signal is another motion altogether.
+    finding = free_run(chain, estimated(truth), with_noisy_force(measurements, -10.0)).finding
+    assert "warning" not in finding
+    assert "under the estimated force and from 2.391 s on, to 100.0 %" in finding
+    # The noise excuses nothing but itself.
+    stiff = estimated(truth, k_1=18.0, k_2=18.0, k_3=18.0)
+    assert free_run(chain, stiff, with_noisy_force(measurements, -10.0)).finding.startswith("warning")
+
+
+def test_a_poor_start_is_no_fault_of_the_parameters():
+    chain = small_chain()
+    measurements = measured(chain, duration=24.0, samples=513)
+    truth = measurements.truth.response
+    velocity = truth.velocity.copy()
+    velocity[0] += 0.3 * truth.velocity.std(axis=0)
+    finding = free_run(chain, estimated(replace(truth, velocity=velocity)), measurements.record).finding
+    assert "the estimated start explains it" in " ".join(finding.split())
+    assert "warning" not in finding
+
+
+def unstable() -> tuple[Chain, Measurements, Estimate]:
+    chain = small_chain()
+    measurements = measured(chain, duration=40.0, samples=1025)
+    estimate = estimated(measurements.truth.response, kappa_2=-1e6)
+    return chain, measurements, estimate
+
+
+def test_an_unstable_system_is_a_finding():
+    chain, measurements, estimate = unstable()
+    run = free_run(chain, estimate, measurements.record)
+    assert run.response is None
+    assert run.finding.startswith("the estimated system is unstable: its free run overflows at ")
+    table = free_run_table(run, estimate, measurements.record, measurements.truth.response, RUN_LABELS)
+    assert table[list(FORMULAS)].isna().all(axis=None)
+    assert len(table) == 3 * 3 * (5 + chain.ndof)
+    assert free_run_text(run, table) == run.finding
+
+
+def test_an_unknown_force_leaves_no_free_run():
+    chain = small_chain()
+    measurements = measured(chain)
+    force = measurements.record.force.copy()
+    force[:, 1] = np.nan
+    unforced = np.array([False, False, True])
+    record = replace(measurements.record, force=force, unforced=unforced)
+    run = free_run(chain, estimated(measurements.truth.response), record)
+    assert run.response is None
+    assert run.finding == "the force on DOF 2 is unknown, and a free run needs every force"
+
+
+def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():
+    chain = small_chain()
+    measurements = measured(chain)
+    run = free_run(chain, estimated(measurements.truth.response, k_3=1e12), measurements.record)
+    assert run.response is None
+    assert "too stiff" in run.finding
+
+
+def test_the_estimated_chain_takes_what_was_estimated():
+    prescribed = small_chain()
+    parameters = estimated(measured(prescribed).truth.response, k_2=17.0, kappa_3=-4.0).parameters
+    chain = estimated_chain(prescribed, parameters)
+    assert chain.parameters["k"].tolist() == [15.0, 17.0, 15.0]
+    assert chain.parameters["kappa"].tolist() == [100.0, 100.0, -4.0]
+    assert chain.parameters["m"].tolist() == prescribed.parameters["m"].tolist()
+    assert prescribed.parameters["k"].tolist() == [15.0, 15.0, 15.0]
+
+
+@pytest.mark.parametrize("name", ["mu_1", "k_4"])
+def test_a_parameter_that_the_chain_does_not_have(name):
+    prescribed = small_chain()
+    with pytest.raises(ValueError, match=f"no parameter {name}"):
+        estimated_chain(prescribed, estimated(measured(prescribed).truth.response, **{name: 1.0}).parameters)
+
+
+def test_the_table_scores_against_truth_sensors_and_estimate():
+    chain = small_chain()
+    measurements = measured(chain, snr_db=20.0)
+    record, truth = accelerations(measurements.record, (1, 3)), measurements.truth.response
+    estimate = estimated(replace(truth, displacement=1.1 * truth.displacement))
+    run = free_run(chain, estimate, record)
+    table = free_run_table(run, estimate, record, truth, RUN_LABELS)
+    assert list(table) == [*LABELS, "against", "group", "quantity", *FORMULAS]
+    assert tuple(dict.fromkeys(table["against"])) == REFERENCES
+    assert set(table["quantity"]) == set(RESPONSE_QUANTITIES)
+
+    for name, reference in (("truth", truth), ("estimate", estimate.response)):
+        expected = fitness_table(run.response, reference, record.observed, RUN_LABELS)
+        expected = expected[expected["quantity"] != "force"].reset_index(drop=True)
+        part = table[table["against"] == name].drop(columns="against").reset_index(drop=True)
+        pd.testing.assert_frame_equal(part, expected)
+
+    sensors = table[table["against"] == "sensors"].set_index(["group", "quantity"])["fitness_percent"]
+    both = [sensors["dof_1", "acceleration"], sensors["dof_3", "acceleration"]]
+    assert sensors["all", "acceleration"] == sensors["observed", "acceleration"] == pytest.approx(np.mean(both))
+    assert all(np.isnan(sensors[place]) for place in (("dof_2", "acceleration"), ("all", "displacement")))
+
+
+def printed_rows(truth: Response, record: Record, estimate: Estimate) -> list[list[str]]:
+    run = free_run(small_chain(), estimate, record)
+    text = free_run_text(run, free_run_table(run, estimate, record, truth, RUN_LABELS))
+    assert max(map(len, text.splitlines())) <= WIDTH
+    return [line.split() for line in text.splitlines()[4:]]
+
+
+def test_the_printed_rows():
+    measurements = measured(small_chain(), snr_db=40.0)
+    record, truth = accelerations(measurements.record), measurements.truth.response
+    rows = printed_rows(truth, record, estimated(truth))
+    assert [row[0] for row in rows] == ["truth", "estimate"]
+    assert all(len(row) == 1 + 2 * 3 for row in rows)
+    # Without the truth the sensors stand in for it, for what they measure.
+    rows = printed_rows(Response.unknown(record.time, record.ndof), record, estimated(truth))
+    assert [row[0] for row in rows] == ["sensors", "estimate"]
+    assert rows[0][1:3] == ["-", "-"]
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_a_run_writes_its_free_run(pinn_run: PinnRun, hold: str) -> None:
+    outcome = pinn_run(*SMALL, f"simulation.hold={hold}", "case=small", "seed=4")
+    assert outcome.status == 0, outcome.err
+    table = pd.read_csv(outcome.directory / "free_run.csv")
+    fitness = pd.read_csv(outcome.directory / "fitness.csv")
+    assert list(table) == [*LABELS, "against", *fitness.columns[len(LABELS) :]]
+    assert set(table["estimator"]) == {"free_run"}
+    assert set(table["seed"]) == {4}
+    scores = table.set_index(["against", "group", "quantity"])["fitness_percent"]
+    assert scores["estimate", "all", "displacement"] > 99.0
+    assert scores["truth", "all", "displacement"] > 98.0
+    assert "\nfree run: " in outcome.out
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        difference = response["displacement_free_run"] - response["displacement"]
+        assert 0.0 < float(abs(difference).max()) < 0.01 * float(abs(response["displacement"]).max())
+
+
+def test_a_record_without_its_force_says_so(pinn_run: PinnRun, tmp_path: Path) -> None:
+    measurements = measured(small_chain(), snr_db=50.0)
+    record = measurements.record
+    columns = {f"a{dof}": record.acceleration[:, dof - 1] for dof in (1, 2, 3)}
+    pd.DataFrame({"t": record.time, **columns}).to_csv(tmp_path / "rig.csv", index=False)
+    settings = ["data.path=rig.csv", "data.time=t", "data.force={1: null}", "data.acceleration={1: a1, 2: a2, 3: a3}"]
+    outcome = pinn_run(*SMALL, "data=csv", *settings)
+    assert outcome.status == 0, outcome.err
+    assert "the force on DOF 1 is unknown, and a free run needs every force" in outcome.out
+    assert pd.read_csv(outcome.directory / "free_run.csv")[list(FORMULAS)].isna().all(axis=None)
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        assert "displacement_free_run" not in response

@@ -1,0 +1,155 @@
+"""State-parameter estimation: which parameters are unknown, where they start, and what the estimator is not told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_problems import NONLINEARITIES, measured, small_chain
+
+from pinn_cli.errors import InputError
+from pinn_cli.record.record import Measurements
+from pinn_cli.scheme.state_parameter import StateParameter
+
+
+@pytest.fixture(scope="module")
+def measurements() -> Measurements:
+    return measured(small_chain(), duration=3.0, samples=33)
+
+
+def names(problem, unknown: bool = True) -> list[str]:
+    return [p.name for p in problem.uncertain if p.unknown == unknown]
+
+
+def posed(measurements, nonlinearity: str = "duffing", **settings):
+    scheme = StateParameter(**{"unobserved": [2], **settings})
+    return scheme.problem(small_chain(nonlinearity), scheme.observe(measurements.record))
+
+
+@pytest.mark.parametrize(
+    ("nonlinearity", "expected"),
+    [
+        ("duffing", ["k_2", "kappa_2"]),
+        ("van_der_pol", ["k_2", "mu_2"]),
+        ("power_damping", ["k_2", "mu_2"]),
+        ("linear", ["k_2"]),
+    ],
+)
+def test_by_default_the_springs_at_hidden_dofs_are_unknown(measurements, nonlinearity, expected):
+    assert names(posed(measurements, nonlinearity)) == expected
+
+
+@pytest.mark.parametrize(
+    ("unknown", "expected"),
+    [
+        (["k_1", "c_3"], ["c_3", "k_1"]),
+        ("k_*", ["k_1", "k_2", "k_3"]),
+        (["*_3"], ["m_3", "c_3", "k_3", "kappa_3"]),
+        (["k_[1-2]", "k_2"], ["k_1", "k_2"]),
+    ],
+)
+def test_names_and_patterns(measurements, unknown, expected):
+    assert names(posed(measurements, unknown=unknown)) == expected
+
+
+def test_all_other_parameters_are_believed(measurements):
+    problem = posed(measurements, unknown="k_2", parameter_uncertainty=0.1)
+    assert names(problem, unknown=False) == ["c_1", "c_2", "c_3", "k_1", "k_3", "kappa_1", "kappa_2", "kappa_3"]
+    assert names(posed(measurements, unknown="k_2", parameter_uncertainty=0.0), unknown=False) == []
+
+
+@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements, nonlinearity):
+    """Of a simulated record the prescribed value is the truth."""
+    told = posed(measurements, nonlinearity, unknown=["k_*", "c_2"])
+    chain = small_chain(nonlinearity)
+    elsewhere = {kind: values.clone() for kind, values in chain.parameters.items()}
+    elsewhere["k"] *= 7.0
+    elsewhere["c"][1] = 3.0
+    scheme = StateParameter(unobserved=[2], unknown=["k_*", "c_2"])
+    other = scheme.problem(chain.with_parameters(**elsewhere), scheme.observe(measurements.record))
+    for kind, values in told.chain.parameters.items():
+        np.testing.assert_array_equal(values, other.chain.parameters[kind])
+    assert [(p.prescribed, p.prior_std) for p in told.uncertain] == [
+        (p.prescribed, p.prior_std) for p in other.uncertain
+    ]
+
+
+def test_the_prescribed_chain_stays_as_it_was(measurements):
+    chain = small_chain()
+    scheme = StateParameter(unobserved=[2], initial={"k": 3.0})
+    problem = scheme.problem(chain, scheme.observe(measurements.record))
+    np.testing.assert_array_equal(chain.parameters["k"], [15.0] * 3)
+    np.testing.assert_array_equal(problem.chain.parameters["k"], [15.0, 3.0, 15.0])
+
+
+def test_starting_values_by_kind_and_by_name(measurements):
+    problem = posed(
+        measurements, unknown=["k_*", "kappa_*"], initial={"k": 10.0, "kappa": 75.0, "mu": 1.0, "k_3": 12.0}
+    )
+    assert {p.name: p.prescribed for p in problem.uncertain if p.unknown} == {
+        "k_1": 10.0, "k_2": 10.0, "k_3": 12.0, "kappa_1": 75.0, "kappa_2": 75.0, "kappa_3": 75.0,
+    }  # fmt: skip
+
+
+def test_starting_values_from_the_record_scale_with_it(measurements):
+    """Forces a thousand times larger at the same motion: everything is a thousand times stiffer."""
+    record = measurements.record
+    stronger = replace(record, force=1000.0 * record.force)
+    scheme = StateParameter(unobserved=[2], unknown="*")
+    weak, strong = (scheme.problem(small_chain(), scheme.observe(r)) for r in (record, stronger))
+    for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
+        assert b.prescribed == pytest.approx(1000.0 * a.prescribed)
+        assert b.prior_std == pytest.approx(1000.0 * a.prior_std)
+        assert b.unit == pytest.approx(1000.0 * a.unit)
+        assert a.prior_std > 0
+    assert {p.kind for p in weak.uncertain if p.prescribed == 0.0} == {"c", "kappa"}
+
+
+def test_kinds_that_may_be_negative(measurements):
+    problem = posed(measurements, positive=["k"])
+    assert {p.name: p.lower for p in problem.uncertain if p.unknown}["kappa_2"] == -math.inf
+    assert {p.name: p.positive for p in problem.uncertain if p.unknown} == {"k_2": True, "kappa_2": False}
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"unknown": ["k_4"]}, "scheme.unknown=k_4"),
+        ({"unknown": ["mu_2"]}, "scheme.unknown=mu_2"),
+        ({"unknown": ["stiffness"]}, "scheme.unknown=stiffness"),
+        ({"unknown": [2]}, "scheme.unknown=2"),
+        ({"unknown": []}, "scheme.unknown=[]"),
+        ({"unobserved": [], "unknown": None}, "scheme.unknown=None"),
+        ({"initial": {"k": -1.0}}, "scheme.initial.k=-1.0"),
+        ({"initial": {"k_2": float("nan")}}, "scheme.initial.k_2=nan"),
+        ({"initial": {"k_7": 1.0}}, "scheme.initial.k_7=k_7"),
+        ({"initial": {"m": 0.0}, "unknown": "m_2"}, "scheme.initial.m=0.0"),
+        ({"positive": "k"}, "scheme.positive=k"),
+        ({"prior_width": 0.0}, "scheme.prior_width=0.0"),
+        ({"parameter_uncertainty": -1.0}, "scheme.parameter_uncertainty=-1.0"),
+    ],
+)
+def test_impossible_settings_are_named(measurements, settings, named):
+    with pytest.raises(InputError) as error:
+        posed(measurements, **settings)
+    assert str(error.value).startswith(named)
+
+
+def test_a_parameter_that_no_equation_contains_is_named(measurements):
+    force = measurements.record.force.copy()
+    force[:, 2] = np.nan
+    unforced = np.array([False, True, False])
+    record = replace(measurements.record, force=force, unforced=unforced)
+    with pytest.raises(InputError, match=r"scheme\.unknown=m_3.*nothing says what it is"):
+        StateParameter(unknown="m_3").problem(small_chain(), record)
+    StateParameter(unknown="k_3").problem(small_chain(), record)
+
+
+def test_a_mass_whose_acceleration_jumps_is_named():
+    record = measured(small_chain(), "zero_order", duration=3.0, samples=33).record
+    with pytest.raises(InputError, match=r"scheme\.unknown=m_1"):
+        StateParameter(unknown="m_1").problem(small_chain(), record)
+    StateParameter(unknown="m_2").problem(small_chain(), record)
