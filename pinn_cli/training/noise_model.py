@@ -55,6 +55,10 @@ class NoiseModel:
         """Root mean square of the force that the model leaves out, N, with ``values`` features over ``samples``."""
         return float(self.discrepancy * np.sqrt(self.occupied * values / samples))
 
+    def with_force_scale(self, factor: float) -> NoiseModel:
+        """The same with force sensors whose noise is so many times as large."""
+        return replace(self, force=self.force * factor)
+
     def with_spread(self, spread: float) -> NoiseModel:
         """The same under another prior of the parameters."""
         return replace(self, spread=spread)
