@@ -55,6 +55,11 @@ class NoiseModel:
         """Root mean square of the force that the model leaves out, N, with ``values`` features over ``samples``."""
         return float(self.discrepancy * np.sqrt(self.occupied * values / samples))
 
+    def pooled(self) -> NoiseModel:
+        """The same with one noise level for all sensors of a quantity: the root mean square of theirs."""
+        one = {q: _pooled(sigma) for q, sigma in self.response.items()}
+        return replace(self, response=one, force=_pooled(self.force))
+
     def with_force_scale(self, factor: float) -> NoiseModel:
         """The same with force sensors whose noise is so many times as large."""
         return replace(self, force=self.force * factor)
@@ -75,6 +80,11 @@ class NoiseModel:
         else:
             variance = self.response[name] ** 2
         return np.nan_to_num(1.0 / variance)
+
+
+def _pooled(sigma: np.ndarray) -> np.ndarray:
+    there = np.isfinite(sigma)
+    return np.where(there, np.sqrt(np.mean(sigma[there] ** 2)), np.nan) if there.any() else sigma
 
 
 class FeatureProjection:

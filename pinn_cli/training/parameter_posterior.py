@@ -24,15 +24,12 @@ def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[l
     point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
     spread = np.sqrt(np.diag(covariance))
     peak = point + _newton_step(equations, trained)
-    prior = scale / np.sqrt(equations.precision(trained.noise).cpu().numpy())
     estimates = []
     for i, p in enumerate(equations.problem.uncertain):
         posterior = truncnorm((equations.lower[i] - peak[i]) / spread[i], np.inf, peak[i], spread[i])
         lower, upper = (float(p.prescribed + scale[i] * x) for x in posterior.ppf(NINETY_PERCENT))
         estimate, std = float(p.prescribed + scale[i] * point[i]), float(scale[i] * posterior.std())
-        estimates.append(
-            ParameterEstimate(p.name, p.prescribed, estimate, std, lower, upper, float(prior[i]), p.unknown)
-        )
+        estimates.append(ParameterEstimate(p.name, p.prescribed, estimate, std, lower, upper, p.prior_std, p.unknown))
     return estimates, covariance / np.outer(spread, spread)
 
 
@@ -42,7 +39,7 @@ def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
     The Hessian takes the discrepancy for noise, which averages out over a record. A force that was forgotten does not:
     that of a cubic spring follows the motion as that of a linear one does, and however long the record is, the linear
     one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
-    on its connection is r. Without model error d is small, and this with it.
+    on its connection is r, or what the prior lets it hide. Without model error d is small, and this with it.
     """
     if not equations.kinds:
         return np.zeros(0)
@@ -50,7 +47,8 @@ def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
     per_std = equations.physics.scatter(rows.parameter[..., 0].movedim(-1, 2).flatten(2))  # (N, kinds n)
     force = per_std.square().mean(0).sqrt()[equations.column].cpu().numpy()
     misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
-    return np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)
+    hidden = np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)
+    return hidden / np.hypot(1.0, hidden)
 
 
 def _newton_step(equations: NormalEquations, trained: Trained) -> np.ndarray:
