@@ -36,7 +36,9 @@ STATISTICS: dict[str, type] = {
 class Density(Protocol):
     """What NUTS samples from."""
 
-    size: int
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
 
     def potential(self, q: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the logarithm of the density at q (size,), and its gradient (size,)."""
