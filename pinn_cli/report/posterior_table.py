@@ -70,6 +70,13 @@ def diagnostics_table(diagnostics: pd.DataFrame, labels: Mapping[str, object]) -
     return with_labels(diagnostics[list(DIAGNOSTICS)], labels)
 
 
+def worst_sampled(diagnostics: pd.DataFrame, most: int) -> list[str]:
+    """The ``most`` parameters with the fewest effective draws, in their own order."""
+    effective = diagnostics[["ess_bulk", "ess_tail"]].min(axis=1)
+    kept = effective.sort_values(kind="stable").index[:most].sort_values()
+    return [str(name) for name in diagnostics.loc[kept, "parameter"]]
+
+
 def _pooled(samples: PosteriorSamples) -> np.ndarray:
     """(chains x draws, p)."""
     return samples.draws.reshape(-1, len(samples.names))

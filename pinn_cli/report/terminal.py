@@ -12,6 +12,7 @@ import numpy as np
 
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.posterior_table import worst_sampled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -180,8 +181,7 @@ def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> 
     )
     notes = []
     if len(table) > PARAMETERS_SHOWN:
-        effective = table[["ess_bulk", "ess_tail"]].min(axis=1)
-        table = table.loc[effective.sort_values(kind="stable").index[:PARAMETERS_SHOWN].sort_values()]
+        table = table[table["parameter"].isin(worst_sampled(table, PARAMETERS_SHOWN))]
         notes.append(f"the {len(table)} of {len(diagnostics)} with the fewest effective draws; all: diagnostics.csv")
     head = _head_of(_DIAGNOSTICS)
     return "\n".join([head, "-" * len(head), *_rows_of(_DIAGNOSTICS, table), *notes, *_quality(diagnostics, verdict)])

@@ -38,7 +38,7 @@ _BAND: dict[str, Any] = {"color": style.VERMILLION, "alpha": 0.25, "linewidth": 
 def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: np.ndarray) -> Figure:
     """One row per measured force: observed dots, predictive median and central 90 % band, on a stretch of the record.
 
-    What share of the observations lies in the band, of all times that were predicted, is written in each panel: about
+    What share of the observations lies in the band, at all times that were predicted, is written in each panel: about
     90 % if model and noise are right.
 
     Args:
@@ -59,7 +59,7 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
             lines = (factor * line[window, row] for line in (observed, lower, median, upper))
             _draw(panel, time[window], *lines)
             panel.set_ylabel(f"DOF {dofs[row]}: {style.SYMBOLS['force']} ({style.unit('force', prefix)})")
-            share = f"band holds {100.0 * held[row]:.0f} % of all observations"
+            share = f"band holds {100.0 * held[row]:.0f} % of the observations"
             panel.text(0.995, 0.96, share, transform=panel.transAxes, ha="right", va="top", fontsize=7)
         panels[-1].set_xlabel(r"Time $t$ (s)")
         figure.align_ylabels(list(panels))

@@ -29,7 +29,7 @@ def grid_density(
     Returns:
         Centres of the cells (cells,), (cells,), and the share of the draws in each (cells, cells), first column first.
     """
-    counts, *edges = np.histogram2d(*pairs.T, bins=cells, range=(horizontal, vertical))
+    counts, *edges = np.histogram2d(pairs[:, 0], pairs[:, 1], bins=cells, range=(horizontal, vertical))
     x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
     steps = np.array([x[1] - x[0], y[1] - y[0]])
     covariance = np.cov(pairs.T) / np.outer(steps, steps) * len(pairs) ** (-1.0 / 3.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axis import XAxis
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from pinn_cli.report.figures import style
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axis import Axis
 
-TAIL = 0.0005  # of the draws that may lie outside, on either side
+TAIL = 0.0005  # one draw in a thousand may widen a histogram to no purpose
 MARGIN = 0.06  # of the span, on either side
 TRUTH_WITHIN = 2.0  # spans: a truth that is further off is left out, else the draws would be a line
 
@@ -42,9 +43,14 @@ class ParameterAxis:
     true: float = math.nan
 
     @classmethod
-    def around(cls, name: str, values: np.ndarray, true: float, units: Mapping[str, str]) -> ParameterAxis:
-        """The axis on which the draws (draws,) and, if it is not far from them, the true value are seen."""
-        lower, upper = np.quantile(values, (TAIL, 1.0 - TAIL))
+    def around(
+        cls, name: str, values: np.ndarray, true: float, units: Mapping[str, str], tail: float = TAIL
+    ) -> ParameterAxis:
+        """The axis on which the draws (draws,) and, if it is not far from them, the true value are seen.
+
+        A share ``tail`` of the draws may lie outside, on either side.
+        """
+        lower, upper = np.quantile(values, (tail, 1.0 - tail))
         span = upper - lower
         if not span > 1e-9 * max(abs(lower), abs(upper)):  # all draws are the same
             span = 0.1 * abs(lower) or 1.0
@@ -65,7 +71,7 @@ class ParameterAxis:
             length: inch.
             size: Of the tick labels, points.
         """
-        horizontal = axis.axis_name == "x"
+        horizontal = isinstance(axis, XAxis)
         set_limits = axis.axes.set_xlim if horizontal else axis.axes.set_ylim
         set_limits(*self.limits)
         ticks, decimals = self._ticks(length * 72.0 / (size * (_CHARACTER if horizontal else _LINE)), horizontal)
@@ -77,7 +83,7 @@ class ParameterAxis:
         """Tick values, multiplied by the factor, and their decimals; ``room`` is in characters or in lines."""
         lower, upper = (limit * self.factor for limit in self.limits)
         for count in (4, 3, 2, 1):
-            ticks = MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], min_n_ticks=1).tick_values(lower, upper)
+            ticks = np.asarray(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], min_n_ticks=1).tick_values(lower, upper))
             decimals = max(_decimals(step) for step in np.diff(ticks)[:1])
             width = max(len(f"{tick:.{decimals}f}") for tick in ticks) if horizontal else 1.0
             inside = 0.5 * width / room * (upper - lower)  # a label across an end would run into the next panel's

@@ -48,7 +48,9 @@ def trace_figure(
     with style.look():
         figure, panels, positions = _panels(samples, shown, row=0.85)
         for panel, i in zip(panels, positions, strict=True):
-            axis = ParameterAxis.around(samples.names[i], samples.draws[..., i].ravel(), math.nan, units or {})
+            axis = ParameterAxis.around(
+                samples.names[i], samples.draws[..., i].ravel(), math.nan, units or {}, tail=0.0
+            )
             for chain in range(chains):
                 colour = style.CYCLE[chain % len(style.CYCLE)]
                 panel.plot(iterations, samples.draws[chain, ::every, i], color=colour, linewidth=0.4, alpha=0.8)
