@@ -68,6 +68,12 @@ def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
     return Path(path)
 
 
+def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:
+    """Attributes as netCDF can hold them: no null, no boolean."""
+    kept = {name: value for name, value in given.items() if value is not None}
+    return {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in kept.items()}
+
+
 def _observed(record: Record, quantity: str) -> np.ndarray:
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     return np.where(record.sensors(quantity), getattr(record, quantity), np.nan)
@@ -84,11 +90,9 @@ def _coordinates(record: Record) -> dict[str, tuple[str, np.ndarray, dict[str, s
 
 
 def _attributes(given: Mapping[str, object], record: Record) -> dict[str, object]:
-    """Global attributes as netCDF can hold them: no null, no boolean."""
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a chain of masses",
         "intersample": record.intersample,
     }
-    kept = {name: value for name, value in given.items() if value is not None}
-    return fixed | {name: int(value) if isinstance(value, bool | np.bool_) else value for name, value in kept.items()}
+    return fixed | netcdf_attributes(given)

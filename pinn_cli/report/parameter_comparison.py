@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from pinn_cli.report.case_runs import CaseRun, Variant
 
 COLUMNS = (
-    "case", "variant", "parameter", "true", "published", "published_error_percent", "estimate", "error_percent",
-    "larger_error", "std", "lower_90", "upper_90", "truth_inside", "seconds", "process_seconds",
+    "case", "variant", "parameter", "true", "published", "published_error_percent", "published_std", "estimate",
+    "error_percent", "larger_error", "std", "lower_90", "upper_90", "truth_inside", "seconds", "process_seconds",
 )  # fmt: skip
 LARGER = "▲"
+_PUBLISHED = {"estimate": "published", "error_percent": "published_error_percent", "std": "published_std"}
 _OURS = ("true", "estimate", "error_percent", "std", "lower_90", "upper_90")
 
 
@@ -33,12 +34,13 @@ def compare_parameters(published: pd.DataFrame, runs: Sequence[CaseRun]) -> pd.D
         Columns `COLUMNS`, in the order of ``published``, run by run. ``true`` is the exact value that the record was
         simulated with, of which the paper prints two decimals. ``larger_error`` (than the published one) is decided at
         two decimals of a per cent; ``truth_inside`` says whether the 90 % interval holds the true value and is empty
-        where there is no interval. A parameter that a run does not have leaves its cells empty.
+        where there is no interval; ``published_std`` is empty where the paper gives none. A parameter that a run does
+        not have leaves its cells empty.
     """
     parts = []
     for run in runs:
-        cells = published.loc[published["case"] == run.case, ["parameter", "estimate", "error_percent"]]
-        cells = cells.rename(columns={"estimate": "published", "error_percent": "published_error_percent"})
+        cells = published.loc[published["case"] == run.case, ["parameter", "estimate", "error_percent", "std"]]
+        cells = cells.rename(columns=_PUBLISHED)
         part = cells.merge(run.parameters[["parameter", *_OURS]], on="parameter", how="left", validate="one_to_one")
         part["larger_error"] = part["error_percent"].round(2) > part["published_error_percent"].round(2)
         inside = part["true"].between(part["lower_90"], part["upper_90"]).astype(object)
@@ -67,22 +69,13 @@ def parameters_markdown(title: str, comparison: pd.DataFrame, variants: Sequence
 
 
 def _variant_table(rows: pd.DataFrame) -> list[str]:
-    head = (
-        "case",
-        "parameter",
-        "true",
-        "published",
-        "error",
-        "ours",
-        "error",
-        "std",
-        "90 % interval",
-        "holds the truth",
-    )
+    with_std = bool(rows["published_std"].notna().any())
+    published = ("published", "error", "std") if with_std else ("published", "error")
+    head = ("case", "parameter", "true", *published, "ours", "error", "std", "90 % interval", "holds the truth")
     lines = [markdown_row(*head), markdown_row("---", "---", *("---:" for _ in head[2:-1]), "---")]
     case = None
     for row in rows.to_dict(orient="records"):
-        lines.append(markdown_row(str(row["case"]) if row["case"] != case else "", *_cells(row)))
+        lines.append(markdown_row(str(row["case"]) if row["case"] != case else "", *_cells(row, with_std)))
         case = row["case"]
     judged = rows["truth_inside"].dropna()
     seconds = rows.groupby("case", sort=False)["process_seconds"].first()
@@ -97,7 +90,7 @@ def _variant_table(rows: pd.DataFrame) -> list[str]:
     return lines
 
 
-def _cells(row: Mapping[Hashable, Any]) -> list[str]:
+def _cells(row: Mapping[Hashable, Any], with_std: bool) -> list[str]:
     mark = f" {LARGER}" if row["larger_error"] else ""
     estimate, lower, upper = (_to_digits_of(row["std"], row[name]) for name in ("estimate", "lower_90", "upper_90"))
     inside = "nan" if pd.isna(row["truth_inside"]) else "yes" if row["truth_inside"] else "no"
@@ -106,6 +99,7 @@ def _cells(row: Mapping[Hashable, Any]) -> list[str]:
         f"{row['true']:.5g}",
         f"{row['published']:g}",
         f"{row['published_error_percent']:g}",
+        *([f"{row['published_std']:g}"] if with_std else []),
         estimate,
         f"{row['error_percent']:.2f}{mark}",
         f"{row['std']:.2g}",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     import pandas
 
-TABLES = ("fitness.csv", "free_run.csv", "parameters.csv", "identifiability.csv")
+TABLES = ("fitness.csv", "free_run.csv", "parameters.csv", "identifiability.csv", "diagnostics.csv")
 
 
 class SweepTables(Callback):
@@ -35,7 +35,7 @@ def join_tables(directory: Path, name: str, overrides: Sequence[str]) -> Path | 
     Args:
         directory: Of the sweep. A job's directory is one that holds `.hydra/overrides.yaml`; jobs without the table,
             such as one that failed, are passed over.
-        name: One of the `TABLES`.
+        name: Of the table, one of `TABLES`.
         overrides: The sweep's overrides as typed (`seed=0,1`, `system.ndof=3`): those that do not sweep become no
             column, nor does a setting that the tables have a column of the same name for (`seed`, `case`).
 

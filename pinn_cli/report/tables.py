@@ -50,6 +50,11 @@ UNCERTAIN_AND_FIXED = (
     Variant("uncertain", "uncertain parameters"),
     Variant("fixed", "fixed parameters", ("scheme.parameter_uncertainty=0",)),
 )
+POSTERIORS = (
+    Variant("marginal", "marginal posterior, states uncertain"),
+    Variant("conditional", "conditional posterior, states held fixed as in the paper", ("posterior=conditional",)),
+    Variant("laplace", "Laplace's approximation of the marginal posterior, no sampling", ("posterior=laplace",)),
+)
 FITNESS_TABLES = (
     CaseTable("table2", "Table 2: sparse recovery", "sr-summary", UNCERTAIN_AND_FIXED),
     CaseTable("table5", "Table 5: state-parameter estimation, states", "spe-summary", UNCERTAIN_AND_FIXED),
@@ -67,6 +72,7 @@ PARAMETER_TABLES = (
         "spe-vdp-err",
         UNCERTAIN_AND_FIXED,
     ),
+    CaseTable("table6", "Table 6: Bayesian parameter estimation, 2-DOF chains", "mcmc-results", POSTERIORS),
 )
 
 

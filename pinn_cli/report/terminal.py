@@ -12,9 +12,10 @@ import numpy as np
 
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.posterior_table import worst_sampled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     import pandas as pd
 
@@ -132,12 +133,12 @@ def parameters_text(table: pd.DataFrame, unknown: Collection[str] = (), warnings
     sought = table["parameter"].isin(list(unknown))
     found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
     prescribed, notes = _furthest_moved(table[~sought], PRESCRIBED_BESIDE_UNKNOWN if len(found) else PARAMETERS_SHOWN)
-    head = "".join(column.align(column.title) for column in _COLUMNS.values())
+    head = _head_of(_COLUMNS)
     rule = "-" * len(head)
-    lines = [head, rule, *_parameter_rows(found)]
+    lines = [head, rule, *_rows_of(_COLUMNS, found)]
     if len(found) and len(prescribed):
         lines.append(rule)
-    lines += [*_parameter_rows(prescribed), *notes]
+    lines += [*_rows_of(_COLUMNS, prescribed), *notes]
     if len(found):
         lines += ["* unknown: identified from the record; its prescribed value is where it started", *_marks(warnings)]
     return "\n".join(lines)
@@ -153,10 +154,6 @@ def _furthest_moved(table: pd.DataFrame, limit: int) -> tuple[pd.DataFrame, list
     return kept, [note]
 
 
-def _parameter_rows(table: pd.DataFrame) -> list[str]:
-    return ["".join(_COLUMNS[name].write(row[name]) for name in _COLUMNS) for row in table.to_dict(orient="records")]
-
-
 def _marks(warnings: Sequence[str]) -> list[str]:
     """One line per warning; of a long chain's, the first `WARNINGS_SHOWN`."""
     if not warnings:
@@ -164,11 +161,38 @@ def _marks(warnings: Sequence[str]) -> list[str]:
     sentences = list(warnings[:WARNINGS_SHOWN])
     if len(warnings) > WARNINGS_SHOWN:
         sentences.append(f"and {len(warnings) - WARNINGS_SHOWN} more: identifiability.csv")
-    return [
-        line
-        for sentence in sentences
-        for line in textwrap.wrap(sentence, WIDTH, initial_indent=MARK, subsequent_indent=" " * len(MARK))
-    ]
+    return [line for sentence in sentences for line in _marked_lines(sentence)]
+
+
+def _marked_lines(sentence: str) -> list[str]:
+    return textwrap.wrap(sentence, WIDTH, initial_indent=MARK, subsequent_indent=" " * len(MARK))
+
+
+def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> str:
+    """How well the posterior was sampled, parameter by parameter, and whether that is good enough.
+
+    Args:
+        diagnostics: With the columns of `pinn_cli.report.posterior_table.DIAGNOSTICS`; of more than `PARAMETERS_SHOWN`
+            parameters, those with the fewest effective draws are shown.
+        verdict: Why the quality check failed, one sentence each; none if it passed.
+    """
+    table = diagnostics.assign(
+        interval=[_interval(*bounds) for bounds in diagnostics[["lower_90", "upper_90"]].to_numpy()]
+    )
+    notes = []
+    if len(table) > PARAMETERS_SHOWN:
+        table = table[table["parameter"].isin(worst_sampled(table, PARAMETERS_SHOWN))]
+        notes.append(f"the {len(table)} of {len(diagnostics)} with the fewest effective draws; all: diagnostics.csv")
+    head = _head_of(_DIAGNOSTICS)
+    return "\n".join([head, "-" * len(head), *_rows_of(_DIAGNOSTICS, table), *notes, *_quality(diagnostics, verdict)])
+
+
+def _quality(diagnostics: pd.DataFrame, verdict: Sequence[str]) -> list[str]:
+    if verdict:
+        return [line for finding in verdict for line in _marked_lines(f"quality check FAILED: {finding}")]
+    if not diagnostics["r_hat"].notna().any():
+        return ["no chains, so nothing to check: these are independent draws"]
+    return ["quality check of the sampling passed"]
 
 
 def _number(value: float, digits: int = 5) -> str:
@@ -179,6 +203,10 @@ def _number(value: float, digits: int = 5) -> str:
     if not -5 < order < 7:
         return f"{value:.{digits - 1}e}"
     return f"{value:.{max(digits - 1 - order, 0)}f}"
+
+
+def _count(value: float) -> str:
+    return f"{value:.0f}" if np.isfinite(value) else "-"
 
 
 def _interval(lower: float, upper: float) -> str:
@@ -207,3 +235,21 @@ _COLUMNS = {
     "true": _Column("true", 12, _number),
     "error_percent": _Column("error (%)", 10, _percent),
 }
+_DIAGNOSTICS = {
+    "parameter": _Column("parameter", -12, str),
+    "mean": _Column("mean", 11, _number),
+    "std": _Column("std", 10, partial(_number, digits=2)),
+    "interval": _Column("90 % interval", 25, str),
+    "r_hat": _Column("R-hat", 8, partial(_number, digits=4)),
+    "ess_bulk": _Column("bulk ESS", 10, _count),
+    "ess_tail": _Column("tail ESS", 10, _count),
+    "mcse_mean": _Column("MCSE", 10, partial(_number, digits=2)),
+}
+
+
+def _head_of(columns: Mapping[str, _Column]) -> str:
+    return "".join(column.align(column.title) for column in columns.values())
+
+
+def _rows_of(columns: Mapping[str, _Column], table: pd.DataFrame) -> list[str]:
+    return ["".join(columns[name].write(row[name]) for name in columns) for row in table.to_dict(orient="records")]

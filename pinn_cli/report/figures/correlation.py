@@ -10,7 +10,6 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.parameters import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +23,6 @@ LABELLED = 60  # parameters up to which every row has its name
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.5, 0.75, 0.3, 0.4  # inch
 _CELL, _LEAST = 0.34, 1.2  # inch, of a cell and of the matrix
-_GREEK = ("kappa", "mu")
 
 
 def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.ndarray) -> Figure:
@@ -64,17 +62,11 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
 
 def _name_rows(axes: Axes, names: Sequence[str]) -> None:
     kept = range(0, len(names), math.ceil(len(names) / LABELLED))
-    labels = [_mathematical(names[i]) for i in kept]
+    labels = [style.parameter_symbol(names[i]) for i in kept]
     size = 8.0 if len(names) <= ANNOTATED else 6.0
     axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(names) <= ANNOTATED else 90)
     axes.set_yticks(kept, labels, fontsize=size)
     axes.tick_params(length=0)
-
-
-def _mathematical(name: str) -> str:
-    symbol, connection = split_name(name)
-    shown = rf"\{symbol}" if symbol in _GREEK else symbol if len(symbol) == 1 else rf"\mathrm{{{symbol}}}"
-    return rf"${shown}_{{{connection}}}$"
 
 
 def _part(axes: Axes, unknown: int, count: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,7 +63,7 @@ def parameters_figure(
                 title = _NAMES.get(symbol, symbol)
                 if row is unknown:
                     unit = draw_value(axes, group, true, (units or {}).get(symbol, ""))
-                    title += f" ({_raised(unit)})" if unit else ""
+                    title += f" ({style.raised(unit)})" if unit else ""
                 else:
                     draw_change(axes, group, true)
                 axes.set_title(title, pad=4)
@@ -103,8 +102,3 @@ def _legend(place: Figure | SubFigure, panels: Sequence[Axes]) -> None:
     place.legend(
         [handles[label] for label in labels], labels, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(labels)
     )
-
-
-def _raised(unit: str) -> str:
-    """The unit with raised powers: ``N/m^3``."""
-    return re.sub(r"\^([\d.]+)", r"$^{\1}$", unit)

@@ -6,6 +6,7 @@ and no backend to choose.
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 
 from pinn_cli.record.record import UNITS
+from pinn_cli.report.parameters import split_name
 from pinn_cli.report.writing import replacing
 
 if TYPE_CHECKING:
@@ -33,6 +35,8 @@ SYMBOLS = {
     "acceleration": r"$\ddot{u}$",
     "force": r"$f$",
 }
+
+_GREEK = ("kappa", "mu")
 
 _STYLE: dict[Any, Any] = {
     "font.family": "STIXGeneral",
@@ -90,6 +94,18 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
 def unit(quantity: str, prefix: str = "") -> str:
     """The unit as it is printed: ``m/s^2`` with a raised 2."""
     return prefix + UNITS[quantity].replace("^2", "\N{SUPERSCRIPT TWO}")
+
+
+def raised(unit: str) -> str:
+    """A parameter's unit with raised powers: ``N/m^3``."""
+    return re.sub(r"\^([\d.]+)", r"$^{\1}$", unit)
+
+
+def parameter_symbol(name: str) -> str:
+    """A parameter's name as mathematics: ``kappa_4`` is a Greek letter with an index."""
+    kind, connection = split_name(name)
+    letter = rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else rf"\mathrm{{{kind}}}"
+    return rf"${letter}_{{{connection}}}$"
 
 
 def unit_prefix(magnitude: float, kilo: bool = False) -> tuple[float, str]:

@@ -1,0 +1,133 @@
+"""The posterior of a run, ``posterior.nc``: ArviZ's InferenceData, for ``arviz.from_netcdf``.
+
+It is written group by group with xarray: the layout is ArviZ's, and ArviZ itself takes seconds to import.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from pinn_cli.record.record import UNITS
+from pinn_cli.report.dataset import netcdf_attributes
+from pinn_cli.report.parameters import split_name
+from pinn_cli.report.writing import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.posterior.findings import ForcePredictive, PosteriorFindings
+    from pinn_cli.posterior.samples import PosteriorSamples
+    from pinn_cli.record.record import Record
+
+_KINDS = {
+    "m": "mass of DOF",
+    "c": "damping of connection",
+    "k": "stiffness of connection",
+    "kappa": "Duffing coefficient of connection",
+    "mu": "nonlinear damping of connection",
+}
+_DRAWN = ("chain", "draw")
+
+
+def posterior_groups(
+    findings: PosteriorFindings, record: Record, units: Mapping[str, str], attributes: Mapping[str, object]
+) -> dict[str, xr.Dataset]:
+    """The groups of an InferenceData.
+
+    Args:
+        findings: The draws and, where there is one, the force's posterior predictive.
+        record: What the force is compared with.
+        units: Symbol of a parameter to its unit, ``{"k": "N/m"}``; one that is missing is written without.
+        attributes: Of the run: text, numbers and booleans; those that are None are left out.
+
+    Returns:
+        ``/``: attributes only. ``posterior``: a variable per parameter over (chain, draw), and ``sigma_force`` over
+        (chain, draw, force_dof). ``prior``: the parameters over (chain, draw), one chain. With a posterior predictive:
+        ``posterior_predictive`` with ``force`` (chain, draw, time, dof), of the draws and at the times that were
+        predicted, in single precision, and ``observed_data`` with ``force`` (time, dof). ``sample_stats``: (chain,
+        draw), where something was sampled step by step.
+    """
+    samples = findings.samples
+    groups = {
+        "/": xr.Dataset(attrs={**netcdf_attributes(attributes), **_library(), "method": samples.method}),
+        "posterior": _posterior(samples, units),
+        "prior": _parameters(samples.prior[None], samples, units),
+    }
+    if findings.predictive is not None:
+        groups["posterior_predictive"] = _predicted(findings.predictive, samples, record)
+        groups["observed_data"] = _observed(findings.predictive, samples, record)
+    if samples.statistics:
+        statistics = {name: (_DRAWN, values) for name, values in samples.statistics.items()}
+        groups["sample_stats"] = xr.Dataset(statistics, _counted(*samples.draws.shape[:2]))
+    return groups
+
+
+def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> Path:
+    """Write the groups as netCDF 4 through h5netcdf."""
+    with replacing(path) as beside:
+        for position, (name, dataset) in enumerate(groups.items()):
+            dataset.to_netcdf(beside, mode="a" if position else "w", group=name, engine="h5netcdf", format="NETCDF4")
+    return Path(path)
+
+
+def _posterior(samples: PosteriorSamples, units: Mapping[str, str]) -> xr.Dataset:
+    dataset = _parameters(samples.draws, samples, units)
+    noise = {"long_name": "standard deviation of the measured force's noise", "units": UNITS["force"]}
+    dataset["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
+    dataset["force_dof"] = ("force_dof", *_dofs(samples))
+    # ArviZ's own names for the two.
+    return dataset.assign_attrs(tuning_steps=samples.warmup, sampling_time=float(np.max(samples.seconds, initial=0.0)))
+
+
+def _parameters(draws: np.ndarray, samples: PosteriorSamples, units: Mapping[str, str]) -> xr.Dataset:
+    """(chains, draws, p) as a variable per parameter."""
+    variables = {name: (_DRAWN, draws[..., i], _description(name, units)) for i, name in enumerate(samples.names)}
+    return xr.Dataset(variables, _counted(*draws.shape[:2]), _library())
+
+
+def _description(name: str, units: Mapping[str, str]) -> dict[str, str]:
+    symbol, connection = split_name(name)
+    described = {"long_name": f"{_KINDS.get(symbol, f'{symbol} of connection')} {connection}"}
+    return described | ({"units": units[symbol]} if symbol in units else {})
+
+
+def _counted(chains: int, draws: int) -> dict[str, Any]:
+    return {"chain": np.arange(chains), "draw": np.arange(draws)}
+
+
+def _predicted(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> xr.Dataset:
+    described = {"long_name": "force, posterior predictive", "units": UNITS["force"]}
+    # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
+    force = ((*_DRAWN, "time", "dof"), predictive.force.astype(np.float32), described)
+    drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
+    return xr.Dataset({"force": force}, drawn | _places(predictive, samples, record), _library())
+
+
+def _observed(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> xr.Dataset:
+    measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
+    described = {"long_name": "observed force", "units": UNITS["force"]}
+    return xr.Dataset(
+        {"force": (("time", "dof"), measured, described)}, _places(predictive, samples, record), _library()
+    )
+
+
+def _places(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> dict[str, Any]:
+    time = ("time", record.time[predictive.samples], {"long_name": "time", "units": "s"})
+    return {"time": time, "dof": ("dof", *_dofs(samples))}
+
+
+def _dofs(samples: PosteriorSamples) -> tuple[np.ndarray, dict[str, str]]:
+    described = {"long_name": "degree of freedom, 1 is nearest the fixed end", "units": "1"}
+    return samples.force_dofs.astype(np.int32), described
+
+
+def _library() -> dict[str, str]:
+    try:
+        return {"inference_library": "pinn-cli", "inference_library_version": version("pinn-cli")}
+    except PackageNotFoundError:  # run from a checkout that is not installed
+        return {"inference_library": "pinn-cli"}

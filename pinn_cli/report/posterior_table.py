@@ -1,0 +1,82 @@
+"""A sampled posterior as the estimates that every other scheme reports."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.report.labels import with_labels
+from pinn_cli.training.estimate import ParameterEstimate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.posterior.samples import PosteriorSamples
+
+DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
+CENTRAL_90 = (0.05, 0.95)
+
+
+def parameter_estimates(samples: PosteriorSamples, start: Mapping[str, float]) -> list[ParameterEstimate]:
+    """The posterior mean, standard deviation and central 90 % interval of every parameter, all of them unknown.
+
+    Args:
+        samples: p parameters, all chains together.
+        start: Name to the value from which its search started.
+
+    Raises:
+        KeyError: A parameter without a start.
+    """
+    draws = _pooled(samples)
+    lower, upper = np.quantile(draws, CENTRAL_90, axis=0)
+    mean, std, prior_std = draws.mean(axis=0), draws.std(axis=0, ddof=1), samples.prior.std(axis=0, ddof=1)
+    return [
+        ParameterEstimate(
+            name,
+            prescribed=float(start[name]),
+            estimate=float(mean[i]),
+            std=float(std[i]),
+            lower_90=float(lower[i]),
+            upper_90=float(upper[i]),
+            prior_std=float(prior_std[i]),
+            unknown=True,
+        )
+        for i, name in enumerate(samples.names)
+    ]
+
+
+def posterior_correlation(samples: PosteriorSamples) -> np.ndarray:
+    """(p, p), of all chains together; NaN beside a parameter that does not move, 1 on the diagonal."""
+    centred = _pooled(samples) - _pooled(samples).mean(axis=0)
+    length = np.linalg.norm(centred, axis=0)
+    moving = np.where(length > 0.0, length, np.nan)
+    correlation: np.ndarray = centred.T @ centred / np.outer(moving, moving)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def diagnostics_table(diagnostics: pd.DataFrame, labels: Mapping[str, object]) -> pd.DataFrame:
+    """The content of ``diagnostics.csv``.
+
+    Args:
+        diagnostics: With the columns `DIAGNOSTICS` at least.
+        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+
+    Returns:
+        Columns: the labels and `DIAGNOSTICS`.
+    """
+    return with_labels(diagnostics[list(DIAGNOSTICS)], labels)
+
+
+def worst_sampled(diagnostics: pd.DataFrame, most: int) -> list[str]:
+    """The ``most`` parameters with the fewest effective draws, in their own order."""
+    effective = diagnostics[["ess_bulk", "ess_tail"]].min(axis=1)
+    kept = effective.sort_values(kind="stable").index[:most].sort_values()
+    return [str(name) for name in diagnostics.loc[kept, "parameter"]]
+
+
+def _pooled(samples: PosteriorSamples) -> np.ndarray:
+    """(chains x draws, p)."""
+    return samples.draws.reshape(-1, len(samples.names))
