@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format bench table1 table2 clean
+.PHONY: help venv run test test-all lint format bench table1 table2 table3 table4 table5 clean
 
 help: ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,15 @@ table1: venv ## the paper's Table 1, perturbed parameters, beside the published 
 
 table2: venv ## the paper's sparse-recovery table: six cases, uncertain and fixed parameters, published beside ours
 	$(BIN)/python -m pinn_cli.report.tables table2 $(ARGS)
+
+table3: venv ## the paper's parameters by noise level: uncertain and fixed prescribed parameters, published beside ours
+	$(BIN)/python -m pinn_cli.report.tables table3 $(ARGS)
+
+table4: venv ## the paper's parameters of the Van der Pol chain, the linear model and wrong values, published beside ours
+	$(BIN)/python -m pinn_cli.report.tables table4 $(ARGS)
+
+table5: venv ## the paper's state-parameter table: fitness of its six cases, published beside ours
+	$(BIN)/python -m pinn_cli.report.tables table5 $(ARGS)
 
 clean: ## remove the environment, builds, caches and every result in outputs/
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -15,9 +15,12 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import textwrap
 import traceback
 from argparse import Namespace
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import hydra
@@ -34,6 +37,7 @@ log = logging.getLogger(__name__)
 Task = Callable[[DictConfig], None]
 
 STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 2, 3, 130, 141
+HELP_WIDTH = 120
 
 
 class Jobs:
@@ -86,7 +90,10 @@ def execute(task: Task) -> int:
     refused = False
     try:
         options = read_options(sys.argv)
-        _run_hydra(jobs)
+        if options.help:
+            _print_help(jobs)
+        else:
+            _run_hydra(jobs)
     except KeyboardInterrupt:
         print("pinn-run: interrupted", file=sys.stderr)
         return STATUS_INTERRUPTED
@@ -103,6 +110,18 @@ def execute(task: Task) -> int:
         if refused or jobs.unusable:
             run_directories.discard(jobs.unusable)
     return jobs.status
+
+
+def _print_help(jobs: Jobs) -> None:
+    """Hydra's help, which has every option of a group in one line, with long lines folded."""
+    text = StringIO()
+    try:
+        with redirect_stdout(text):
+            _run_hydra(jobs)
+    finally:  # Hydra exits once it has printed its help
+        for line in text.getvalue().splitlines():
+            folded = textwrap.wrap(line, HELP_WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
+            print("\n".join(folded) if len(line) > HELP_WIDTH else line)
 
 
 def _run_hydra(jobs: Jobs) -> None:

@@ -15,6 +15,7 @@ from pinn_cli.config_names import option_names
 from pinn_cli.errors import InputError
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report import published
+from pinn_cli.report.parameters import true_value
 
 REFERENCE_SIGNALS = Path(__file__).parents[2] / "shared" / "data" / "reference_signals"
 GROUPS = ("system", "excitation", "model_error", "data", "scheme", "network", "training")
@@ -60,14 +61,33 @@ def test_paper_experiments(composed: Compose, case: str) -> None:
     assert f"# pinn-run experiment=paper/{case}\n" in file.read_text()
 
 
-def test_every_row_of_the_sparse_recovery_table_is_an_experiment() -> None:
-    assert set(published.fitness().query("table == 'sr-summary'")["case"]) <= set(PAPER)
+@pytest.mark.parametrize("table", ["sr-summary", "spe-summary"])
+def test_every_row_of_a_fitness_table_is_an_experiment(table: str) -> None:
+    assert set(published.fitness().query("table == @table")["case"]) <= set(PAPER)
+
+
+@pytest.mark.parametrize("table", ["spe-nonerr-duf", "spe-vdp-err"])
+def test_published_parameters_are_those_of_the_experiment(composed: Compose, table: str) -> None:
+    rows = published.parameters().query("table == @table")
+    for case, expected in rows.groupby("case"):
+        config = RunConfig.read(composed(f"experiment=paper/{case}"))
+        true, _ = config.model_error.chains(config.chain)
+        parameters = {name: value.numpy() for name, value in true.parameters.items()}
+        ours = [true_value(name, parameters) for name in expected["parameter"]]
+        np.testing.assert_allclose(ours, expected["true"], atol=0.006)
 
 
 @pytest.mark.skipif(not REFERENCE_SIGNALS.is_dir(), reason="the reference signals are not beside the checkout")
 @pytest.mark.parametrize(
     ("case", "file"),
-    [("sr_6dof_snr50", "sr_6dof"), ("sr_20dof_snr50", "sr_20dof"), ("sr_6dof_perturbed", "sr_6dof_perturbed")],
+    [
+        ("sr_6dof_snr50", "sr_6dof"),
+        ("sr_20dof_snr50", "sr_20dof"),
+        ("sr_6dof_perturbed", "sr_6dof_perturbed"),
+        ("sp_5dof_snr50", "sp_5dof"),
+        ("sp_5dof_van_der_pol", "sp_5dof_van_der_pol"),
+        ("sp_5dof_perturbed", "sp_5dof_perturbed"),
+    ],
 )
 def test_paper_experiments_have_the_authors_signals(composed: Compose, case: str, file: str) -> None:
     config = RunConfig.read(composed(f"experiment=paper/{case}"))

@@ -1,4 +1,4 @@
-"""Runs of the paper's cases, each in a process of its own: what ``make table2`` collects."""
+"""Runs of the paper's cases, each in a process of its own: what ``make table2`` and its like collect."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -40,6 +40,7 @@ class CaseRun:
         fitness: The rows of its ``fitness.csv``.
         seconds: Total of its ``run.json``.
         process_seconds: From starting the process to its end, imports and figures included.
+        parameters: The rows of its ``parameters.csv``.
     """
 
     case: str
@@ -47,6 +48,7 @@ class CaseRun:
     fitness: pd.DataFrame
     seconds: float
     process_seconds: float
+    parameters: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 class CaseFailedError(RuntimeError):
@@ -54,12 +56,12 @@ class CaseFailedError(RuntimeError):
 
 
 def run_case(case: str, variant: Variant, directory: Path) -> CaseRun:
-    """Run ``pinn-run experiment=paper/<case>`` in ``directory`` and read its fitness.
+    """Run ``pinn-run experiment=paper/<case>`` in ``directory`` and read its tables.
 
     Raises:
         CaseFailedError: If the process ends with another status than 0, or leaves no tables.
     """
-    for name in ("fitness.csv", "run.json"):
+    for name in ("fitness.csv", "parameters.csv", "run.json"):
         (directory / name).unlink(missing_ok=True)  # of an earlier run: they must not pass for this one's
     command = [*command_of(case, variant), f"hydra.run.dir={_quoted(str(directory.resolve()))}"]
     start = time.perf_counter()
@@ -69,11 +71,11 @@ def run_case(case: str, variant: Variant, directory: Path) -> CaseRun:
         tail = "\n".join((done.stderr or done.stdout).splitlines()[-10:])
         raise CaseFailedError(f"{case}, {variant.title}: exit status {done.returncode}\n{tail}")
     try:
-        fitness = pd.read_csv(directory / "fitness.csv")
+        fitness, parameters = (pd.read_csv(directory / name) for name in ("fitness.csv", "parameters.csv"))
         seconds = json.loads((directory / "run.json").read_text(encoding="utf-8"))["seconds"]["total"]
     except (OSError, KeyError, ValueError) as error:
         raise CaseFailedError(f"{case}, {variant.title}: {error}") from error
-    return CaseRun(case, variant.name, fitness, float(seconds), process_seconds)
+    return CaseRun(case, variant.name, fitness, float(seconds), process_seconds, parameters)
 
 
 def command_of(case: str, variant: Variant) -> list[str]:

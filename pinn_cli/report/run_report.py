@@ -9,6 +9,12 @@ from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.figures import write_figures
 from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import free_run, free_run_table
+from pinn_cli.report.identifiability import (
+    any_unknown,
+    correlation_table,
+    identifiability_table,
+    identifiability_warnings,
+)
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text
@@ -52,17 +58,37 @@ def write_report(
         write_table(fitness, directory / "fitness.csv")
         write_table(parameters, directory / "parameters.csv")
         write_table(free_table, directory / "free_run.csv")
+        if any_unknown(estimate.parameters):
+            _write_identifiability(estimate, labels, directory)
         write_table(estimate.history, directory / "history.csv")
         dataset = response_dataset(estimate, record, truth.response, labels, free.response)
         write_dataset(dataset, directory / "response.nc")
     with stages("figures"):
         write_figures(
-            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label
+            estimate,
+            record,
+            truth,
+            directory / "figures",
+            _equivalent_linear(config),
+            truth_label=config.truth_label,
+            units=config.chain.units,
         )
     write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
-    shown = [parameters_text(parameters), fitness_text(fitness, record.observed, _published(labels))]
+    shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
     shown.append(free_run_text(free, free_table))
     return "\n\n".join(text for text in shown if text)
+
+
+def _write_identifiability(estimate: Estimate, labels: dict[str, object], directory: Path) -> None:
+    table = identifiability_table(estimate.parameters, estimate.correlation, labels)
+    write_table(table, directory / "identifiability.csv")
+    if estimate.correlation is not None:
+        write_table(correlation_table(estimate.parameters, estimate.correlation), directory / "correlation.csv")
+
+
+def _parameters_text(table: pandas.DataFrame, estimate: Estimate) -> str:
+    unknown = [p.name for p in estimate.parameters if p.unknown]
+    return parameters_text(table, unknown, identifiability_warnings(estimate.parameters, estimate.correlation))
 
 
 def _equivalent_linear(config: RunConfig) -> Response | None:

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
     import pandas
 
-TABLES = ("fitness.csv", "free_run.csv", "parameters.csv")
+TABLES = ("fitness.csv", "free_run.csv", "parameters.csv", "identifiability.csv")
 
 
 class SweepTables(Callback):
     """Joins the jobs' tables when a sweep ends. Hydra builds it at every start, so nothing slow is imported above."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Write the `TABLES` into the sweep's directory and print its path."""
+        """Write each of `TABLES` that the jobs have into the sweep's directory and print its path."""
         directory = Path(config.hydra.sweep.dir)
         for name in TABLES:
             join_tables(directory, name, list(config.hydra.overrides.task))

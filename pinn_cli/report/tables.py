@@ -1,7 +1,7 @@
 """The paper's tables, published beside ours: ``python -m pinn_cli.report.tables table2 [--output outputs/tables]``.
 
-A further table of fitness is one entry of `FITNESS_TABLES`; a table of another kind is one function and one entry of
-`TABLES`.
+A further table of fitness is one entry of `FITNESS_TABLES`, one of estimated parameters an entry of `PARAMETER_TABLES`;
+a table of another kind is one function and one entry of `TABLES`.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from pinn_cli.report import published
 from pinn_cli.report.case_runs import Variant, run_cases
 from pinn_cli.report.comparison import compare_fitness, fitness_markdown, markdown_row
+from pinn_cli.report.parameter_comparison import compare_parameters, parameters_markdown
 from pinn_cli.report.writing import write_table, write_text
 
 if TYPE_CHECKING:
@@ -23,17 +24,19 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
+    from pinn_cli.report.case_runs import CaseRun
+
 AUTHORS_SEED = 43810  # of the draws behind the paper's Table 1
 
 
 @dataclass(frozen=True)
-class FitnessTable:
-    """A table of fitness values: the cases are those of the published table, each is run with every variant.
+class CaseTable:
+    """A published table whose cases are each run with every variant.
 
     Attributes:
         name: Of the command and the files.
         title: Heading.
-        published: The table's name in ``published/fitness.csv``.
+        published: The table's name in ``published/fitness.csv`` or ``published/parameters.csv``.
         variants: Ways to run a case.
     """
 
@@ -43,26 +46,51 @@ class FitnessTable:
     variants: tuple[Variant, ...]
 
 
+UNCERTAIN_AND_FIXED = (
+    Variant("uncertain", "uncertain parameters"),
+    Variant("fixed", "fixed parameters", ("scheme.parameter_uncertainty=0",)),
+)
 FITNESS_TABLES = (
-    FitnessTable(
-        name="table2",
-        title="Table 2: sparse recovery",
-        published="sr-summary",
-        variants=(
-            Variant("uncertain", "uncertain parameters"),
-            Variant("fixed", "fixed parameters", ("scheme.parameter_uncertainty=0",)),
-        ),
+    CaseTable("table2", "Table 2: sparse recovery", "sr-summary", UNCERTAIN_AND_FIXED),
+    CaseTable("table5", "Table 5: state-parameter estimation, states", "spe-summary", UNCERTAIN_AND_FIXED),
+)
+PARAMETER_TABLES = (
+    CaseTable(
+        "table3",
+        "Table 3: state-parameter estimation, parameters of the Duffing chain by noise",
+        "spe-nonerr-duf",
+        UNCERTAIN_AND_FIXED,
+    ),
+    CaseTable(
+        "table4",
+        "Table 4: state-parameter estimation, parameters of the Van der Pol chain and with wrong models",
+        "spe-vdp-err",
+        UNCERTAIN_AND_FIXED,
     ),
 )
 
 
-def fitness_table(table: FitnessTable, output: Path) -> int:
+def fitness_table(table: CaseTable, output: Path) -> int:
     """Run the table's cases and write ``<name>.csv`` and ``<name>.md``; the runs lie in ``<output>/<name>/``."""
-    values = published.fitness()
+    return _case_table(table, published.fitness(), compare_fitness, fitness_markdown, output)
+
+
+def parameters_table(table: CaseTable, output: Path) -> int:
+    """The same for a table of estimated parameters."""
+    return _case_table(table, published.parameters(), compare_parameters, parameters_markdown, output)
+
+
+def _case_table(
+    table: CaseTable,
+    values: pd.DataFrame,
+    compare: Callable[[pd.DataFrame, Sequence[CaseRun]], pd.DataFrame],
+    markdown: Callable[[str, pd.DataFrame, Sequence[Variant]], str],
+    output: Path,
+) -> int:
     values = values[values["table"] == table.published]
     runs, failures = run_cases(list(dict.fromkeys(values["case"])), table.variants, output / table.name)
-    comparison = compare_fitness(values, runs)
-    text = fitness_markdown(table.title, comparison, table.variants)
+    comparison = compare(values, runs)
+    text = markdown(table.title, comparison, table.variants)
     if failures:
         text += "\n\nFailed:\n" + "".join(f"\n- {failure.splitlines()[0]}" for failure in failures)
     _write(table.name, comparison, text, output)
@@ -122,6 +150,7 @@ def perturbed_parameters_comparison() -> pd.DataFrame:
 TABLES: dict[str, Callable[[Path], int]] = {
     "table1": perturbed_parameters_table,
     **{table.name: partial(fitness_table, table) for table in FITNESS_TABLES},
+    **{table.name: partial(parameters_table, table) for table in PARAMETER_TABLES},
 }
 
 
@@ -136,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m pinn_cli.report.tables", description="The paper's tables beside ours."
     )
-    parser.add_argument("table", choices=TABLES)
+    parser.add_argument("table", choices=sorted(TABLES))
     parser.add_argument("--output", type=Path, default=Path("outputs/tables"), help="folder (default: %(default)s)")
     given = parser.parse_args(arguments)
     return TABLES[given.table](given.output)

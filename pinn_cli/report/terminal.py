@@ -14,7 +14,7 @@ from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     import pandas as pd
 
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 WIDTH = 100
 DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 PARAMETERS_SHOWN = 24
+PRESCRIBED_BESIDE_UNKNOWN = 8  # what was prescribed is not what such a run is made for
+WARNINGS_SHOWN = 12
+MARK = "! "
 
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
 _TITLES = {"fitness_percent": "fitness, printed formula", "range_fitness_percent": "fitness by range, as in the tables"}
@@ -112,28 +115,60 @@ def _published_scores(table: pd.DataFrame, published: pd.DataFrame | None) -> di
     }
 
 
-def parameters_text(table: pd.DataFrame) -> str:
-    """The parameter table; of more than `PARAMETERS_SHOWN` parameters, those that moved furthest.
+def parameters_text(table: pd.DataFrame, unknown: Collection[str] = (), warnings: Sequence[str] = ()) -> str:
+    """The parameter table: every unknown parameter, then the prescribed ones, or those of them that moved furthest.
 
     Args:
         table: From `pinn_cli.report.parameters.parameter_table`, of one run.
+        unknown: Names of those that were to be identified from the record; the others were prescribed.
+        warnings: From `pinn_cli.report.identifiability.identifiability_warnings`, of the same run.
 
     Returns:
         Text, or "" if there are no parameters.
     """
     if table.empty:
         return ""
-    rows, notes = table, []
-    if len(table) > PARAMETERS_SHOWN:
-        moved = (table["estimate"] / table["prescribed"] - 1.0).abs()
-        rows = table.loc[moved.nlargest(PARAMETERS_SHOWN).index.sort_values()]
-        notes = [
-            f"the {len(rows)} of {len(table)} that moved furthest from their prescribed values; all: parameters.csv"
-        ]
-    rows = rows.assign(interval=[_interval(*bounds) for bounds in rows[["lower_90", "upper_90"]].to_numpy()])
-    lines = ["".join(_COLUMNS[name].write(row[name]) for name in _COLUMNS) for row in rows.to_dict(orient="records")]
+    table = table.assign(interval=[_interval(*bounds) for bounds in table[["lower_90", "upper_90"]].to_numpy()])
+    sought = table["parameter"].isin(list(unknown))
+    found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
+    prescribed, notes = _furthest_moved(table[~sought], PRESCRIBED_BESIDE_UNKNOWN if len(found) else PARAMETERS_SHOWN)
     head = "".join(column.align(column.title) for column in _COLUMNS.values())
-    return "\n".join([head, "-" * len(head), *lines, *notes])
+    rule = "-" * len(head)
+    lines = [head, rule, *_parameter_rows(found)]
+    if len(found) and len(prescribed):
+        lines.append(rule)
+    lines += [*_parameter_rows(prescribed), *notes]
+    if len(found):
+        lines += ["* unknown: identified from the record; its prescribed value is where it started", *_marks(warnings)]
+    return "\n".join(lines)
+
+
+def _furthest_moved(table: pd.DataFrame, limit: int) -> tuple[pd.DataFrame, list[str]]:
+    """The ``limit`` rows that moved furthest, in their order, and a note where that is not all."""
+    if len(table) <= limit:
+        return table, []
+    moved = (table["estimate"] / table["prescribed"] - 1.0).abs()
+    kept = table.loc[moved.nlargest(limit).index.sort_values()]
+    note = f"the {len(kept)} of {len(table)} that moved furthest from their prescribed values; all: parameters.csv"
+    return kept, [note]
+
+
+def _parameter_rows(table: pd.DataFrame) -> list[str]:
+    return ["".join(_COLUMNS[name].write(row[name]) for name in _COLUMNS) for row in table.to_dict(orient="records")]
+
+
+def _marks(warnings: Sequence[str]) -> list[str]:
+    """One line per warning; of a long chain's, the first `WARNINGS_SHOWN`."""
+    if not warnings:
+        return ["every unknown parameter is well determined"]
+    sentences = list(warnings[:WARNINGS_SHOWN])
+    if len(warnings) > WARNINGS_SHOWN:
+        sentences.append(f"and {len(warnings) - WARNINGS_SHOWN} more: identifiability.csv")
+    return [
+        line
+        for sentence in sentences
+        for line in textwrap.wrap(sentence, WIDTH, initial_indent=MARK, subsequent_indent=" " * len(MARK))
+    ]
 
 
 def _number(value: float, digits: int = 5) -> str:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.system.nonlinearity.base import Nonlinearity
 
-LINEAR_PARAMETERS = ("m", "c", "k")
+LINEAR_PARAMETERS = {"m": "kg", "c": "N s/m", "k": "N/m"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +56,11 @@ class Chain:
     def ndof(self) -> int:
         """Number of degrees of freedom."""
         return self.parameters["m"].shape[-1]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each parameter, powers as ``m^3``."""
+        return {**LINEAR_PARAMETERS, **self.nonlinearity.units}
 
     @staticmethod
     def elongation(x: Array) -> Array:

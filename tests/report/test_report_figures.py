@@ -13,6 +13,7 @@ import pytest
 
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.report.figures import (
+    correlation_figure,
     error_map_figure,
     history_figure,
     parameters_figure,
@@ -141,6 +142,104 @@ def test_parameters_relative_to_prescribed(make_case):
     assert _texts(parameters_figure(case.estimate.parameters, None)) == ["prescribed", "estimate, 90 % interval"]
     with pytest.raises(ValueError, match="no estimated parameter"):
         parameters_figure([replace(case.estimate.parameters[0], prescribed=0.0)], None)
+
+
+def _identified(case, *unknown):
+    """The case's parameters, of which the named ones are unknown, started from two thirds of their value."""
+    return [
+        replace(p, unknown=True, prescribed=p.prescribed / 1.5) if p.name in unknown else p
+        for p in case.estimate.parameters
+    ]
+
+
+def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_case):
+    case = make_case(ndof=4)
+    units = {"k": "N/m", "kappa": "N/m^3"}
+    parameters = _identified(case, "k_2", "k_4", "kappa_2")
+    figure = parameters_figure(parameters, case.truth.parameters, units)
+    titles = [
+        "Stiffness $k$ (N/m)",
+        r"Duffing $\kappa$ (N/m$^{3}$)",
+        "Damping $c$",
+        "Stiffness $k$",
+        r"Duffing $\kappa$",
+    ]
+    assert [axes.get_title() for axes in figure.axes] == titles
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 1.01 * 15.0)
+    np.testing.assert_array_equal(figure.axes[0].get_xticks(), [2, 4])
+    upper, lower = (_texts(place) for place in figure.subfigs)
+    assert upper == ["truth", "start, off the scale", "estimate, 90 % interval"]
+    assert lower == ["prescribed", "truth", "estimate, 90 % interval"]
+
+
+def test_a_start_far_away_does_not_squash_the_scale(make_case):
+    case = make_case(ndof=4)
+    far, near = (
+        [replace(p, unknown=True, prescribed=start) for p in case.estimate.parameters if p.name in ("k_2", "k_4")]
+        for start in (40e3, 14.5)
+    )
+    figure = parameters_figure(far, None, {"k": "N/m"})
+    assert figure.axes[0].get_ylim()[1] < 17.0
+    assert [text.get_text() for text in figure.axes[0].texts] == ["4e+04"]
+    assert _texts(figure) == ["start, off the scale", "estimate, 90 % interval"]
+    figure = parameters_figure(near, None, {"k": "N/m"})
+    assert figure.axes[0].get_ylim()[0] < 14.5
+    assert _texts(figure) == ["start", "estimate, 90 % interval"]
+
+
+def test_the_interval_of_a_parameter_at_its_bound_does_not_reach_the_estimate(make_case):
+    (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
+    bounded = replace(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
+    axes = parameters_figure([bounded], None, {"k": "N/m"}).axes[0]
+    (segment,) = [path.vertices for lines in axes.collections for path in lines.get_paths() if len(path.vertices)]
+    np.testing.assert_allclose(segment[:, 1], [0.1, 2.0])
+
+
+def test_values_without_intervals_and_large_values(make_case):
+    parameters = [
+        replace(p, unknown=True, estimate=44e3, std=np.nan, lower_90=np.nan, upper_90=np.nan)
+        for p in make_case(ndof=1).estimate.parameters
+        if p.name == "k_1"
+    ]
+    figure = parameters_figure(parameters, None, {"k": "N/m"})
+    assert figure.axes[0].get_title() == "Stiffness $k$ (kN/m)"
+    assert figure.axes[0].lines[0].get_ydata() == 44.0
+    assert _texts(figure)[-1] == "estimate"
+
+
+def test_correlation_has_the_unknown_parameters_first(make_case):
+    case = make_case(ndof=2)
+    correlation = np.eye(6)
+    correlation[0, 3] = correlation[3, 0] = -0.976
+    figure = correlation_figure(_identified(case, "k_2"), correlation)
+    axes = figure.axes[0]
+    names = ["$k_{2}$", "$c_{1}$", "$c_{2}$", "$k_{1}$", r"$\kappa_{1}$", r"$\kappa_{2}$"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == names
+    shown = axes.images[0].get_array()
+    assert shown[0, 1] == shown[1, 0] == -0.976
+    assert np.ma.getmaskarray(shown).diagonal().all()
+    texts = [text.get_text() for text in axes.texts]
+    assert texts[:2] == ["unknown", "prescribed"]
+    assert sorted(texts[2:]) == ["0.00"] * 28 + ["\N{MINUS SIGN}0.98"] * 2
+    with pytest.raises(ValueError, match="two parameters"):
+        correlation_figure(case.estimate.parameters[:1], np.eye(1))
+
+
+def test_a_large_correlation_matrix_has_no_numbers(make_case):
+    case = make_case(ndof=25)
+    axes = correlation_figure(_identified(case, "k_2"), np.eye(75)).axes[0]
+    assert len(axes.texts) == 2
+    assert len(axes.get_yticks()) == 38
+
+
+def test_the_correlation_is_drawn_for_unknown_parameters_only(make_case, tmp_path):
+    case = make_case(ndof=1, observed=1)
+    estimate = replace(case.estimate, history=pd.DataFrame({"iteration": [0]}), correlation=np.eye(3))
+    paths = write_figures(estimate, case.record, case.truth, tmp_path / "prescribed")
+    assert {path.stem for path in paths} == {"response", "error_map", "parameters"}
+    estimate = replace(estimate, parameters=_identified(case, "k_1"))
+    paths = write_figures(estimate, case.record, case.truth, tmp_path / "unknown")
+    assert {path.stem for path in paths} == {"response", "error_map", "parameters", "correlation"}
 
 
 def test_decimation_keeps_extremes_and_ends():

@@ -13,9 +13,12 @@ import pytest
 from pinn_cli.report import case_runs, published, tables
 from pinn_cli.report.case_runs import CaseFailedError, CaseRun, Variant, run_case
 from pinn_cli.report.comparison import COLUMNS, compare_fitness, fitness_markdown
+from pinn_cli.report.parameter_comparison import COLUMNS as PARAMETER_COLUMNS
+from pinn_cli.report.parameter_comparison import compare_parameters, parameters_markdown
 from pinn_cli.report.writing import write_json, write_table
 
 UNCERTAIN, FIXED = tables.FITNESS_TABLES[0].variants
+NAN = float("nan")
 
 
 def _sparse_recovery() -> pd.DataFrame:
@@ -24,8 +27,17 @@ def _sparse_recovery() -> pd.DataFrame:
 
 
 def _fitness(case: str, offset: float) -> pd.DataFrame:
-    cells = _sparse_recovery().loc[lambda table: table["case"] == case, ["group", "quantity", "fitness_percent"]]
+    cells = published.fitness().loc[lambda table: table["case"] == case, ["group", "quantity", "fitness_percent"]]
     return cells.assign(range_fitness_percent=cells["fitness_percent"] + offset, fitness_percent=90.0)
+
+
+def _parameters(case: str, error_percent: float = 1.0, std_percent: float = 1.0) -> pd.DataFrame:
+    """Each published parameter, estimated too large by so much, among others that are in no table."""
+    table = published.parameters().loc[lambda table: table["case"] == case, ["parameter", "true"]]
+    table = pd.concat([pd.DataFrame({"parameter": ["c_1"], "true": [1.0]}), table], ignore_index=True)
+    estimate, std = table["true"] * (1.0 + error_percent / 100.0), table["true"] * std_percent / 100.0
+    lower, upper = estimate - 1.645 * std, estimate + 1.645 * std
+    return table.assign(estimate=estimate, error_percent=error_percent, std=std, lower_90=lower, upper_90=upper)
 
 
 def test_table1_agrees_with_the_paper(tmp_path, capsys):
@@ -59,7 +71,9 @@ def test_equal_at_the_papers_two_decimals_is_not_below():
     assert not comparison["below_published"].any()
 
 
-def test_table2_collects_every_case_and_variant(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def commands(monkeypatch):
+    """Stand-ins for the runs, of which those with a linear model fail; the commands that were to be run."""
     commands = []
 
     def run(command, **_):
@@ -67,10 +81,15 @@ def test_table2_collects_every_case_and_variant(tmp_path, monkeypatch, capsys):
         directory = Path(command[-1].removeprefix("hydra.run.dir='").removesuffix("'"))
         case = command[3].removeprefix("experiment=paper/")
         write_table(_fitness(case, 0.1), directory / "fitness.csv")
+        write_table(_parameters(case), directory / "parameters.csv")
         write_json({"seconds": {"total": 2.0}}, directory / "run.json")
         return SimpleNamespace(returncode=1 if "linear" in case else 0, stdout="", stderr="what went wrong")
 
     monkeypatch.setattr(subprocess, "run", run)
+    return commands
+
+
+def test_table2_collects_every_case_and_variant(tmp_path, commands, capsys):
     assert tables.main(["table2", "--output", str(tmp_path / "a folder, with = signs")]) == 1
     assert len(commands) == 12
     assert commands[0][:4] == [sys.executable, "-m", "pinn_cli.main", "experiment=paper/sr_6dof_snr50"]
@@ -83,8 +102,75 @@ def test_table2_collects_every_case_and_variant(tmp_path, monkeypatch, capsys):
     assert "what went wrong" in capsys.readouterr().err
 
 
+def test_table5_has_the_groups_of_the_state_parameter_scheme(tmp_path, commands):
+    assert tables.main(["table5", "--output", str(tmp_path)]) == 1
+    assert len(commands) == 12
+    table = pd.read_csv(tmp_path / "table5.csv")
+    assert table["group"].unique().tolist() == ["all", "observed", "unobserved"]
+    text = (tmp_path / "table5.md").read_text()
+    assert "## Unobserved DOFs" in text
+    assert "sp_5dof_linear, uncertain parameters: exit status 1" in text
+
+
+def test_table3_collects_the_parameters_of_three_noise_levels(tmp_path, commands):
+    assert tables.main(["table3", "--output", str(tmp_path)]) == 0
+    assert [command[3].removeprefix("experiment=paper/") for command in commands[::2]] == [
+        f"sp_5dof_snr{snr}" for snr in (50, 20, 10)
+    ]
+    assert all(command[4] == "scheme.parameter_uncertainty=0" for command in commands[1::2])
+    table = pd.read_csv(tmp_path / "table3.csv")
+    assert list(table) == list(PARAMETER_COLUMNS)
+    assert len(table) == 3 * 4 * 2
+    assert set(table["parameter"]) == {"k_2", "k_4", "kappa_2", "kappa_4"}
+    text = (tmp_path / "table3.md").read_text()
+    assert text.index("## Uncertain parameters") < text.index("## Fixed parameters")
+
+
+def test_table4_tells_of_the_case_that_failed(tmp_path, commands):
+    assert tables.main(["table4", "--output", str(tmp_path)]) == 1
+    assert set(pd.read_csv(tmp_path / "table4.csv")["case"]) == {"sp_5dof_van_der_pol", "sp_5dof_perturbed"}
+    assert "sp_5dof_linear, fixed parameters: exit status 1" in (tmp_path / "table4.md").read_text()
+
+
+def _table3_row(text: str, parameter: str) -> list[str]:
+    (line,) = [line for line in text.splitlines() if f"| {parameter} |" in line]
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_parameters_beside_the_published_ones():
+    run = CaseRun("sp_5dof_snr50", "fixed", pd.DataFrame(), 3.0, 5.0, _parameters("sp_5dof_snr50", 0.4, 0.2))
+    comparison = compare_parameters(published.parameters(), [run])
+    assert comparison["larger_error"].tolist() == [False, True, False, True]  # published: 0.615, 0.37, 6.0, 0.326
+    assert not comparison["truth_inside"].any()
+    text = parameters_markdown("Title", comparison, (UNCERTAIN, FIXED))
+    cells = ["", "k_4", "15", "14.95", "0.37", "15.060", "0.40 ▲", "0.03", "15.011 to 15.109", "no"]
+    assert _table3_row(text, "k_4") == cells
+    assert "2 of 4 errors are larger than the published ones; 0 of 4 intervals hold the truth" in text
+    assert "sp_5dof_snr50 5.0" in text
+    assert "Uncertain" not in text
+
+
+def test_an_interval_that_holds_the_truth():
+    run = CaseRun("sp_5dof_snr50", "fixed", pd.DataFrame(), 3.0, 5.0, _parameters("sp_5dof_snr50", 1.0, 1.0))
+    comparison = compare_parameters(published.parameters(), [run])
+    assert comparison["truth_inside"].tolist() == [True] * 4
+    assert _table3_row(parameters_markdown("Title", comparison, (FIXED,)), "kappa_2")[-1] == "yes"
+
+
+def test_missing_parameters_and_intervals_are_empty():
+    parameters = _parameters("sp_5dof_snr50").query("parameter != 'k_2'").assign(std=NAN, lower_90=NAN, upper_90=NAN)
+    run = CaseRun("sp_5dof_snr50", "fixed", pd.DataFrame(), 3.0, 5.0, parameters)
+    comparison = compare_parameters(published.parameters(), [run])
+    assert comparison["truth_inside"].isna().all()
+    text = parameters_markdown("Title", comparison, (FIXED,))
+    assert _table3_row(text, "k_2") == ["sp_5dof_snr50", "k_2", "-", "14.91", "0.615", "-", "-", "-", "-", "-"]
+    assert _table3_row(text, "k_4")[-3:] == ["-", "-", "-"]
+    assert "0 of 0 intervals" in text
+
+
 def test_tables_of_an_earlier_run_do_not_pass_for_this_one(tmp_path, monkeypatch):
     write_table(_fitness("sr_6dof_snr50", 0.0), tmp_path / "fitness.csv")
+    write_table(_parameters("sr_6dof_snr50"), tmp_path / "parameters.csv")
     write_json({"seconds": {"total": 2.0}}, tmp_path / "run.json")
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: SimpleNamespace(returncode=0, stdout="", stderr=""))
     with pytest.raises(CaseFailedError, match=r"sr_6dof_snr50, plain: .*fitness\.csv"):

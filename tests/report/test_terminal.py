@@ -58,3 +58,48 @@ def test_parameters(make_case):
     text = parameters_text(parameter_table(estimates, None, labels))
     assert text.splitlines()[2].split() == ["k_1", "40000", "44012", "1534", "-", "-", "-"]
     assert parameters_text(parameter_table([], None, labels)) == ""
+
+
+def _identified(count: int = 2) -> list[ParameterEstimate]:
+    """Every second parameter of the named kinds is unknown; of the prescribed ones, the last moved furthest."""
+    return [
+        ParameterEstimate(f"{kind}_{i}", 10.0, 10.0 + i, 0.1, 9.0 + i, 11.0 + i, 5.0, unknown=i % 2 == 0)
+        for kind in ("k", "kappa")
+        for i in range(1, 2 * count + 1)
+    ]
+
+
+def _identified_text(estimates, labels, warnings=()):
+    table = parameter_table(estimates, None, labels)
+    return parameters_text(table, [p.name for p in estimates if p.unknown], warnings)
+
+
+def test_unknown_parameters_come_first_and_are_marked(make_case):
+    lines = _identified_text(_identified(), make_case().labels).splitlines()
+    names = [line.split("  ")[0] for line in lines]
+    assert names[2:6] == ["k_2 *", "k_4 *", "kappa_2 *", "kappa_4 *"]
+    assert set(lines[6]) == {"-"}
+    assert names[7:11] == ["k_1", "k_3", "kappa_1", "kappa_3"]
+    assert lines[11].startswith("* unknown:")
+    assert lines[12:] == ["every unknown parameter is well determined"]
+
+
+def test_all_unknown_parameters_are_shown_and_a_handful_of_the_prescribed(make_case):
+    lines = _identified_text(_identified(count=20), make_case().labels).splitlines()
+    assert sum(" * " in line for line in lines) == 40
+    assert len(lines) == 2 + 40 + 1 + 8 + 3
+    assert lines[43].startswith("k_33 ")
+    assert lines[51].startswith("the 8 of 40 that moved furthest")
+
+
+def test_only_unknown_parameters_need_no_rule_between(make_case):
+    lines = _identified_text([p for p in _identified() if p.unknown], make_case().labels).splitlines()
+    assert sum(set(line) == {"-"} for line in lines) == 1
+
+
+def test_warnings_are_marked_counted_and_fit(make_case):
+    warnings = [f"k_{i} " + "can hardly be told from the others " * 3 for i in range(15)]
+    text = _identified_text(_identified(), make_case().labels, warnings)
+    assert text.count("! ") == 12 + 1
+    assert text.splitlines()[-1] == "! and 3 more: identifiability.csv"
+    assert max(map(len, text.splitlines())) <= WIDTH

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from pinn_cli.errors import InputError
-from pinn_cli.system.nonlinearity import Linear, PowerDamping
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.nonlinearity import Duffing, Linear, PowerDamping, VanDerPol
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.5, 3.0])
@@ -36,3 +37,15 @@ def test_linear_adds_nothing_in_any_dtype():
     force = Linear().force(e, e, {})
     assert force.dtype == torch.float32
     assert not force.any()
+
+
+def test_units():
+    units = {"m": "kg", "c": "N s/m", "k": "N/m"}
+    for kind, own in (
+        (Linear(), {}),
+        (Duffing(), {"kappa": "N/m^3"}),
+        (VanDerPol(), {"mu": "N s/m"}),
+        (PowerDamping(2), {"mu": "N (s/m)^2"}),
+        (PowerDamping(1.5), {"mu": "N (s/m)^1.5"}),
+    ):
+        assert build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0)).units == units | own

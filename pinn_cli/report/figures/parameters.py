@@ -1,20 +1,22 @@
-"""Estimated system parameters with their 90 % intervals, relative to what was prescribed."""
+"""Estimated system parameters with their 90 % intervals: unknown ones as they are, prescribed ones as they moved."""
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.parameters import split_name, true_value
+from pinn_cli.report.figures.parameter_panels import draw_change, draw_value
+from pinn_cli.report.parameters import split_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import SubFigure
 
     from pinn_cli.training.estimate import ParameterEstimate
 
@@ -25,65 +27,84 @@ _NAMES = {
     "kappa": r"Duffing $\kappa$",
     "mu": r"Van der Pol $\mu$",
 }
+_ROW, _TOP, _BOTTOM = 2.3, 0.5, 0.39  # inch: of a row of panels, and of its legend and titles, its ticks and labels
+_LEFT, _RIGHT = 0.55, 0.08
 
 
-def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> Figure:
-    """One panel per symbol: the relative change from the prescribed value of every connection, and its 90 % interval.
+def parameters_figure(
+    estimates: Sequence[ParameterEstimate],
+    true: Mapping[str, np.ndarray] | None,
+    units: Mapping[str, str] | None = None,
+) -> Figure:
+    """One panel per symbol, over the connections, with 90 % intervals; unknown parameters above prescribed ones.
+
+    Unknown parameters are drawn as they are, in their unit, with the values from which the search for them started.
+    Prescribed ones are drawn as relative changes from what was prescribed; where that is zero they are left out.
 
     Args:
-        estimates: At least one; a prescribed value of zero has no relative change and is left out.
+        estimates: At least one that can be drawn.
         true: Symbol to values (dof,), marked where known; or None.
+        units: Symbol to the unit of unknown parameters, powers as ``m^3``.
 
     Raises:
         ValueError: If there is nothing to draw.
     """
-    by_symbol: dict[str, list[ParameterEstimate]] = {}
-    for given in estimates:
-        if given.prescribed:
-            by_symbol.setdefault(split_name(given.name)[0], []).append(given)
-    if not by_symbol:
-        raise ValueError("there is no estimated parameter with a prescribed value other than zero")
+    unknown = _by_symbol(given for given in estimates if given.unknown)
+    prescribed = _by_symbol(given for given in estimates if given.prescribed and not given.unknown)
+    rows = [row for row in (unknown, prescribed) if row]
+    if not rows:
+        raise ValueError("there is no estimated parameter that is unknown or has a prescribed value other than zero")
     with style.look():
-        figure = Figure(figsize=(min(1.2 + 2.0 * len(by_symbol), style.PAGE_WIDTH), 2.3))
-        width = figure.get_figwidth()
-        grid = figure.add_gridspec(
-            1, len(by_symbol), left=0.55 / width, right=1.0 - 0.08 / width, top=0.78, bottom=0.17, wspace=0.28
-        )
-        panels = grid.subplots(squeeze=False)[0]
-        for axes, (symbol, group) in zip(panels, by_symbol.items(), strict=True):
-            _draw_symbol(axes, group, true)
-            axes.set_title(_NAMES.get(symbol, symbol), pad=4)
-        panels[0].set_ylabel("Change from prescribed (%)")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles))
+        width = min(1.2 + 2.0 * max(map(len, rows)), style.PAGE_WIDTH)
+        figure = Figure(figsize=(width, _ROW * len(rows)))
+        places = [figure] if len(rows) == 1 else np.asarray(figure.subfigures(len(rows), 1)).tolist()
+        for place, row in zip(places, rows, strict=True):
+            panels = _panels(place, width, len(row))
+            for axes, (symbol, group) in zip(panels, row.items(), strict=True):
+                title = _NAMES.get(symbol, symbol)
+                if row is unknown:
+                    unit = draw_value(axes, group, true, (units or {}).get(symbol, ""))
+                    title += f" ({_raised(unit)})" if unit else ""
+                else:
+                    draw_change(axes, group, true)
+                axes.set_title(title, pad=4)
+            panels[0].set_ylabel("Identified value" if row is unknown else "Change from prescribed (%)")
+            _legend(place, panels)
     return figure
 
 
-def _draw_symbol(axes: Axes, group: list[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> None:
-    connection = np.array([split_name(given.name)[1] for given in group])
-    relative = np.array(
-        [
-            [
-                value / given.prescribed - 1.0
-                for value in (given.estimate, given.lower_90, given.upper_90, true_value(given.name, true))
-            ]
-            for given in group
-        ]
+def _by_symbol(estimates: Iterable[ParameterEstimate]) -> dict[str, list[ParameterEstimate]]:
+    groups: dict[str, list[ParameterEstimate]] = {}
+    for given in estimates:
+        groups.setdefault(split_name(given.name)[0], []).append(given)
+    return groups
+
+
+def _panels(place: Figure | SubFigure, width: float, count: int) -> list[Axes]:
+    grid = place.add_gridspec(
+        1,
+        count,
+        left=_LEFT / width,
+        right=1.0 - _RIGHT / width,
+        top=1.0 - _TOP / _ROW,
+        bottom=_BOTTOM / _ROW,
+        wspace=0.28,
     )
-    estimate, lower, upper, truth = 100.0 * relative.T
-    axes.axhline(0.0, color=style.GREY, linewidth=0.7, linestyle="--", zorder=1, label="prescribed")
-    # A prescribed value below zero turns the interval round.
-    reach = np.abs(np.sort(np.stack([lower, upper]), axis=0) - estimate)
-    axes.errorbar(
-        connection, estimate, yerr=np.nan_to_num(reach), fmt="o", color=style.VERMILLION, markersize=3, elinewidth=0.9,
-        capsize=2, capthick=0.9, zorder=3, label="estimate, 90 % interval",
-    )  # fmt: skip
-    if np.isfinite(truth).any():
-        axes.plot(
-            connection, truth, linestyle="none", marker="D", markersize=4.5, markerfacecolor="none",
-            markeredgecolor=style.BLACK, markeredgewidth=0.8, zorder=2, label="truth",
-        )  # fmt: skip
-    axes.set_xlim(connection.min() - 0.6, connection.max() + 0.6)
-    axes.set_xlabel("Connection $i$", labelpad=2)
-    axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
-    axes.yaxis.set_major_locator(MaxNLocator(6))
+    return list(grid.subplots(squeeze=False)[0])
+
+
+def _legend(place: Figure | SubFigure, panels: Sequence[Axes]) -> None:
+    """One legend above the row, of all that occurs in any of its panels."""
+    handles = {
+        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    # Matplotlib lists what has error bars last; what only a later panel has must not come after it.
+    labels = sorted(handles, key=lambda label: label.startswith("estimate"))
+    place.legend(
+        [handles[label] for label in labels], labels, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(labels)
+    )
+
+
+def _raised(unit: str) -> str:
+    """The unit with raised powers: ``N/m^3``."""
+    return re.sub(r"\^([\d.]+)", r"$^{\1}$", unit)

@@ -30,6 +30,11 @@ class Nonlinearity(ABC):
     damping_parameter: ClassVar[str | None] = None
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without."""
+        return {}
+
     @abstractmethod
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """Nonlinear internal force of every connection, N.

@@ -19,6 +19,11 @@ class Duffing(Nonlinearity):
     parameters = ("kappa",)
     stiffness_parameter = "kappa"
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.units`."""
+        return {"kappa": "N/m^3"}
+
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
         # Products, not a power: numpy's e**3 goes through pow() and costs ten times as much on a short vector.

@@ -34,6 +34,11 @@ class PowerDamping(Nonlinearity):
             raise InputError("system.nonlinearity.exponent", exponent, "a finite number >= 1", hint)
         self.exponent = float(exponent)
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.units`."""
+        return {"mu": f"N (s/m)^{self.exponent:g}"}
+
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
         if self.exponent == 1.0:

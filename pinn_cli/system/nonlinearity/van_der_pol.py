@@ -19,6 +19,11 @@ class VanDerPol(Nonlinearity):
     parameters = ("mu",)
     damping_parameter = "mu"
 
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.units`."""
+        return {"mu": "N s/m"}
+
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""
         return parameters["mu"] * (e * e - 1.0) * de

@@ -1,0 +1,1 @@
+"""From a likelihood of the parameters to their posterior distribution."""

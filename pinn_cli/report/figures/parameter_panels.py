@@ -1,0 +1,141 @@
+"""One panel of parameters of one kind, over the connections: the values found, or their changes from the prescribed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from pinn_cli.report.figures import style
+from pinn_cli.report.parameters import split_name, true_value
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+
+    from pinn_cli.training.estimate import ParameterEstimate
+
+# A start that lies further from all else in a panel than this many times its height would squash it: an arrow at the
+# edge points there instead.
+REACH = 1.0
+TICKS_IN_FULL = 8  # of values in a panel: up to these, exactly their connections are marked
+
+
+def draw_value(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None, unit: str) -> str:
+    """Draw the values of unknown parameters of one kind, with where they started.
+
+    Args:
+        axes: To draw into.
+        group: Parameters of one symbol, at least one.
+        true: Symbol to values (dof,), marked where known; or None.
+        unit: Of the symbol, or "".
+
+    Returns:
+        The unit with the prefix in which the values are drawn.
+    """
+    values = _values(group, true)
+    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(values))), kilo=True) if unit else (1.0, "")
+    estimate, lower, upper, truth = factor * values
+    start = factor * np.array([given.prescribed for given in group])
+    connection = _connections(group)
+    _draw_estimates(axes, connection, estimate, lower, upper)
+    _draw_truth(axes, connection, truth)
+    bottom, top = _extent(factor * values)
+    height = top - bottom
+    near = (start >= bottom - REACH * height) & (start <= top + REACH * height)
+    if near.any():
+        axes.plot(
+            connection[near], start[near], linestyle="none", marker="x", markersize=4.5, markeredgewidth=0.9,
+            color=style.GREY, zorder=1, label="start",
+        )  # fmt: skip
+        bottom, top = min(bottom, start[near].min()), max(top, start[near].max())
+    below, above = start < bottom, start > top
+    _point_to_start(axes, connection[below], start[below], "v", 0.05)
+    _point_to_start(axes, connection[above], start[above], "^", 0.95)
+    height = top - bottom
+    # An arrow and its number take the room that no value may be in.
+    axes.set_ylim(bottom - (0.25 if below.any() else 0.1) * height, top + (0.25 if above.any() else 0.1) * height)
+    _dress(axes, connection)
+    if len(connection) <= TICKS_IN_FULL:
+        axes.set_xticks(connection)
+    return prefix + unit
+
+
+def draw_change(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> None:
+    """Draw how far parameters of one kind moved from their prescribed values, in percent of these.
+
+    Args:
+        axes: To draw into.
+        group: Parameters of one symbol, at least one; none is prescribed as zero.
+        true: Symbol to values (dof,), marked where known; or None.
+    """
+    prescribed = np.array([given.prescribed for given in group])
+    estimate, lower, upper, truth = 100.0 * (_values(group, true) / prescribed - 1.0)
+    axes.axhline(0.0, color=style.GREY, linewidth=0.7, linestyle="--", zorder=1, label="prescribed")
+    _draw_estimates(axes, _connections(group), estimate, lower, upper)
+    _draw_truth(axes, _connections(group), truth)
+    _dress(axes, _connections(group))
+
+
+def _values(group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> np.ndarray:
+    """(4, parameters): estimate, ends of its interval, truth; NaN where unknown."""
+    rows = [(given.estimate, given.lower_90, given.upper_90, true_value(given.name, true)) for given in group]
+    return np.array(rows, dtype=float).T
+
+
+def _connections(group: Sequence[ParameterEstimate]) -> np.ndarray:
+    return np.array([split_name(given.name)[1] for given in group])
+
+
+def _extent(values: np.ndarray) -> tuple[float, float]:
+    """Least and largest value, apart even where all are equal."""
+    bottom, top = float(np.nanmin(values)), float(np.nanmax(values))
+    least = 1e-6 * max(abs(bottom), abs(top)) or 1.0
+    return (bottom, top) if top - bottom > least else (bottom - least, top + least)
+
+
+def _draw_estimates(
+    axes: Axes, connection: np.ndarray, estimate: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> None:
+    look: dict[str, Any] = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
+    bars: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+    # The interval stands on its own: that of a parameter held at a bound does not hold the estimate. A prescribed value
+    # below zero turns a relative one round.
+    middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
+    axes.plot(connection, estimate, "o", **look, label="" if np.isfinite(reach).any() else "estimate")
+    if np.isfinite(reach).any():
+        axes.errorbar(connection, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **bars)
+        axes.errorbar([], [], yerr=[], fmt="o", **look, **bars, label="estimate, 90 % interval")
+
+
+def _draw_truth(axes: Axes, connection: np.ndarray, truth: np.ndarray) -> None:
+    if np.isfinite(truth).any():
+        axes.plot(
+            connection, truth, linestyle="none", marker="D", markersize=4.5, markerfacecolor="none",
+            markeredgecolor=style.BLACK, markeredgewidth=0.8, zorder=2, label="truth",
+        )  # fmt: skip
+
+
+def _point_to_start(axes: Axes, connection: np.ndarray, start: np.ndarray, arrow: str, height: float) -> None:
+    """Arrows at an edge of the panel, with the value that they point to; equal ones in a row say it once."""
+    if not start.size:
+        return
+    axes.plot(
+        connection, np.full(start.size, height), transform=axes.get_xaxis_transform(), linestyle="none", marker=arrow,
+        markersize=3.5, color=style.GREY, zorder=1, label="start, off the scale",
+    )  # fmt: skip
+    for i, (x, value) in enumerate(zip(connection, start, strict=True)):
+        if i == 0 or value != start[i - 1]:
+            axes.annotate(
+                f"{value:.4g}", (x, height), xycoords=axes.get_xaxis_transform(), xytext=(4, 0),
+                textcoords="offset points", va="center", fontsize=6.5, color=style.GREY,
+            )  # fmt: skip
+
+
+def _dress(axes: Axes, connection: np.ndarray) -> None:
+    axes.set_xlim(connection.min() - 0.6, connection.max() + 0.6)
+    axes.set_xlabel("Connection $i$", labelpad=2)
+    axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
+    axes.yaxis.set_major_locator(MaxNLocator(6))

@@ -1,0 +1,179 @@
+"""How well the record determines the parameters, in numbers and in plain words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.report.labels import with_labels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pinn_cli.training.estimate import ParameterEstimate
+
+COLUMNS = (
+    "parameter", "prior_std", "std", "std_ratio", "relative_std_percent", "largest_correlation", "correlated_with",
+    "verdict",
+)  # fmt: skip
+WELL_DETERMINED = "well determined"
+
+# Posterior over prior standard deviation, r: of what is known about a parameter (its precision) the prior brings r^2.
+# At 0.5 that is a quarter. A prior that is cut off at zero, one standard deviation below its mean, has 0.79 of its
+# deviation left before any record is seen: from 0.75 on a record need not have said anything.
+LEANS_ON_PRIOR, PRIOR_UNTOUCHED = 0.5, 0.75
+
+# Standard deviation over value. At 0.25 the 90 % interval is 82 % of the value wide: the order of magnitude is known,
+# not the parameter.
+POORLY_DETERMINED = 0.25
+
+# At a correlation of 0.95, knowing one of the two would make the other's standard deviation three times smaller.
+INSEPARABLE = 0.95
+
+# Standard deviation over value up to which a parameter is known well enough, whatever shares its error: a stiffness is
+# rarely prescribed better. Without this, a good record with parameters known to 0.1 % would warn of their correlation.
+KNOWN_WELL_ENOUGH = 0.05
+
+_HALF_OF_90 = 1.645  # half-width of the central 90 % interval of a Gaussian, in standard deviations
+
+
+def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:
+    """Whether there is a parameter that was to be identified from the record alone."""
+    return any(p.unknown for p in parameters)
+
+
+def identifiability_table(
+    parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None, labels: Mapping[str, object]
+) -> pd.DataFrame:
+    """One row per parameter, unknown or prescribed (the content of ``identifiability.csv``).
+
+    Args:
+        parameters: All that were estimated, p of them.
+        correlation: (p, p), their posterior correlation; None where the training gives none.
+        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+
+    Returns:
+        Columns: the labels and `COLUMNS`. ``prior_std`` and ``std`` are in the parameter's unit, ``std_ratio`` is
+        std / prior_std, ``relative_std_percent`` is 100 std / |estimate|, ``largest_correlation`` has its sign and is
+        that with the parameter ``correlated_with``. What is not known is empty (NaN or None).
+    """
+    neighbours = _nearest(correlation, len(parameters))
+    told: dict[str, list[str]] = {p.name: _own_findings(p) for p in parameters}
+    for p, finding in _inseparable(parameters, correlation):
+        told[p.name].append(finding)
+    rows = [
+        (
+            p.name, p.prior_std, p.std, _ratio(p.std, p.prior_std), 100.0 * _ratio(p.std, p.estimate), value,
+            None if other is None else parameters[other].name, "; ".join(told[p.name]) or WELL_DETERMINED,
+        )
+        for p, (other, value) in zip(parameters, neighbours, strict=True)
+    ]  # fmt: skip
+    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
+
+
+def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.ndarray) -> pd.DataFrame:
+    """The posterior correlation with the parameters' names (the content of ``correlation.csv``).
+
+    Args:
+        parameters: p of them.
+        correlation: (p, p), in their order.
+
+    Returns:
+        A column ``parameter`` and one per parameter, p rows.
+    """
+    names = [p.name for p in parameters]
+    table = pd.DataFrame(correlation, columns=names)
+    table.insert(0, "parameter", names)
+    return table
+
+
+def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> list[str]:
+    """What a reader must know before trusting the unknown parameters, one sentence each; none if all is well.
+
+    Args:
+        parameters: p of them; only the unknown ones are judged.
+        correlation: (p, p), in their order; None where the training gives none.
+    """
+    unknown = [p for p in parameters if p.unknown]
+    if unknown and not any(np.isfinite(p.std) for p in unknown):
+        return ["this training gives no standard deviations: nothing tells how far to trust the unknown ones"]
+    own = [finding for p in unknown for finding in _own_findings(p)]
+    shared = dict.fromkeys(finding for _, finding in _inseparable(parameters, correlation))
+    return [*own, *shared]
+
+
+def _own_findings(p: ParameterEstimate) -> list[str]:
+    """The gravest thing to be said of one parameter, regardless of the others; nothing if it is well determined."""
+    ratio, relative = _ratio(p.std, p.prior_std), _ratio(p.std, p.estimate)
+    of_value = f"its standard deviation is {_percent(relative)} of its value"
+    if not np.isfinite(p.std):
+        finding = f"{p.name} has no standard deviation: this training gives none"
+    elif p.unknown and abs(p.estimate) <= 1e-9 * max(abs(p.prescribed), p.std):
+        finding = (
+            f"{p.name} is held at its lower bound of 0: all that is known is that it is below {p.upper_90:.3g} (95 %)"
+        )
+    elif not p.unknown and ratio > LEANS_ON_PRIOR:
+        finding = f"{p.name} rests on its prescribed value: its standard deviation is {_percent(ratio)} of the prior's"
+    elif ratio > PRIOR_UNTOUCHED:
+        finding = (
+            f"the record says nearly nothing about {p.name}: its standard deviation is still {_percent(ratio)} of the "
+            "prior's"
+        )
+    elif abs(p.estimate) <= _HALF_OF_90 * p.std or p.lower_90 <= 0.0 <= p.upper_90:
+        finding = f"{p.name} cannot be told from zero: {of_value}"
+    elif relative > POORLY_DETERMINED:
+        finding = f"{p.name} is poorly determined: {of_value}"
+    elif ratio > LEANS_ON_PRIOR:
+        finding = (
+            f"{p.name} leans on its prior: the record narrows its standard deviation only to {_percent(ratio)} of the "
+            "prior's"
+        )
+    else:
+        return []
+    return [finding]
+
+
+def _inseparable(
+    parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None
+) -> Iterator[tuple[ParameterEstimate, str]]:
+    """Every unknown parameter that another one can stand in for, and what to say of the two.
+
+    Two unknown parameters come twice, once from either side, with the same words.
+    """
+    if correlation is None:
+        return
+    for i, j in np.argwhere(np.abs(correlation) > INSEPARABLE):
+        p, other = parameters[i], parameters[j]
+        if i == j or not p.unknown or _known_well_enough(p) or _known_well_enough(other):
+            continue
+        value = f"(correlation {correlation[i, j]:.2f})"
+        if other.unknown:
+            first, second = (p, other) if i < j else (other, p)
+            told = f"{first.name} and {second.name} can hardly be told apart {value}: only a combination is known"
+        else:
+            told = f"{p.name} is known only as well as the prescribed {other.name} {value}"
+        yield p, told
+
+
+def _known_well_enough(p: ParameterEstimate) -> bool:
+    return _ratio(p.std, p.estimate) <= KNOWN_WELL_ENOUGH
+
+
+def _nearest(correlation: np.ndarray | None, count: int) -> list[tuple[int | None, float]]:
+    """Position of the other parameter with the largest |correlation|, and that correlation with its sign."""
+    if correlation is None or count < 2:
+        return [(None, np.nan)] * count
+    others = np.where(np.eye(count, dtype=bool) | ~np.isfinite(correlation), 0.0, correlation)
+    nearest = np.abs(others).argmax(axis=1)
+    return [(int(j), float(others[i, j])) for i, j in enumerate(nearest)]
+
+
+def _ratio(part: float, whole: float) -> float:
+    """|part / whole|; NaN where there is nothing to divide by."""
+    return abs(part / whole) if whole else np.nan
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

@@ -1,0 +1,63 @@
+"""Which files a report writes, and what it prints, with and without unknown parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from calls import SMALL
+
+from pinn_cli.config import RunConfig
+from pinn_cli.report import run_report
+from pinn_cli.report.labels import LABELS
+from pinn_cli.report.parameters import COLUMNS
+from pinn_cli.stages import Stages
+
+
+@pytest.fixture
+def reported(composed, make_case, tmp_path, monkeypatch):
+    """Report the small estimate with these parameters unknown; returns the folder and the text."""
+    # They are tested where they are drawn, and take seconds.
+    monkeypatch.setattr(run_report, "write_figures", lambda *_, **__: [])
+
+    def report(*unknown: str, **changes: object):
+        case = make_case(ndof=3, observed=2)
+        parameters = [replace(p, unknown=p.name in unknown, prior_std=p.prescribed) for p in case.estimate.parameters]
+        changes = {"correlation": np.eye(len(parameters)), **changes}
+        estimate = replace(case.estimate, parameters=parameters, **changes)
+        config = RunConfig.read(composed(*SMALL))
+        return tmp_path, run_report.write_report(config, case.record, case.truth, estimate, tmp_path, Stages())
+
+    return report
+
+
+def test_unknown_parameters_bring_their_tables_and_verdict(reported):
+    directory, text = reported("k_2", "kappa_2")
+    table = pd.read_csv(directory / "identifiability.csv").set_index("parameter")
+    assert table["std_ratio"].to_numpy() == pytest.approx(0.02)
+    assert set(table["verdict"]) == {"well determined"}
+    correlation = pd.read_csv(directory / "correlation.csv", index_col="parameter")
+    assert list(correlation) == list(correlation.index) == list(table.index)
+    assert text.splitlines()[2].startswith("k_2 *")
+    assert "every unknown parameter is well determined" in text
+
+
+def test_prescribed_parameters_alone_bring_none(reported):
+    directory, text = reported()
+    assert not list(directory.glob("identifiability*"))
+    assert not list(directory.glob("correlation*"))
+    assert "*" not in text.split("\n\n")[0]
+
+
+def test_a_training_without_correlation_writes_no_matrix(reported):
+    directory, _ = reported("k_2", correlation=None)
+    assert (directory / "identifiability.csv").is_file()
+    assert not (directory / "correlation.csv").exists()
+
+
+@pytest.mark.parametrize("unknown", [(), ("k_2",)])
+def test_the_columns_of_parameters_csv_are_agreed(reported, unknown):
+    directory, _ = reported(*unknown)
+    assert list(pd.read_csv(directory / "parameters.csv")) == [*LABELS, *COLUMNS]
