@@ -56,6 +56,10 @@ class UncertainParameter:
         """Most negative distance from the prescribed value, in the parameter's unit."""
         return -self.prescribed if self.positive else -math.inf
 
+    def value(self, distance: float) -> float:
+        """The parameter at a distance from its prescribed value; never below its bound, whatever the rounding."""
+        return float(max(self.prescribed + distance, 0.0 if self.positive else -math.inf))
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import truncnorm
 
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # Ends of a central 90 % interval.
 NINETY_PERCENT = (0.05, 0.95)
@@ -16,21 +16,22 @@ NINETY_PERCENT = (0.05, 0.95)
 def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[list[ParameterEstimate], np.ndarray]:
     """Every uncertain parameter, and the (p, p) correlation of all of them.
 
-    The posterior is the Gaussian of the joint Hessian with the readout weights marginalised. That of a
-    parameter that cannot be negative is cut off at zero, each by itself: where the bound holds it back, the Gaussian's
-    own peak lies below zero, at a Newton step's distance.
+    The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
+    cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
+    at a Newton step's distance from the solution.
     """
-    covariance = trained.factor.corner_covariance + np.diag(coherent_misfit(equations, trained) ** 2)
     point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
-    spread = np.sqrt(np.diag(covariance))
-    peak = point + _newton_step(equations, trained)
+    covariance = trained.factor.corner_covariance + np.diag(coherent_misfit(equations, trained) ** 2)
+    posterior = TruncatedGaussian(point + _newton_step(equations, trained), covariance, equations.lower)
+    spread = np.sqrt(np.diag(posterior.covariance))
+    lower, upper = posterior.interval(NINETY_PERCENT)
     estimates = []
     for i, p in enumerate(equations.problem.uncertain):
-        posterior = truncnorm((equations.lower[i] - peak[i]) / spread[i], np.inf, peak[i], spread[i])
-        lower, upper = (float(p.prescribed + scale[i] * x) for x in posterior.ppf(NINETY_PERCENT))
-        estimate, std = float(p.prescribed + scale[i] * point[i]), float(scale[i] * posterior.std())
-        estimates.append(ParameterEstimate(p.name, p.prescribed, estimate, std, lower, upper, p.prior_std, p.unknown))
-    return estimates, covariance / np.outer(spread, spread)
+        estimate = p.value(p.lower if point[i] <= equations.lower[i] else scale[i] * point[i])
+        low, high = p.value(scale[i] * lower[i]), p.value(scale[i] * upper[i])
+        std = float(scale[i] * spread[i])
+        estimates.append(ParameterEstimate(p.name, p.prescribed, estimate, std, low, high, p.prior_std, p.unknown))
+    return estimates, posterior.covariance / np.outer(spread, spread)
 
 
 def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
