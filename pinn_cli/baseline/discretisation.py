@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Slope, runge_kutta_step
 
-# Terms of the exponential series at a step times rate of one half: 0.5^12 / 12! is below the rounding error.
-SERIES_TERMS, SERIES_REACH = 12, 0.5
+# The exponential's series is summed where step times rate is at most this, and doubled from there.
+SERIES_REACH = 0.5
 
 
 def interpolated_force(record: Record, substeps: int) -> np.ndarray:
@@ -58,10 +58,19 @@ def propagators(rates: np.ndarray, step: float, fastest: float) -> tuple[np.ndar
     scaled = rates * (step / 2.0**doublings)
     identity = np.eye(rates.shape[1])
     integral = np.broadcast_to(identity, rates.shape)
-    for term in range(SERIES_TERMS, 1, -1):
+    for term in range(_series_terms(step * fastest / 2.0**doublings), 1, -1):
         integral = identity + scaled @ integral / term
     through, integral = identity + scaled @ integral, integral * (step / 2.0**doublings)
     for _ in range(doublings):
         integral = integral + through @ integral
         through = through @ through
     return through, integral
+
+
+def _series_terms(reach: float) -> int:
+    """Terms after which reach^terms / terms! is less than the rounding error."""
+    terms, size = 1, reach
+    while size > np.finfo(float).eps:
+        terms += 1
+        size *= reach / terms
+    return terms

@@ -50,6 +50,13 @@ class LinearGaussian:
     initial: np.ndarray
     initial_covariance: np.ndarray
 
+    @cached_property
+    def step_covariance(self) -> np.ndarray:
+        """(N, m + s, m + s), of observation and next state of each step for a known state: disturbance and noise."""
+        root = self.disturbance * np.sqrt(self.disturbance_variance)
+        covariance: np.ndarray = root @ root.transpose(0, 2, 1) + self.noise
+        return covariance
+
     def filter(self) -> Filtered:
         """Predictions and innovations of every step, as functions of the coefficients.
 
@@ -74,8 +81,7 @@ class LinearGaussian:
         """Of the predicted states (N, s, s) and of the innovations (N, m, m), and gains (N, s, m)."""
         samples, m = self.observed.shape
         s = len(self.initial)
-        root = self.disturbance * np.sqrt(self.disturbance_variance)
-        joints = root @ root.transpose(0, 2, 1) + self.noise
+        joints = self.step_covariance.copy()
         covariance, gain = np.empty((samples + 1, s, s)), np.empty((samples, s, m))
         covariance[0] = self.initial_covariance
         for k, (step, joint) in enumerate(zip(self.state, joints, strict=True)):
@@ -134,27 +140,20 @@ class Filtered:
         states, disturbances = self._smoothed((self.mean @ columns)[..., None], (self.weighted @ columns)[..., None])
         return states[:, :, 0], disturbances[:, :, 0]
 
-    def posterior(self, coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Everything that all observations say about states and disturbances, for Gaussian coefficients.
-
-        Args:
-            coefficients: (p,), their posterior mean.
-            covariance: (p, p), their posterior covariance.
+    def posterior(self) -> tuple[np.ndarray, np.ndarray]:
+        """What all observations leave open about state and disturbance together.
 
         Returns:
-            Of (state, disturbance) at every step: mean (N, s + d); covariance (N, s + d, s + d), coefficients
-            integrated out; and what each coefficient does to the mean (N, s + d, p).
+            Their covariance at every step for known coefficients (N, s + d, s + d), and what each coefficient does to
+            their mean (N, s + d, p).
         """
         s = self.mean.shape[1]
-        columns = np.concatenate(self._smoothed(self.mean, self.weighted), axis=1)
+        columns = np.concatenate(self._smoothed(self.mean[..., 1:], self.weighted[..., 1:]), axis=1)
         prior = np.zeros((len(columns), columns.shape[1], columns.shape[1]))
         prior[:, :s, :s] = self.covariance
         diagonal = np.arange(s, columns.shape[1])
         prior[:, diagonal, diagonal] = self.model.disturbance_variance
-        by_coefficient = columns[:, :, 1:]
-        spread = prior - prior @ self._information() @ prior
-        spread += by_coefficient @ covariance @ by_coefficient.transpose(0, 2, 1)
-        return columns @ np.concatenate(([1.0], coefficients)), spread, by_coefficient
+        return prior - prior @ self._information() @ prior, columns
 
     @property
     def _disturbance_rows(self) -> tuple[np.ndarray, np.ndarray]:

@@ -22,14 +22,14 @@ from pinn_cli.baseline.discretisation import flow, interpolated_force, propagato
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.physics import Tangent, tangent
 from pinn_cli.record.record import RESPONSE_QUANTITIES
-from pinn_cli.record.simulation import STEP_TIMES_RATE, substeps_needed
+from pinn_cli.record.simulation import substeps_needed
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.scales import scales
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record
 # decides.
-WIDE = 30.0
+WIDE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Trajectory:
 
     Attributes:
         states: (N, s).
-        parameters: (p,), distance of the uncertain parameters from their prescribed values in prior standard deviations.
+        parameters: (p,), of the uncertain ones: distance from the prescribed value in prior standard deviations.
     """
 
     states: np.ndarray
@@ -72,21 +72,20 @@ class Linearised:
     """The model's derivatives about a trajectory; deviations from it are the state of a :class:`LinearGaussian`.
 
     Attributes:
-        offset, state, disturbance, coefficient: As there.
-        observed: (N, m), observations minus what the trajectory predicts.
+        trajectory: Where.
+        residuals: (N, m + s), see :meth:`StateSpace.residuals`.
+        state, disturbance, coefficient: As there, the coefficients of the uncertain parameters only.
         by_state: (N, n, s), derivative of the accelerations.
         by_parameter: (N, n, p), likewise, by uncertain parameter in prior standard deviations.
-        acceleration: (N, n), of the trajectory under the measured force.
     """
 
-    offset: np.ndarray
+    trajectory: Trajectory
+    residuals: np.ndarray
     state: np.ndarray
     disturbance: np.ndarray
     coefficient: np.ndarray
-    observed: np.ndarray
     by_state: np.ndarray
     by_parameter: np.ndarray
-    acceleration: np.ndarray
 
 
 class StateSpace:
@@ -101,10 +100,7 @@ class StateSpace:
         self.elongation = problem.chain.elongation(np.eye(self.n))  # row i: what a unit displacement of DOF i does
         self.force_scale, self.velocity_scale = scales(problem)
         self.corner = 2.0 * np.pi * record_band(record)
-        substeps = substeps_needed(problem.chain, self.step)
-        self.force = interpolated_force(record, substeps)
-        # The bound that asked for so many substeps.
-        self.fastest = substeps * STEP_TIMES_RATE / self.step
+        self.force = interpolated_force(record, substeps_needed(problem.chain, self.step))
         self.sensors = [(q, i) for q in RESPONSE_QUANTITIES for i in np.flatnonzero(record.sensors(q))]
         self.measured = np.stack([getattr(record, q)[:, i] for q, i in self.sensors], axis=1)
 
@@ -149,74 +145,88 @@ class StateSpace:
         latent = np.concatenate((w, rate), axis=1) @ self._latent_transition().T
         return np.concatenate((*moved, latent), axis=1)
 
+    def residuals(self, trajectory: Trajectory) -> np.ndarray:
+        """(N, m + s): observations minus predictions, and each next state minus where the model takes the last."""
+        acceleration = self.acceleration(trajectory)
+        motion = dict(zip(RESPONSE_QUANTITIES, (*self.split(trajectory.states)[:2], acceleration), strict=True))
+        residuals = np.zeros((len(self.measured), len(self.sensors) + self.size))
+        for row, (quantity, dof) in enumerate(self.sensors):
+            residuals[:, row] = self.measured[:, row] - motion[quantity][:, dof]
+        residuals[:-1, len(self.sensors) :] = trajectory.states[1:] - self.predicted(trajectory)
+        return residuals
+
     def linearise(self, trajectory: Trajectory) -> Linearised:
         """Derivatives of the model about a trajectory; within a step, those of its middle."""
+        n, s, m = self.n, self.size, len(self.sensors)
         parameters = self.parameters(trajectory)
-        acceleration = self.acceleration(trajectory)
-        by_state, by_parameter = self._derivatives(trajectory, parameters, acceleration)
-        samples, n, s = by_state.shape
-        rates = np.zeros((samples - 1, s, s))
+        by_state, by_parameter = self._derivatives(trajectory, parameters)
+        following = np.minimum(np.arange(1, len(by_state) + 1), len(by_state) - 1)
+        rates = np.zeros((len(by_state), s, s))
         rates[:, :n, n : 2 * n] = np.eye(n)
-        rates[:, n : 2 * n] = (by_state[1:] + by_state[:-1]) / 2.0
+        rates[:, n : 2 * n] = (by_state + by_state[following]) / 2.0
         rates[:, 2 * n :, 2 * n :] = self._latent_rates()
-        through, integral = propagators(rates, self.step, self.fastest)
-        m, outputs = len(self.sensors), len(self.sensors) + s
-        state, felt = np.zeros((samples, outputs, s)), np.zeros((samples, outputs, n))
-        coefficient = np.zeros((samples, outputs, by_parameter.shape[2]))
-        offset = np.zeros((samples, outputs))
+        through, integral = propagators(rates, self.step, self._fastest(by_state))
         push = integral[:, :, n : 2 * n]
-        state[:-1, m:], felt[:-1, m:] = through, push / parameters["m"]
-        coefficient[:-1, m:] = push @ ((by_parameter[1:] + by_parameter[:-1]) / 2.0)
-        offset[:-1, m:] = self.predicted(trajectory) - trajectory.states[1:]
-        observed = self.measured.copy()
+        state, felt = np.zeros((len(rates), m + s, s)), np.zeros((len(rates), m + s, n))
+        coefficient = np.zeros((len(rates), m + s, by_parameter.shape[2]))
+        state[:, m:], felt[:, m:] = through, push / parameters["m"]
+        coefficient[:, m:] = push @ ((by_parameter + by_parameter[following]) / 2.0)
         for row, (quantity, dof) in enumerate(self.sensors):
             if quantity == "acceleration":
                 state[:, row], felt[:, row, dof] = by_state[:, dof], 1.0 / parameters["m"][dof]
                 coefficient[:, row] = by_parameter[:, dof]
-                observed[:, row] -= acceleration[:, dof]
             else:
-                column = dof if quantity == "displacement" else n + dof
-                state[:, row, column] = 1.0
-                observed[:, row] -= trajectory.states[:, column]
-        return Linearised(offset, state, felt, coefficient, observed, by_state, by_parameter, acceleration)
+                state[:, row, dof if quantity == "displacement" else n + dof] = 1.0
+        return Linearised(trajectory, self.residuals(trajectory), state, felt, coefficient, by_state, by_parameter)
 
-    def model(self, linearised: Linearised, trajectory: Trajectory, levels: Levels) -> LinearGaussian:
+    def model(self, linearised: Linearised, levels: Levels) -> LinearGaussian:
         """Deviations from the trajectory under given noise levels.
 
-        Its coefficients are changes of the uncertain parameters, then of the initial displacements and velocities, in
+        Its coefficients are changes of the uncertain parameters, then of the initial elongations and their rates, in
         prior standard deviations; their prior is left to the caller.
         """
-        n, m = self.n, len(self.sensors)
-        p, (samples, outputs, _) = len(self.problem.uncertain), linearised.state.shape
-        noise = np.zeros((outputs, outputs))
+        n, m, s, p = self.n, len(self.sensors), self.size, len(self.problem.uncertain)
+        variance = levels.disturbance_variance
+        noise = np.zeros((m + s, m + s))
         noise[range(m), range(m)] = [levels.response[q][i] ** 2 for q, i in self.sensors]
+        # White force has a mean over the step, e, and varies about it: h^3/3 - h^3/4 of displacement per mass squared.
+        within = range(m, m + n)
+        noise[within, within] = variance * self.step**4 / 12.0 / self.prescribed["m"] ** 2
         stationary, carried = self._latent_stationary(), self._latent_transition()
         noise[m + 2 * n :, m + 2 * n :] = stationary - carried @ stationary @ carried.T
-        initial, initial_covariance = np.zeros((self.size, 1 + p + 2 * n)), np.zeros((self.size, self.size))
-        initial[2 * n :, 0] = -trajectory.states[0, 2 * n :]
-        initial[range(2 * n), range(1 + p, 1 + p + 2 * n)] = self.initial_std
+        initial, initial_covariance = np.zeros((s, 1 + p + 2 * n)), np.zeros((s, s))
+        initial[2 * n :, 0] = -linearised.trajectory.states[0, 2 * n :]
+        shape = np.linalg.inv(self.elongation).T  # from elongations to displacements
+        initial[: 2 * n, 1 + p :] = np.kron(np.eye(2), shape) * self.initial_std
         initial_covariance[2 * n :, 2 * n :] = stationary
-        coefficient = np.concatenate((linearised.coefficient, np.zeros((samples, outputs, 2 * n))), axis=2)
+        coefficient = np.pad(linearised.coefficient, ((0, 0), (0, 0), (0, 2 * n)))
+        observed, offset = linearised.residuals[:, :m], -linearised.residuals
+        offset[:, :m] = 0.0
         return LinearGaussian(
-            linearised.observed, linearised.offset, linearised.state, linearised.disturbance, coefficient,
-            levels.disturbance_variance, noise, initial, initial_covariance,
+            observed, offset, linearised.state, linearised.disturbance, coefficient, variance, noise, initial,
+            initial_covariance,
         )  # fmt: skip
 
     def coefficients(self, trajectory: Trajectory) -> np.ndarray:
         """(p + 2 n,), where parameters and start are, from their prior means, in prior standard deviations."""
-        return np.concatenate((trajectory.parameters, trajectory.states[0, : 2 * self.n] / self.initial_std))
+        u, v, _, _ = self.split(trajectory.states[0])
+        return np.concatenate(
+            (trajectory.parameters, np.concatenate((u @ self.elongation, v @ self.elongation)) / self.initial_std)
+        )
 
     @cached_property
     def initial_std(self) -> np.ndarray:
-        """(2 n,), m and m/s: nothing says that the structure began at rest."""
+        """(2 n,), of the initial elongations, m, and their rates, m/s: nothing says that the structure was at rest.
+
+        Elongations rather than displacements are independent: otherwise the far end of a long chain could begin with
+        connections stretched far beyond anything that the force can do.
+        """
         stiffness = self.prescribed["k"][self.prescribed["k"] > 0]
-        static = self.n * self.force_scale / stiffness.min() if len(stiffness) else 0.0
+        static = self.force_scale / stiffness.min() if len(stiffness) else 0.0
         displacement = max(static, self.velocity_scale / self.corner)
         return WIDE * np.repeat([displacement, max(self.velocity_scale, displacement * self.corner)], self.n)
 
-    def _derivatives(
-        self, trajectory: Trajectory, parameters: dict[str, np.ndarray], acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _derivatives(self, trajectory: Trajectory, parameters: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Of the accelerations at the samples: (N, n, s) by state and (N, n, p) by uncertain parameter."""
         u, v, _, _ = self.split(trajectory.states)
         tensors = {name: torch.as_tensor(value) for name, value in parameters.items()}
@@ -226,7 +236,7 @@ class StateSpace:
         by_state[:, :, : self.n] = -(pull * slope.stiffness.numpy()[:, None]) @ pull.T / mass
         by_state[:, :, self.n : 2 * self.n] = -(pull * slope.damping.numpy()[:, None]) @ pull.T / mass
         by_state[:, self.hidden, 2 * self.n + np.arange(len(self.hidden))] = 1.0 / parameters["m"][self.hidden]
-        return by_state, self._by_parameter(slope, parameters["m"], acceleration)
+        return by_state, self._by_parameter(slope, parameters["m"], self.acceleration(trajectory))
 
     def _by_parameter(self, slope: Tangent, mass: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         columns = np.zeros((*acceleration.shape, len(self.problem.uncertain)))
@@ -237,6 +247,11 @@ class StateSpace:
                 force = p.prior_std * slope.by_parameter[p.kind][:, p.dof].numpy()
                 columns[:, :, j] = -force[:, None] * self.elongation[:, p.dof] / mass
         return columns
+
+    def _fastest(self, by_state: np.ndarray) -> float:
+        """A bound on the eigenvalues of the linearised motion, 1/s (Gershgorin, on M^-1 K and on M^-1 C)."""
+        rows = [np.abs(by_state[:, :, i * self.n : (i + 1) * self.n]).sum(axis=2).max() for i in range(2)]
+        return float(max(np.sqrt(rows[0]), rows[1], self.corner))
 
     def _latent_rates(self) -> np.ndarray:
         one = np.array([[0.0, 1.0], [-(self.corner**2), -2.0 * self.corner]])
