@@ -1,4 +1,4 @@
-"""`pinn-run`: config, system, record, problem, estimate, report, in this order."""
+"""`pinn-run`: config, system, record, problem, estimate (and a baseline's), report, in this order."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def run(composed: DictConfig) -> None:
     with stages("estimate"):
         context = RunContext(config.device, config.seed, directory, progress=sys.stderr.isatty())
         estimate = config.training.solve(problem, config.network, context)
-    print(write_report(config, record, measurements.truth, estimate, directory, stages))
+    with stages("baseline"):
+        baseline = config.baseline.solve(problem, context)
+    print(write_report(config, record, measurements.truth, estimate, directory, stages, baseline))
     print(directory)
 
 

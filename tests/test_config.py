@@ -17,7 +17,7 @@ from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report import published
 
 REFERENCE_SIGNALS = Path(__file__).parents[2] / "shared" / "data" / "reference_signals"
-GROUPS = ("system", "excitation", "model_error", "data", "scheme", "network", "training")
+GROUPS = ("system", "excitation", "model_error", "data", "scheme", "network", "training", "baseline")
 PAPER = [name.removeprefix("paper/") for name in option_names("experiment") if name.startswith("paper/")]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pinn_cli.report import published
+from pinn_cli.report.beside import Beside, stacked
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.figures import write_figures
 from pinn_cli.report.fitness import fitness_table
@@ -25,7 +26,13 @@ if TYPE_CHECKING:
 
 
 def write_report(
-    config: RunConfig, record: Record, truth: Truth, estimate: Estimate, directory: Path, stages: Stages
+    config: RunConfig,
+    record: Record,
+    truth: Truth,
+    estimate: Estimate,
+    directory: Path,
+    stages: Stages,
+    baseline: Estimate | None = None,
 ) -> str:
     """Write every file of a run; each is there whole or not at all.
 
@@ -36,24 +43,30 @@ def write_report(
         estimate: What it found.
         directory: Of the run.
         stages: The seconds so far; the report's own are added.
+        baseline: What the configured baseline found; None where there is none.
 
     Returns:
-        The tables of fitness and parameters, as text.
+        The tables of parameters and fitness, and of both estimators where there is a baseline, as text.
     """
     labels = config.labels(estimator="pinn")
     with stages("report"):
         fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
         parameters = parameter_table(estimate.parameters, truth.parameters, labels)
-        write_table(fitness, directory / "fitness.csv")
-        write_table(parameters, directory / "parameters.csv")
+        beside = Beside.of(config, record, truth, baseline)
+        write_table(stacked(fitness, beside.fitness) if beside else fitness, directory / "fitness.csv")
+        write_table(stacked(parameters, beside.parameters) if beside else parameters, directory / "parameters.csv")
         write_table(estimate.history, directory / "history.csv")
-        write_dataset(response_dataset(estimate, record, truth.response, labels), directory / "response.nc")
+        dataset = response_dataset(estimate, record, truth.response, labels)
+        write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
     with stages("figures"):
         write_figures(
-            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label
-        )
-    write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
+            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label,
+            baseline=(beside.name, beside.estimate.response) if beside else None,
+        )  # fmt: skip
+    record_of_run = run_record(config, estimate, stages.seconds) | (beside.record if beside else {})
+    write_json(record_of_run, directory / "run.json")
     shown = [parameters_text(parameters), fitness_text(fitness, record.observed, _published(labels))]
+    shown += [beside.text(fitness, stages.seconds)] if beside else []
     return "\n\n".join(text for text in shown if text)
 
 

@@ -26,6 +26,7 @@ def write_figures(
     directory: Path | str,
     linear: Response | None = None,
     truth_label: str = "truth",
+    baseline: tuple[str, Response] | None = None,
 ) -> list[Path]:
     """Draw and save every figure that the run has something for, as PNG and PDF.
 
@@ -36,12 +37,13 @@ def write_figures(
         directory: The run's folder of figures; created where it is missing.
         linear: The true response of the equivalent linear system, if it is to be shown.
         truth_label: What the legend calls the truth.
+        baseline: Name and response of another estimator, drawn in the figure of the response.
 
     Returns:
         The files written.
     """
     figures = {
-        "response": response_figure(estimate, record, truth.response, linear, truth_label),
+        "response": response_figure(estimate, record, truth.response, linear, truth_label, baseline),
         "error_map": error_map_figure(estimate, record, truth.response),
     }
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
