@@ -40,7 +40,7 @@ class KalmanSmoother(Baseline):
     def __init__(
         self,
         iterations: int = 12,
-        tolerance: float = 1e-5,
+        tolerance: float = 1e-4,
         process_noise: float | None = None,
         learn_spread: bool = True,
     ) -> None:

@@ -66,14 +66,16 @@ class LinearGaussian:
         m = self.observed.shape[1]
         covariance, spread, gain = self._covariances()
         closed = self.state[:, m:] - gain @ self.state[:, :m]
-        forcing = np.concatenate((self.offset[:, :, None], self.coefficient), axis=2)
-        known = -forcing[:, :m]
-        known[:, :, 0] += self.observed
-        drive = forcing[:, m:] + gain @ known
-        mean = np.empty_like(drive)
+        seen = (self.observed - self.offset[:, :m])[:, :, None]
+        known = np.concatenate((seen, -self.coefficient[:, :m]), axis=2)
+        mean = np.empty((len(known) + 1, *self.initial.shape))
         mean[0] = self.initial
-        for through, push, before, after in zip(closed, drive, mean[:-1], mean[1:], strict=False):
-            np.add(through @ before, push, out=after)
+        np.matmul(gain, known, out=mean[1:])
+        mean[1:, :, 0] += self.offset[:, m:]
+        mean[1:, :, 1:] += self.coefficient[:, m:]
+        for through, before, after in zip(closed, mean[:-1], mean[1:], strict=True):
+            after += through @ before  # noqa: PLW2901 (in place: what drives the mean becomes the mean)
+        mean = mean[:-1]
         innovation = known - self.state[:, :m] @ mean
         return Filtered(self, covariance, mean, innovation, spread, gain, closed)
 
@@ -82,16 +84,19 @@ class LinearGaussian:
         samples, m = self.observed.shape
         s = len(self.initial)
         joints = self.step_covariance.copy()
-        covariance, gain = np.empty((samples + 1, s, s)), np.empty((samples, s, m))
+        covariance, solved = np.empty((samples + 1, s, s)), []
         covariance[0] = self.initial_covariance
-        for k, (step, joint) in enumerate(zip(self.state, joints, strict=True)):
-            joint += step @ covariance[k] @ step.T  # noqa: PLW2901 (in place: what was added noise is the whole now)
+        for k, (step, joint, before, after) in enumerate(
+            zip(self.state, joints, covariance[:-1], covariance[1:], strict=True)
+        ):
+            joint += step @ before @ step.T  # noqa: PLW2901 (in place: what was added noise is the whole now)
             shared = joint[m:, :m]
-            _, solved, failed = dposv(joint[:m, :m], shared.T)
+            _, by_spread, failed = dposv(joint[:m, :m], shared.T)
             if failed:
                 raise FloatingPointError(f"the innovation at sample {k} has no positive definite covariance")
-            gain[k] = solved.T
-            np.subtract(joint[m:, m:], shared @ solved, out=covariance[k + 1])
+            np.subtract(joint[m:, m:], shared @ by_spread, out=after)
+            solved.append(by_spread)
+        gain = np.stack(solved).transpose(0, 2, 1)
         return covariance[:-1], joints[:, :m, :m], gain
 
 

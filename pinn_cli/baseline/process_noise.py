@@ -16,9 +16,9 @@ from pinn_cli.training.evidence import NEGLIGIBLE_GAIN
 # The scan goes down by decades, from the force that acts to this part of it.
 DECADE, FINEST = 10.0, 1e-8
 # Where the peak lies inside, a bounded search closes in on it to this many e-folds, in so many evaluations at most.
-RESOLUTION, EVALUATIONS = 0.3, 5
+RESOLUTION, EVALUATIONS = 0.4, 4
 # A level needs its evidence, not its solution to the last digit: a step of this part of the motion changes neither.
-ROUGH = 0.03
+ROUGH = 0.1
 
 
 def stiffened(smoother: IteratedSmoother, levels: Levels, wanted: float) -> Pass:

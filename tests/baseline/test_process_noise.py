@@ -7,7 +7,7 @@ import pytest
 from small_problems import QUANTITIES, excitation, relative_error, small_chain
 
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother
-from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
+from pinn_cli.baseline.process_noise import RESOLUTION, most_probable, stiffened, widened
 from pinn_cli.baseline.state_space import Levels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
@@ -40,7 +40,8 @@ def white(level: float, seed: int = 1) -> np.ndarray:
 def test_the_process_noise_that_was_put_in_is_found(level: float, nonlinearity: str) -> None:
     smoother, levels, truth = disturbed(white(level), nonlinearity)
     best = most_probable(smoother, levels)
-    assert best.levels.discrepancy == pytest.approx(level, rel=0.15)
+    # As close as a search of a few evaluations comes.
+    assert abs(np.log(best.levels.discrepancy / level)) < RESOLUTION
     assert relative_error(best.trajectory.states[:, :3], truth.displacement) < 0.1
 
 
