@@ -61,3 +61,14 @@ def test_its_line_is_in_the_legend(make_case):
         case.estimate, case.record, case.truth.response, baseline=("kalman_smoother", case.truth.response)
     )
     assert "kalman smoother" in [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_the_legend_of_everything_fits_the_page(make_case):
+    case = make_case(ndof=2, observed=1, samples=4096)
+    truth = case.truth.response
+    figure = response_figure(case.estimate, case.record, truth, truth, baseline=("kalman_smoother", truth))
+    figure.draw_without_rendering()
+    extent = figure.legends[0].get_window_extent()
+    assert len(figure.legends[0].get_texts()) == 6
+    assert extent.x0 > 0
+    assert extent.x1 < figure.bbox.x1

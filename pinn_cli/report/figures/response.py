@@ -226,7 +226,8 @@ def _legend(figure: Figure, sources: _Sources, dofs: list[int], height: float, n
     every = -(-len(sources.time) // POINTS)
     seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
     handles.append(Line2D([], [], label=seen, **{**_LOOKS["observations"], "markersize": 6}))
-    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles), handlelength=2.2)
+    room = {"handlelength": 2.2} if len(handles) < 6 else {"handlelength": 1.8, "columnspacing": 0.8}
+    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles), **room)
     notes = [] if sources.record.observed[dofs].all() else ["* no response sensor"]
     if len(sources.time) < len(sources.record.time):
         first, last = sources.record.time[[0, -1]]
