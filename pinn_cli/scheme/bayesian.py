@@ -1,4 +1,4 @@
-"""Parameter estimation in the Bayesian way: every parameter unknown, and its whole distribution (paper, section 4.3)."""
+"""Bayesian parameter estimation: every parameter unknown, and its whole distribution (paper, section 4.3)."""
 
 from __future__ import annotations
 
