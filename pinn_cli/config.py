@@ -22,7 +22,9 @@ from pinn_cli.override_errors import likely
 from pinn_cli.targets import build, check_targets, construct
 
 if TYPE_CHECKING:
+    from pinn_cli.baseline.base import Baseline
     from pinn_cli.network.base import NetworkDesign
+    from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.scheme.base import Scheme
     from pinn_cli.system.chain import Chain
@@ -30,7 +32,19 @@ if TYPE_CHECKING:
     from pinn_cli.training.base import Training
 
 VALUES = ("case", "seed", "device", "threads")
-NODES = ("system", "excitation", "simulation", "noise", "model_error", "data", "scheme", "network", "training")
+NODES = (
+    "system",
+    "excitation",
+    "simulation",
+    "noise",
+    "model_error",
+    "data",
+    "scheme",
+    "network",
+    "training",
+    "posterior",
+    "baseline",
+)
 
 # Read by the linear algebra libraries when they are first loaded, which is after this module.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -66,6 +80,8 @@ class RunConfig:
         scheme: What is observed and what is unknown.
         network: What stands for the response as a function of time.
         training: How the problem is solved.
+        posterior: How the distribution of the parameters is found, with scheme=bayesian.
+        baseline: What the network is compared with.
     """
 
     case: str
@@ -78,6 +94,8 @@ class RunConfig:
     scheme: Scheme
     network: NetworkDesign
     training: Training
+    posterior: Posterior
+    baseline: Baseline
 
     @classmethod
     def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
@@ -99,8 +117,8 @@ class RunConfig:
         model_error = build(config.model_error, "model_error")
         chain = _chain(config.system)
         source = _source(config, chain, model_error, seed, base)
-        scheme, network, training = (build(config[name], name) for name in ("scheme", "network", "training"))
-        return cls(case, seed, device, threads, chain, model_error, source, scheme, network, training)
+        estimation = (build(config[name], name) for name in ("scheme", "network", "training", "posterior", "baseline"))
+        return cls(case, seed, device, threads, chain, model_error, source, *estimation)
 
     @property
     def truth_label(self) -> str:

@@ -1,4 +1,4 @@
-"""`pinn-run`: config, system, record, problem, estimate, report, in this order."""
+"""`pinn-run`: config, system, record, problem, estimate (its posterior, a baseline's), report, in this order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def run(composed: DictConfig) -> None:
     with stages("config"):
         config = RunConfig.read(composed, base=Path(runtime.cwd))
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.report.run_report import write_report
+        from pinn_cli.posterior.find import find_posterior
+        from pinn_cli.report.run_report import Results, write_report
         from pinn_cli.training.estimate import RunContext
     with stages("system"):
         true, prescribed = config.model_error.chains(config.chain)
@@ -32,7 +33,12 @@ def run(composed: DictConfig) -> None:
     with stages("estimate"):
         context = RunContext(config.device, config.seed, directory, progress=sys.stderr.isatty())
         estimate = config.training.solve(problem, config.network, context)
-    print(write_report(config, record, measurements.truth, estimate, directory, stages))
+    with stages("posterior"):
+        posterior = find_posterior(config.posterior, problem, estimate, context)
+    with stages("baseline"):
+        baseline = config.baseline.solve(problem, context)
+    results = Results(record, measurements.truth, estimate, baseline, posterior)
+    print(write_report(config, results, directory, stages))
     print(directory)
 
 

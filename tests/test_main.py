@@ -106,3 +106,17 @@ def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: 
     assert fitness["dof_3", "acceleration"] > 80
     assert pd.isna(fitness["dof_3", "displacement"])
     assert pd.isna(fitness["dof_1", "acceleration"])
+
+
+def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
+    outcome = pinn_run(*SMALL, "baseline=kalman_smoother")
+    assert outcome.status == 0, outcome.err
+    for name in ("fitness.csv", "parameters.csv"):
+        estimators = pd.read_csv(outcome.directory / name)["estimator"]
+        assert estimators.drop_duplicates().tolist() == ["pinn", "kalman_smoother"]
+    record = json.loads((outcome.directory / "run.json").read_text())
+    assert record["baseline"]["name"] == "kalman_smoother"
+    assert record["seconds"]["baseline"] > 0
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        assert "displacement_kalman_smoother_std" in response
+    assert [line.split()[0] for line in outcome.out.splitlines()[-3:-1]] == ["pinn", "kalman_smoother"]

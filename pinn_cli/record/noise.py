@@ -9,8 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, whole_number
+from pinn_cli.legal_values import is_finite_number, one_of, whole_number
 from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.repeats import Repeats, averaged
+
+STREAMS = ("independent", "shared")
+# Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
+REPEAT_STRIDE = 1000
 
 
 @dataclass(frozen=True)
@@ -23,14 +28,20 @@ class Noise:
             does not depend on which others there are.
         seeds: None, or quantity to seed: channel i (from 0) then draws from legacy ``RandomState(seeds[quantity] + i)``
             as the authors' do.
+        repeats: How often the same response is measured.
+        repeat_streams: ``independent``: every repeat has noise of its own. ``shared``, with ``seeds``: repeat r (from
+            0) of channel i draws from ``RandomState(seeds[quantity] + i + r)``: the seed grows by one from channel to
+            channel and from repeat to repeat, so that neighbouring channels share most of their noise.
 
     Raises:
-        InputError: Naming ``noise.snr_db``, ``seed`` or ``noise.seeds``.
+        InputError: Naming ``noise.<setting>`` or ``seed``.
     """
 
     snr_db: float | None = None
     seed: int = 0
     seeds: Mapping[str, int] | None = None
+    repeats: int = 1
+    repeat_streams: str = "independent"
 
     def __post_init__(self) -> None:
         if self.snr_db is not None and not is_finite_number(self.snr_db):
@@ -42,13 +53,32 @@ class Noise:
             for quantity, seed in self.seeds.items():
                 whole_number(f"noise.seeds.{quantity}", seed)
 
-    def added_to(self, response: Response) -> Response:
-        """The response as sensors would show it; see :func:`add_noise`."""
-        return add_noise(response, self.snr_db, self.seed, self.seeds)
+        whole_number("noise.repeats", self.repeats, least=1)
+        one_of("noise.repeat_streams", self.repeat_streams, STREAMS)
+        if self.repeat_streams == "shared" and self.seeds is None:
+            raise InputError("noise.repeat_streams", "shared", "independent, or noise.seeds given")
+        if self.repeats > 1 and self.snr_db is None:
+            raise InputError("noise.repeats", self.repeats, "1 where there is no noise (noise.snr_db=null)")
+
+    def added_to(self, response: Response, repeat: int = 0) -> Response:
+        """The response as sensors would show it at one of the repeats, counted from 0; see :func:`add_noise`."""
+        stride = 1 if self.repeat_streams == "shared" else REPEAT_STRIDE
+        seeds = None if self.seeds is None else {q: seed + stride * repeat for q, seed in self.seeds.items()}
+        return add_noise(response, self.snr_db, self.seed, seeds, repeat)
+
+    def measured(self, response: Response) -> tuple[Response, Repeats | None]:
+        """The mean of all repeats, and their scatter; of a single one itself, and None."""
+        if self.repeats == 1:
+            return self.added_to(response), None
+        return averaged([self.added_to(response, repeat) for repeat in range(self.repeats)])
 
 
 def add_noise(
-    response: Response, snr_db: float | None, seed: int = 0, seeds: Mapping[str, int] | None = None
+    response: Response,
+    snr_db: float | None,
+    seed: int = 0,
+    seeds: Mapping[str, int] | None = None,
+    repeat: int = 0,
 ) -> Response:
     """The response with noise on every channel that is not identically zero, so on forces of forced DOFs only.
 
@@ -57,6 +87,7 @@ def add_noise(
         snr_db: See :class:`Noise`.
         seed: See :class:`Noise`.
         seeds: See :class:`Noise`.
+        repeat: Which measurement of the same response; each has streams of its own.
     """
     if snr_db is None:
         return response
@@ -65,12 +96,17 @@ def add_noise(
         values = getattr(response, quantity).copy()
         for i in np.flatnonzero(np.any(values != 0.0, axis=0)):
             deviation = math.sqrt(np.mean(values[:, i] ** 2) / 10.0 ** (snr_db / 10.0))
-            values[:, i] += deviation * _standard_normal(quantity, int(i), len(values), seed, seeds)
+            values[:, i] += deviation * _standard_normal(quantity, int(i), len(values), (seed, repeat), seeds)
         noisy[quantity] = values
     return replace(response, **noisy)
 
 
-def _standard_normal(quantity: str, i: int, samples: int, seed: int, seeds: Mapping[str, int] | None) -> np.ndarray:
+def _standard_normal(
+    quantity: str, i: int, samples: int, stream: tuple[int, int], seeds: Mapping[str, int] | None
+) -> np.ndarray:
     if seeds is not None:
         return np.random.RandomState(seeds[quantity] + i).standard_normal(samples)
-    return np.random.default_rng([seed, QUANTITIES.index(quantity), i]).standard_normal(samples)
+    seed, repeat = stream
+    # The first repeat is what a single measurement with this seed is.
+    entropy = [seed, QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
+    return np.random.default_rng(entropy).standard_normal(samples)

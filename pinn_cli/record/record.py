@@ -15,6 +15,8 @@ from pinn_cli.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pinn_cli.record.repeats import Repeats
+
 RESPONSE_QUANTITIES = ("displacement", "velocity", "acceleration")
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
@@ -57,6 +59,7 @@ class Record:
         force: (N, n), measured; a column of NaN where the force is unknown; 0 where there is known to be none.
         unforced: (n,) bool, the DOFs that are known to carry no force.
         intersample: How the force behaves between the samples.
+        repeats: Where the histories are means of repeated measurements, how far those scattered.
 
     Raises:
         InputError: No response sensor at all.
@@ -70,6 +73,7 @@ class Record:
     force: np.ndarray
     unforced: np.ndarray
     intersample: Intersample = "band_limited"
+    repeats: Repeats | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):

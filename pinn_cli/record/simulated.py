@@ -42,7 +42,7 @@ class Simulated:
             InputError: The response overflows.
         """
         response = self.simulation.run(chain, self.excitation.force)
-        seen = self.noise.added_to(response)
+        seen, repeats = self.noise.measured(response)
         intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
-        record = Record(**vars(seen), unforced=~self.excitation.forced, intersample=intersample)
+        record = Record(**vars(seen), unforced=~self.excitation.forced, intersample=intersample, repeats=repeats)
         return Measurements(record, Truth(response, chain.parameters_like(np.empty(0))))

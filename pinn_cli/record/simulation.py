@@ -155,6 +155,20 @@ def substeps_needed(chain: Chain, step: float) -> int:
     return max(1, math.ceil(step * rate / STEP_TIMES_RATE))
 
 
+def runge_kutta_step(
+    slope: Slope, z: np.ndarray, left: np.ndarray, middle: np.ndarray, right: np.ndarray, step: float
+) -> np.ndarray:
+    """Displacement and velocity z (2, ..., ndof) a ``step`` (s) later, by the classical method of order four.
+
+    ``left``, ``middle`` and ``right`` are the forces (..., ndof) at the step's beginning, middle and end, N.
+    """
+    k1 = slope(z, left)
+    k2 = slope(z + (0.5 * step) * k1, middle)
+    k3 = slope(z + (0.5 * step) * k2, middle)
+    k4 = slope(z + step * k3, right)
+    return z + (step / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
 def _runge_kutta(
     slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, substeps: int, start: np.ndarray
 ) -> np.ndarray:
@@ -170,11 +184,7 @@ def _runge_kutta(
     states = np.empty((len(left) + 1, *z.shape))
     states[0] = z
     for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
-        k1 = slope(z, f0)
-        k2 = slope(z + (0.5 * h) * k1, f1)
-        k3 = slope(z + (0.5 * h) * k2, f1)
-        k4 = slope(z + h * k3, f2)
-        z = z + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+        z = runge_kutta_step(slope, z, f0, f1, f2, h)
         states[step + 1] = z
     return states[::substeps]
 

@@ -98,7 +98,7 @@ def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlatio
     """
     unknown = [p for p in parameters if p.unknown]
     if unknown and not any(np.isfinite(p.std) for p in unknown):
-        return ["this training gives no standard deviations: nothing tells how well the unknown parameters are known"]
+        return ["this training gives no standard deviations: nothing tells how far to trust the unknown ones"]
     own = [finding for p in unknown for finding in _own_findings(p)]
     shared = dict.fromkeys(finding for _, finding in _inseparable(parameters, correlation))
     return [*own, *shared]

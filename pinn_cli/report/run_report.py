@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pinn_cli.report import published
+from pinn_cli.report.beside import Beside, stacked
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.figures import write_figures
 from pinn_cli.report.fitness import fitness_table
@@ -16,6 +20,7 @@ from pinn_cli.report.identifiability import (
     identifiability_warnings,
 )
 from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.posterior_table import parameter_estimates, posterior_correlation
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text
 from pinn_cli.report.writing import write_json, write_table
@@ -26,28 +31,47 @@ if TYPE_CHECKING:
     import pandas
 
     from pinn_cli.config import RunConfig
+    from pinn_cli.posterior.findings import PosteriorFindings
     from pinn_cli.record.record import Record, Response, Truth
     from pinn_cli.stages import Stages
     from pinn_cli.training.estimate import Estimate
 
 
-def write_report(
-    config: RunConfig, record: Record, truth: Truth, estimate: Estimate, directory: Path, stages: Stages
-) -> str:
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All that a run has found.
+
+    Attributes:
+        record: What the estimator saw.
+        truth: What it is scored against; NaN where unknown.
+        estimate: What it found.
+        baseline: What the configured baseline found; None where there is none.
+        posterior: Of the parameters, where one was asked for.
+    """
+
+    record: Record
+    truth: Truth
+    estimate: Estimate
+    baseline: Estimate | None = None
+    posterior: PosteriorFindings | None = None
+
+
+def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages) -> str:
     """Write every file of a run; each is there whole or not at all.
 
     Args:
         config: What was run.
-        record: What the estimator saw.
-        truth: What it is scored against; NaN where unknown.
-        estimate: What it found.
+        results: What came of it.
         directory: Of the run.
         stages: The seconds so far; the report's own are added.
 
     Returns:
-        The tables of parameters, fitness and the free run, as text.
+        The tables of parameters, fitness, the free run and, where there are some, of the posterior's diagnostics and
+        both estimators, as text.
     """
-    labels = config.labels(estimator="pinn")
+    record, truth, labels = results.record, results.truth, config.labels(estimator="pinn")
+    estimate = _with_posterior(results.estimate, results.posterior)
+    beside = Beside.of(config, record, truth, results.baseline)
     with stages("free_run"):
         _, prescribed = config.model_error.chains(config.chain)
         free = free_run(prescribed, estimate, record)
@@ -55,28 +79,72 @@ def write_report(
     with stages("report"):
         fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
         parameters = parameter_table(estimate.parameters, truth.parameters, labels)
-        write_table(fitness, directory / "fitness.csv")
-        write_table(parameters, directory / "parameters.csv")
+        write_table(stacked(fitness, beside.fitness) if beside else fitness, directory / "fitness.csv")
+        write_table(stacked(parameters, beside.parameters) if beside else parameters, directory / "parameters.csv")
         write_table(free_table, directory / "free_run.csv")
         if any_unknown(estimate.parameters):
             _write_identifiability(estimate, labels, directory)
         write_table(estimate.history, directory / "history.csv")
         dataset = response_dataset(estimate, record, truth.response, labels, free.response)
-        write_dataset(dataset, directory / "response.nc")
+        write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
     with stages("figures"):
         write_figures(
-            estimate,
-            record,
-            truth,
-            directory / "figures",
-            _equivalent_linear(config),
-            truth_label=config.truth_label,
-            units=config.chain.units,
-        )
-    write_json(run_record(config, estimate, stages.seconds), directory / "run.json")
+            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label,
+            units=config.chain.units, baseline=(beside.name, beside.estimate.response) if beside else None,
+        )  # fmt: skip
+    with stages("posterior_report"):
+        diagnostics = _write_posterior(config, results, directory)
+    record_of_run = run_record(config, estimate, stages.seconds) | (beside.record if beside else {})
+    write_json(record_of_run | _sampling_record(results.posterior), directory / "run.json")
     shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
-    shown.append(free_run_text(free, free_table))
+    shown += [free_run_text(free, free_table), diagnostics]
+    shown += [beside.text(fitness, stages.seconds)] if beside else []
     return "\n\n".join(text for text in shown if text)
+
+
+def _with_posterior(estimate: Estimate, posterior: PosteriorFindings | None) -> Estimate:
+    """The estimate with the parameters' means and intervals from their posterior, where there is one."""
+    if posterior is None:
+        return estimate
+    start = {parameter.name: parameter.prescribed for parameter in estimate.parameters}
+    parameters = parameter_estimates(posterior.samples, start)
+    return replace(estimate, parameters=parameters, correlation=posterior_correlation(posterior.samples))
+
+
+def _write_posterior(config: RunConfig, results: Results, directory: Path) -> str:
+    if results.posterior is None:
+        return ""
+    # ArviZ takes two seconds to import.
+    from pinn_cli.report.bayesian_report import write_posterior
+
+    labels = config.labels(estimator="pinn")
+    true = results.truth.parameters
+    return write_posterior(results.posterior, results.record, true, labels, config.chain.units, directory)
+
+
+def _sampling_record(posterior: PosteriorFindings | None) -> dict[str, Any]:
+    """The entry of run.json."""
+    if posterior is None:
+        return {}
+    samples, worst = posterior.samples, posterior.diagnostics
+    chains, draws = samples.draws.shape[:2]
+    return {
+        "posterior": {
+            "method": samples.method,
+            "chains": chains,
+            "warmup": samples.warmup,
+            "draws": draws,
+            "seconds_by_chain": [round(float(seconds), 3) for seconds in samples.seconds],
+            "largest_r_hat": _finite(worst["r_hat"].max()),
+            "smallest_ess_bulk": _finite(worst["ess_bulk"].min()),
+            "smallest_ess_tail": _finite(worst["ess_tail"].min()),
+            "quality_check": list(posterior.verdict) or "passed",
+        }
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _write_identifiability(estimate: Estimate, labels: dict[str, object], directory: Path) -> None:

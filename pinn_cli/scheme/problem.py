@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from pinn_cli.record.record import Record
 from pinn_cli.system.chain import Chain
+
+if TYPE_CHECKING:
+    from pinn_cli.posterior.priors import Prior
 
 # What measured accelerations can be compared with.
 THROUGH = ("derivative", "observer", "both")
@@ -51,6 +56,10 @@ class UncertainParameter:
         """Most negative distance from the prescribed value, in the parameter's unit."""
         return -self.prescribed if self.positive else -math.inf
 
+    def value(self, distance: float) -> float:
+        """The parameter at a distance from its prescribed value; never below its bound, whatever the rounding."""
+        return float(max(self.prescribed + distance, 0.0 if self.positive else -math.inf))
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -62,12 +71,15 @@ class Problem:
         uncertain: The parameters that may move; all others are held at their prescribed values.
         acceleration_through: Whether measured accelerations are compared with the network's second derivative
             (``derivative``), with the observer equation (paper, eq. 8; ``observer``), or with ``both``.
+        priors: (kind, connection from 0) of every uncertain parameter to its prior, where their posterior distribution
+            is wanted; None where estimates with standard deviations will do.
     """
 
     chain: Chain
     record: Record
     uncertain: tuple[UncertainParameter, ...] = ()
     acceleration_through: str = "derivative"
+    priors: Mapping[tuple[str, int], Prior] | None = None
 
     @property
     def identifies(self) -> bool:

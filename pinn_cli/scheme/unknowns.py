@@ -93,24 +93,34 @@ def initial_values(
     Raises:
         InputError: A name that does not exist, no number, or a value that violates the kind's constraint.
     """
-    names, out = all_names(chain), {}
+    out = {}
     for key, value in (given or {}).items():
         if value is None:
             continue
         setting = f"scheme.initial.{key}"
         if not is_finite_number(value):
             raise InputError(setting, value, "a finite number, or null: from the record")
-        # A kind without a connection means all of them; one that this chain lacks is another nonlinearity's.
-        if key in (*LINEAR_PARAMETERS, "kappa", "mu") and key not in chain.parameters:
-            continue
-        pattern = f"{key}_*" if key in chain.parameters else key
-        for name in _matching(pattern, chain, names, setting):
-            kind = names[name][0]
+        for kind, dof in places_of(key, chain, setting):
             if (kind in positive and value < 0) or (kind == "m" and value == 0):
                 why = f"scheme.positive=[{', '.join(positive)}] keeps {kind} from falling below zero"
                 raise InputError(setting, value, "> 0" if kind == "m" else ">= 0", why)
-            out[names[name]] = float(value)
+            out[kind, dof] = float(value)
     return out
+
+
+def places_of(key: str, chain: Chain, setting: str) -> list[Place]:
+    """The parameters that a kind (``k``: all connections), a name or a pattern means, in the chain's order.
+
+    None, for a kind that this chain lacks and another nonlinearity has.
+
+    Raises:
+        InputError: Naming ``setting``: there is no such parameter.
+    """
+    if key in (*LINEAR_PARAMETERS, "kappa", "mu") and key not in chain.parameters:
+        return []
+    names = all_names(chain)
+    pattern = f"{key}_*" if key in chain.parameters else key
+    return [names[name] for name in _matching(pattern, chain, names, setting)]
 
 
 def checked_positive(positive: Any) -> tuple[str, ...]:

@@ -84,6 +84,8 @@ class Adam(Training):
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
+        if problem.priors is not None:
+            raise InputError("training", "adam", "gauss_newton with scheme=bayesian", "it gives no likelihood")
         # Clock times have too few digits in float32: begin at 0.
         record = replace(problem.record, time=problem.record.time - problem.record.time[0])
         shifted = replace(problem, record=record)

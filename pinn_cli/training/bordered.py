@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpbtrf, dpbtrs
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.
 ROUNDING_JITTER = 1e-14
+# Steps that a bounded solution may take per parameter; one or two is the rule.
+NNLS_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +87,23 @@ class BorderedFactor:
         return -free - self.solved_border @ x, x
 
     def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
-        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement."""
-        unit = 1.0 / np.linalg.norm(self.schur, axis=1)
-        target = solve_triangular(self.schur, right, lower=True)
-        bounds = (np.minimum(lower, 0.0) / unit, np.full(len(unit), np.inf))
-        return unit * np.asarray(lsq_linear(self.schur.T * unit, target, bounds, method="bvls").x)
+        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.
+
+        With the unbounded x first and R^T = Q T, T upper triangular, the others are a non-negative least-squares
+        problem in the rows of T below. Lawson and Hanson's method ends at its solution; scipy's bounded one (bvls)
+        stops short where a freed variable is blocked at once.
+        """
+        lower, unit = np.minimum(lower, 0.0), 1.0 / np.linalg.norm(self.schur, axis=1)
+        order = np.argsort(np.isfinite(lower), kind="stable")
+        free, bound = np.split(order, [int(np.isinf(lower).sum())])
+        q, t = np.linalg.qr((self.schur.T * unit)[:, order])
+        target = q.T @ solve_triangular(self.schur, right, lower=True)
+        n, least = len(free), lower[bound] / unit[bound]
+        above, _ = nnls(t[n:, n:], target[n:] - t[n:, n:] @ least, maxiter=NNLS_STEPS * len(order))
+        x = np.empty(len(order))
+        x[bound] = lower[bound] + unit[bound] * above
+        x[free] = unit[free] * solve_triangular(t[:n, :n], target[:n] - t[:n, n:] @ (least + above))
+        return x
 
     @property
     def corner_covariance(self) -> np.ndarray:
@@ -98,9 +112,14 @@ class BorderedFactor:
         return inverse.T @ inverse
 
     @property
+    def readout_log_determinant(self) -> float:
+        """Logarithm of the determinant of A."""
+        return 2.0 * float(np.log(self.band[0]).sum() + np.log(self.scale).sum())
+
+    @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the whole matrix."""
-        return 2.0 * float(np.log(self.band[0]).sum() + np.log(self.scale).sum() + np.log(np.diag(self.schur)).sum())
+        return self.readout_log_determinant + 2.0 * float(np.log(np.diag(self.schur)).sum())
 
     def inverse_band(self) -> np.ndarray:
         """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.

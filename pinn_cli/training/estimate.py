@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import Response
+
+if TYPE_CHECKING:
+    from pinn_cli.training.parameter_likelihoods import ParameterLikelihoods
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,7 @@ class Estimate:
             ``weight_*``.
         summary: Iterations, stop reason, noise levels and the like, for run.json.
         correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
+        likelihoods: Of the parameters, for a sampler; None where no posterior distribution was asked for.
     """
 
     response: Response
@@ -57,6 +61,7 @@ class Estimate:
     history: pd.DataFrame
     summary: dict[str, Any]
     correlation: np.ndarray | None = None
+    likelihoods: ParameterLikelihoods | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
 from pinn_cli.training.scales import scales
 
@@ -36,6 +38,7 @@ class GaussNewton(Training):
         weights: ``inferred`` (see :mod:`pinn_cli.training.noise_model`), or fixed loss weights lambda by
             ``observation``, ``physics`` and ``continuity`` on residuals that are scaled by the largest measured value
             of their kind, as in the paper.
+        pooled: Whether the sensors of one quantity share one noise level; otherwise each has its own.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
 
     Raises:
@@ -48,17 +51,22 @@ class GaussNewton(Training):
         tolerance: float = 1e-6,
         weights: str | Mapping[str, float] = "inferred",
         learn_spread: bool = True,
+        pooled: bool = False,
     ) -> None:
         self.iterations = whole_number("training.iterations", iterations, least=1)
         if not is_finite_number(tolerance) or not 0 < tolerance < 1:
             raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
         if not isinstance(learn_spread, bool):
             raise InputError("training.learn_spread", learn_spread, "true or false")
-        self.tolerance, self.learn_spread = tolerance, learn_spread
+        if not isinstance(pooled, bool):
+            raise InputError("training.pooled", pooled, "true or false")
+        self.tolerance, self.learn_spread, self.pooled = tolerance, learn_spread, pooled
         self.weights = _checked_weights(weights)
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
+        if problem.priors is not None and self.weights:
+            raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
         network = (design.refined() if problem.identifies else design).build(problem.record)
         if not isinstance(network, LinearReadout):
             raise InputError(
@@ -70,12 +78,16 @@ class GaussNewton(Training):
         trained = self._train(evidence, problem, network)
         history.close()
         network.readout.data = equations.readout(trained.solution.point)
-        return posterior_estimate(evidence, trained, history)
+        estimate = posterior_estimate(evidence, trained, history)
+        if problem.priors is None:
+            return estimate
+        return replace(estimate, likelihoods=parameter_likelihoods(evidence, trained))
 
     def _train(self, evidence: Evidence, problem: Problem, network: LinearReadout) -> Trained:
         force, velocity = scales(problem)
         response, sensors = sensor_noise(network, problem.record)
         noise = NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity)
+        noise = noise.pooled() if self.pooled else noise
         if not self.weights:
             return evidence.widen_for_colour(evidence.scan(noise, force))
         trained_fixed = evidence.train(self._fixed(noise, problem.record, force, velocity), evidence.equations.start())

@@ -31,11 +31,14 @@ class LearnedParameters(nn.Module):
         self.uncertain = problem.uncertain
         self.names = tuple(problem.chain.parameters)
         prescribed = torch.stack([values.detach() for values in problem.chain.parameters.values()])
-        unit = torch.tensor([p.unit for p in self.uncertain])
+        unit, spread, lower = (
+            torch.tensor([getattr(p, name) for p in self.uncertain], dtype=torch.float64)
+            for name in ("unit", "prior_std", "lower")
+        )
         self.register_buffer("prescribed", prescribed.to(dtype))
         self.register_buffer("unit", unit.to(dtype))
-        self.register_buffer("prior_std", torch.tensor([p.prior_std for p in self.uncertain]).to(dtype))
-        self.register_buffer("lower", torch.tensor([p.lower / p.unit for p in self.uncertain]).to(dtype))
+        self.register_buffer("prior_std", spread.to(dtype))
+        self.register_buffer("lower", (lower / unit).to(dtype))
         self.register_buffer("kind", torch.tensor([self.names.index(p.kind) for p in self.uncertain], dtype=torch.long))
         self.register_buffer("dof", torch.tensor([p.dof for p in self.uncertain], dtype=torch.long))
         self.moved = nn.Parameter(torch.zeros(self.count, dtype=dtype))
@@ -61,17 +64,10 @@ class LearnedParameters(nn.Module):
 
     def estimates(self) -> list[ParameterEstimate]:
         """Where the parameters are now; a gradient method knows no standard deviations."""
-        moved = (self.unit * self.moved).detach().cpu().double().tolist()
+        distance = (self.unit * self.moved).detach().cpu().double().tolist()
+        held = (self.moved <= self.lower).cpu().tolist()
+        nothing = (math.nan, math.nan, math.nan)
         return [
-            ParameterEstimate(
-                p.name,
-                p.prescribed,
-                p.prescribed + distance,
-                math.nan,
-                math.nan,
-                math.nan,
-                p.prior_std,
-                p.unknown,
-            )
-            for p, distance in zip(self.uncertain, moved, strict=True)
+            ParameterEstimate(p.name, p.prescribed, p.value(p.lower if h else d), *nothing, p.prior_std, p.unknown)
+            for p, d, h in zip(self.uncertain, distance, held, strict=True)
         ]

@@ -6,9 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-import torch
-
 from pinn_cli.errors import DivergenceError
 from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.noise_model import NoiseModel
@@ -73,7 +70,7 @@ def minimise(
         while True:
             factor = system.factor(damping)
             if factor is not None:
-                moved = point.moved(_tensors(factor.step(system, equations.room_below(point)), point))
+                moved = equations.moved(point, factor.step(system, equations.room_below(point)))
                 terms = equations.losses(moved, noise)
                 if sum(terms.values()) <= loss * (1.0 + 1e-12):
                     break
@@ -87,7 +84,3 @@ def minimise(
         if decrease <= tolerance * loss and damping == 0.0:
             return Solution(point, loss, iteration + 1, True, factor if undamped else None)
     return Solution(point, loss, iterations, False)
-
-
-def _tensors(step: tuple[np.ndarray, np.ndarray], like: Point) -> tuple[torch.Tensor, torch.Tensor]:
-    return torch.as_tensor(step[0]).to(like.unknowns), torch.as_tensor(step[1]).to(like.unknowns)

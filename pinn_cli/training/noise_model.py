@@ -55,6 +55,15 @@ class NoiseModel:
         """Root mean square of the force that the model leaves out, N, with ``values`` features over ``samples``."""
         return float(self.discrepancy * np.sqrt(self.occupied * values / samples))
 
+    def pooled(self) -> NoiseModel:
+        """The same with one noise level for all sensors of a quantity: the root mean square of theirs."""
+        one = {q: _pooled(sigma) for q, sigma in self.response.items()}
+        return replace(self, response=one, force=_pooled(self.force))
+
+    def with_force_scale(self, factor: float) -> NoiseModel:
+        """The same with force sensors whose noise is so many times as large."""
+        return replace(self, force=self.force * factor)
+
     def with_spread(self, spread: float) -> NoiseModel:
         """The same under another prior of the parameters."""
         return replace(self, spread=spread)
@@ -71,6 +80,11 @@ class NoiseModel:
         else:
             variance = self.response[name] ** 2
         return np.nan_to_num(1.0 / variance)
+
+
+def _pooled(sigma: np.ndarray) -> np.ndarray:
+    there = np.isfinite(sigma)
+    return np.where(there, np.sqrt(np.mean(sigma[there] ** 2)), np.nan) if there.any() else sigma
 
 
 class FeatureProjection:
@@ -114,7 +128,10 @@ class FeatureProjection:
 
 
 def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """White noise of every response sensor and of every force sensor, each (n,), NaN where there is none."""
+    """White noise of every response sensor and of every force sensor, each (n,), NaN where there is none.
+
+    From the scatter of repeats where there are any, otherwise from what the features cannot follow.
+    """
     segments = network.segments(torch.as_tensor(record.time))
     output = first_output(network, segments)
     value, rate, curvature = output_features(network, segments)
@@ -127,6 +144,8 @@ def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.n
             rest = FeatureProjection(output, features).residual(torch.as_tensor(measured))
             finest = FINEST_SENSOR * np.sqrt(np.mean(measured**2, axis=0))
             found = [white_level(column, record.step, network.free_intervals / 2.0) for column in rest.T]
+            if record.repeats is not None:
+                found = list(record.repeats.noise_of_mean(quantity)[sensors])
             levels[quantity][sensors] = np.maximum(found, finest)
     return {quantity: levels[quantity] for quantity in RESPONSE_QUANTITIES}, levels["force"]
 

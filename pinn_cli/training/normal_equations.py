@@ -160,6 +160,19 @@ class NormalEquations:
         room: np.ndarray = self.lower - point.parameters.cpu().numpy()
         return np.minimum(room, 0.0)
 
+    def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
+        """The point after a step; a parameter that the step takes to its bound is at the bound, whatever the rounding.
+
+        Args:
+            point: Where the step begins.
+            step: Of the readout weights (size,) and of the parameters (p,).
+        """
+        unknowns, parameters = (torch.as_tensor(x).to(point.unknowns) for x in step)
+        lower = torch.as_tensor(self.lower).to(point.unknowns)
+        held = torch.as_tensor(step[1] <= self.room_below(point), device=lower.device)
+        after = point.moved((unknowns, parameters))
+        return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
+
     def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
         """Weighted sum of squares of every residual, of the parameters' prior and of the ridge."""
         residuals = self.residuals(point)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import truncnorm
 
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # Ends of a central 90 % interval.
 NINETY_PERCENT = (0.05, 0.95)
@@ -16,24 +16,22 @@ NINETY_PERCENT = (0.05, 0.95)
 def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[list[ParameterEstimate], np.ndarray]:
     """Every uncertain parameter, and the (p, p) correlation of all of them.
 
-    The posterior is the Gaussian of the joint Hessian with the readout weights marginalised. That of a
-    parameter that cannot be negative is cut off at zero, each by itself: where the bound holds it back, the Gaussian's
-    own peak lies below zero, at a Newton step's distance.
+    The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
+    cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
+    at a Newton step's distance from the solution.
     """
-    covariance = trained.factor.corner_covariance + np.diag(coherent_misfit(equations, trained) ** 2)
     point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
-    spread = np.sqrt(np.diag(covariance))
-    peak = point + _newton_step(equations, trained)
-    prior = scale / np.sqrt(equations.precision(trained.noise).cpu().numpy())
+    covariance = trained.factor.corner_covariance + np.diag(coherent_misfit(equations, trained) ** 2)
+    posterior = TruncatedGaussian(point + _newton_step(equations, trained), covariance, equations.lower)
+    spread = np.sqrt(np.diag(posterior.covariance))
+    lower, upper = posterior.interval(NINETY_PERCENT)
     estimates = []
     for i, p in enumerate(equations.problem.uncertain):
-        posterior = truncnorm((equations.lower[i] - peak[i]) / spread[i], np.inf, peak[i], spread[i])
-        lower, upper = (float(p.prescribed + scale[i] * x) for x in posterior.ppf(NINETY_PERCENT))
-        estimate, std = float(p.prescribed + scale[i] * point[i]), float(scale[i] * posterior.std())
-        estimates.append(
-            ParameterEstimate(p.name, p.prescribed, estimate, std, lower, upper, float(prior[i]), p.unknown)
-        )
-    return estimates, covariance / np.outer(spread, spread)
+        estimate = p.value(p.lower if point[i] <= equations.lower[i] else scale[i] * point[i])
+        low, high = p.value(scale[i] * lower[i]), p.value(scale[i] * upper[i])
+        std = float(scale[i] * spread[i])
+        estimates.append(ParameterEstimate(p.name, p.prescribed, estimate, std, low, high, p.prior_std, p.unknown))
+    return estimates, posterior.covariance / np.outer(spread, spread)
 
 
 def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
@@ -42,7 +40,7 @@ def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
     The Hessian takes the discrepancy for noise, which averages out over a record. A force that was forgotten does not:
     that of a cubic spring follows the motion as that of a linear one does, and however long the record is, the linear
     one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
-    on its connection is r. Without model error d is small, and this with it.
+    on its connection is r, or what the prior lets it hide. Without model error d is small, and this with it.
     """
     if not equations.kinds:
         return np.zeros(0)
@@ -50,7 +48,8 @@ def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
     per_std = equations.physics.scatter(rows.parameter[..., 0].movedim(-1, 2).flatten(2))  # (N, kinds n)
     force = per_std.square().mean(0).sqrt()[equations.column].cpu().numpy()
     misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
-    return np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)
+    hidden = np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)
+    return hidden / np.hypot(1.0, hidden)
 
 
 def _newton_step(equations: NormalEquations, trained: Trained) -> np.ndarray:

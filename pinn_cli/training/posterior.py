@@ -47,14 +47,28 @@ class Posterior:
         result = [self._force_of_dof(rows, dof) for dof in range(e.layout.ndof)]
         return e.physics.scatter(torch.stack(result, -1).to(e.physics.mask.device)).cpu()
 
-    def _force_of_dof(self, rows: ChainRows, dof: int) -> Tensor:
+    def force_by_parameter(self) -> Tensor:
+        """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
         e = self.equations
-        jacobian = rows.jacobian(e.physics, slice(dof, dof + 1))[:, 0].cpu()  # (I, S, 3 B)
-        position, inside = self.local[:, dof], self.inside[:, dof].to(jacobian)
-        jacobian = jacobian * inside[:, None]
-        variance = ((jacobian @ self._window(position)) * jacobian).sum(-1)
-        by_parameter = e.uncertain_columns(rows.parameter[:, :, dof].cpu(), dof) - jacobian @ self.solved[position]
+        rows = e.rows(e.physics, self.point)
+        every = [self._by_parameter(rows, self._jacobian(rows, dof), dof) for dof in range(e.layout.ndof)]
+        return e.physics.scatter(torch.stack(every, 2).to(e.physics.mask.device)).cpu()
+
+    def _force_of_dof(self, rows: ChainRows, dof: int) -> Tensor:
+        jacobian = self._jacobian(rows, dof)
+        variance = ((jacobian @ self._window(self.local[:, dof])) * jacobian).sum(-1)
+        by_parameter = self._by_parameter(rows, jacobian, dof)
         return (variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt()
+
+    def _jacobian(self, rows: ChainRows, dof: int) -> Tensor:
+        """(I, S, 3 B), 0 beyond the chain's ends."""
+        jacobian = rows.jacobian(self.equations.physics, slice(dof, dof + 1))[:, 0].cpu()
+        return jacobian * self.inside[:, dof].to(jacobian)[:, None]
+
+    def _by_parameter(self, rows: ChainRows, jacobian: Tensor, dof: int) -> Tensor:
+        """(I, S, p)."""
+        held = self.equations.uncertain_columns(rows.parameter[:, :, dof].cpu(), dof)
+        return held - jacobian @ self.solved[self.local[:, dof]]
 
     def _window(self, position: Tensor) -> Tensor:
         """Entries (I, C, C) of the inverse's band at the given positions (I, C)."""

@@ -156,3 +156,54 @@ def test_a_loss_that_is_not_finite_at_the_start_is_divergence():
     equations, noise = posed("linear")
     with pytest.raises(DivergenceError, match="not finite at the start"):
         minimise(equations, noise, equations.start().moved((np.inf, 0.0)), 3, 1e-6, lambda terms: None)
+
+
+def softening(positive: bool, prescribed: float = 50.0, prior_std: float = 100.0) -> tuple[NormalEquations, NoiseModel]:
+    """A chain whose second spring softens, and an estimator that takes it to harden."""
+    chain = small_chain()
+    kappa = torch.tensor([100.0, -40.0, 100.0], dtype=torch.float64)
+    record = accelerations(
+        measured(chain.with_parameters(kappa=kappa), snr_db=50.0, duration=20.0, samples=257).record, (1, 2, 3)
+    )
+    prior = UncertainParameter("kappa", 1, prescribed, prior_std, positive=positive)
+    kappa = kappa.clone()
+    kappa[1] = prescribed
+    stiffness = UncertainParameter("k", 1, 15.0, 1.0)
+    problem = Problem(chain.with_parameters(kappa=kappa), record, (stiffness, prior) if prior_std else (stiffness,))
+    nothing, level = np.full(3, np.nan), np.full(3, 0.002)
+    noise = NoiseModel(
+        {"displacement": nothing, "velocity": nothing, "acceleration": level},
+        np.where(record.sensors("force"), 0.004, np.nan), 0.004, 1.0,
+    )  # fmt: skip
+    return NormalEquations(Spline(intervals=100).build(record), problem), noise
+
+
+@pytest.mark.parametrize("prescribed", [0.0, 7.3, 50.0, 123.4])
+def test_a_parameter_that_cannot_be_negative_ends_exactly_at_zero(prescribed):
+    equations, noise = softening(True, prescribed)
+    solution = solved(equations, noise)
+    assert solution.converged
+    assert solution.point.parameters[1] == equations.lower[1]
+    assert float(equations.parameters(solution.point)["kappa"][1]) == pytest.approx(0.0, abs=1e-13 * prescribed)
+    # It would like to go on, and nothing else would.
+    slope = equations.assemble(solution.point, noise).corner_gradient
+    assert slope[1] > 0
+    assert abs(slope[0]) < 1e-3 * slope[1]
+
+
+def test_without_the_bound_it_goes_below_zero_and_fits_better():
+    found = {}
+    for positive in (True, False):
+        equations, noise = softening(positive)
+        solution = solved(equations, noise)
+        assert solution.converged
+        found[positive] = solution.loss, float(equations.parameters(solution.point)["kappa"][1])
+    assert found[False][1] == pytest.approx(-40.0, abs=3.0)
+    assert found[False][0] < found[True][0]
+
+
+def test_at_its_bound_a_parameter_is_one_that_is_held_at_zero():
+    bounded, held = (solved(*softening(True, *settings)) for settings in ((50.0, 100.0), (0.0, 0.0)))
+    # The prior of the bounded one counts its way from 50 to 0.
+    assert bounded.loss == pytest.approx(held.loss + (50.0 / 100.0) ** 2, rel=1e-6)
+    torch.testing.assert_close(bounded.point.parameters[:1], held.point.parameters, rtol=1e-4, atol=1e-5)

@@ -147,6 +147,73 @@ def test_no_uncertain_parameters():
     assert_agrees(posed(random_record(3), through="both"))
 
 
+def some_unknown(equations: NormalEquations, positive: bool = False) -> NormalEquations:
+    """The same with every other parameter unknown."""
+    uncertain = tuple(
+        replace(p, unknown=bool(i % 2), positive=positive) for i, p in enumerate(equations.problem.uncertain)
+    )
+    return NormalEquations(equations.network, replace(equations.problem, uncertain=uncertain))
+
+
+@pytest.mark.parametrize("spread", [0.01, 1.0, 30.0])
+def test_the_spread_is_that_of_believed_parameters_alone(spread):
+    equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")))
+    noise = replace(noise_of(equations.problem.record), spread=spread)
+    expected = [1.0 if p.unknown else spread**-2 for p in equations.problem.uncertain]
+    assert len(set(expected)) == (1 if spread == 1.0 else 2)
+    np.testing.assert_allclose(equations.precision(noise), expected)
+    # In the Hessian, in its gradient and in the loss.
+    point = somewhere(equations)
+    wide = replace(noise, spread=1e9)
+    given, without = (equations.assemble(point, n) for n in (noise, wide))
+    believed = np.array([not p.unknown for p in equations.problem.uncertain])
+    added = believed * spread**-2
+    np.testing.assert_allclose(given.corner - without.corner, np.diag(added), atol=1e-9 * added.max())
+    np.testing.assert_allclose(
+        given.corner_gradient - without.corner_gradient, added * point.parameters.numpy(), atol=1e-9 * added.max()
+    )
+    prior = float((torch.tensor(expected) * point.parameters.square()).sum())
+    assert equations.losses(point, noise)["prior"] == pytest.approx(prior)
+
+
+def test_room_below_is_the_way_to_zero():
+    equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")), positive=True)
+    point = somewhere(equations)
+    low = {name: values.clone() for name, values in equations.parameters(point).items()}
+    room = equations.room_below(point)
+    assert np.all(room < 0)
+    for parameter, step in zip(equations.problem.uncertain, room, strict=True):
+        low[parameter.kind][parameter.dof] += parameter.prior_std * step
+        assert low[parameter.kind][parameter.dof] == pytest.approx(0.0, abs=1e-12)
+    free = some_unknown(posed(random_record(3), kinds=("k",)))
+    assert np.all(free.room_below(somewhere(free)) == -np.inf)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_to_a_bound_ends_at_the_bound(seed):
+    """Exactly, from wherever it comes, and back again to exactly no room."""
+    equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")), positive=True)
+    rng = np.random.default_rng(seed)
+    point, count = equations.start(), len(equations.lower)
+    nowhere = np.zeros(equations.layout.size)
+    for _ in range(20):
+        room, held = equations.room_below(point), rng.random(count) < 0.5
+        point = equations.moved(point, (nowhere, np.where(held, room, rng.exponential(size=count))))
+        parameters = point.parameters.numpy()
+        np.testing.assert_array_equal(parameters[held], equations.lower[held])
+        np.testing.assert_array_equal(equations.room_below(point)[held], 0.0)
+        assert np.all(parameters >= equations.lower)
+
+
+def test_without_bounds_a_step_is_a_sum():
+    equations = posed(random_record(3), kinds=("k",))
+    point = somewhere(equations)
+    step = np.full(equations.layout.size, 0.1), np.full(len(equations.lower), -5.0)
+    moved = equations.moved(point, step)
+    torch.testing.assert_close(moved.unknowns, point.unknowns + 0.1)
+    torch.testing.assert_close(moved.parameters, point.parameters - 5.0)
+
+
 def test_more_dofs_than_a_chunk_holds(monkeypatch):
     monkeypatch.setattr("pinn_cli.training.blocks.CHUNK", 1)
     assert_agrees(posed(random_record(3), through="both", kinds=("k",)))

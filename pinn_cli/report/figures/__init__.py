@@ -38,6 +38,7 @@ def write_figures(
     linear: Response | None = None,
     truth_label: str = "truth",
     units: Mapping[str, str] | None = None,
+    baseline: tuple[str, Response] | None = None,
 ) -> list[Path]:
     """Draw and save every figure that the run has something for, as PNG and PDF.
 
@@ -49,12 +50,13 @@ def write_figures(
         linear: The true response of the equivalent linear system, if it is to be shown.
         truth_label: What the legend calls the truth.
         units: Symbol of a parameter to its unit, powers as ``m^3``.
+        baseline: Name and response of another estimator, drawn in the figure of the response.
 
     Returns:
         The files written.
     """
     figures = {
-        "response": response_figure(estimate, record, truth.response, linear, truth_label),
+        "response": response_figure(estimate, record, truth.response, linear, truth_label, baseline),
         "error_map": error_map_figure(estimate, record, truth.response),
     }
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):

@@ -39,6 +39,7 @@ class _Sources:
     std: Response
     truth: Response | None
     linear: Response | None
+    baseline: Response | None
     record: Record
 
     def column(self, source: str, quantity: str, dof: int) -> np.ndarray:
@@ -53,6 +54,7 @@ def response_figure(
     truth: Response | None,
     linear: Response | None = None,
     truth_label: str = "truth",
+    baseline: tuple[str, Response] | None = None,
 ) -> Figure:
     """Rows are DOFs, an asterisk marks those without a response sensor; columns are u, its two time derivatives, and f.
 
@@ -63,12 +65,14 @@ def response_figure(
         truth: Drawn as a line where it is known.
         linear: The true response of the equivalent linear system, drawn as a blue dash-dot line.
         truth_label: What the legend calls ``truth``: of a record from a rig it is a measurement.
+        baseline: Name and response of another estimator, drawn as a green dotted line.
 
     The force has one scale for all DOFs, so that an estimated force where there is none is seen in proportion; its root
     mean square is written there.
     """
+    name, beside = baseline or ("", None)
     window = shown_window(record.time, estimate.response)
-    sources = _Sources(window, record.time[window], estimate.response, estimate.std, truth, linear, record)
+    sources = _Sources(window, record.time[window], estimate.response, estimate.std, truth, linear, beside, record)
     dofs = shown_dofs(record.ndof)
     with style.look():
         height = _TOP + _BOTTOM + _ROW * len(dofs)
@@ -79,7 +83,7 @@ def response_figure(
         for row, dof in enumerate(dofs):
             panels[row, 0].set_ylabel(f"DOF {dof + 1}" + ("" if record.observed[dof] else "*"))
         figure.align_ylabels(list(panels[:, 0]))
-        _legend(figure, sources, dofs, height, truth_label)
+        _legend(figure, sources, dofs, height, {"truth": truth_label, "baseline": name.replace("_", " ")})
     return figure
 
 
@@ -160,7 +164,7 @@ def _draw_lines(axes: Axes, sources: _Sources, quantity: str, dof: int, factor: 
         seen = sources.column("record", quantity, dof)
         every = -(-len(seen) // POINTS)
         axes.plot(time[::every], factor * seen[::every], **_LOOKS["observations"])
-    for name in ("truth", "linear"):
+    for name in ("truth", "linear", "baseline"):
         line = sources.column(name, quantity, dof)
         if np.isfinite(line).all():
             kept = line_indices(line)
@@ -188,6 +192,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
     },
     "truth": {"linestyle": "-", "linewidth": 1.0, "color": style.BLACK, "zorder": 2.0},
     "linear": {"linestyle": "-.", "linewidth": 0.6, "color": style.BLUE, "zorder": 1.8},
+    "baseline": {"linestyle": (0, (1, 1)), "linewidth": 0.8, "color": style.GREEN, "zorder": 2.3},
     "estimate": {"linestyle": (0, (2.5, 1.2)), "linewidth": 0.8, "color": style.VERMILLION, "zorder": 2.2},
 }
 _BAND_LOOK: dict[str, Any] = {"color": style.VERMILLION, "alpha": 0.3, "linewidth": 0, "zorder": 1.9}
@@ -208,8 +213,9 @@ def _shown(response: Response | None, dofs: list[int]) -> bool:
     return response is not None and any(np.isfinite(getattr(response, name)[:, dofs]).any() for name in QUANTITIES)
 
 
-def _legend(figure: Figure, sources: _Sources, dofs: list[int], height: float, truth_label: str) -> None:
-    titles = {"truth": truth_label, "estimate": "estimate", "band": "95 % band", "linear": "equivalent linear system"}
+def _legend(figure: Figure, sources: _Sources, dofs: list[int], height: float, names: dict[str, str]) -> None:
+    titles = {"truth": names["truth"], "estimate": "estimate", "band": "95 % band"}
+    titles |= {"linear": "equivalent linear system", "baseline": names["baseline"]}
     handles: list[Line2D | Patch] = []
     for name, title in titles.items():
         if not _shown(getattr(sources, "std" if name == "band" else name), dofs):
@@ -220,7 +226,8 @@ def _legend(figure: Figure, sources: _Sources, dofs: list[int], height: float, t
     every = -(-len(sources.time) // POINTS)
     seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
     handles.append(Line2D([], [], label=seen, **{**_LOOKS["observations"], "markersize": 6}))
-    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles), handlelength=2.2)
+    room = {"handlelength": 2.2} if len(handles) < 6 else {"handlelength": 1.8, "columnspacing": 0.8}
+    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles), **room)
     notes = [] if sources.record.observed[dofs].all() else ["* no response sensor"]
     if len(sources.time) < len(sources.record.time):
         first, last = sources.record.time[[0, -1]]

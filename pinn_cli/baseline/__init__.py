@@ -1,0 +1,1 @@
+"""Estimators beside the network, for comparison, one per file."""

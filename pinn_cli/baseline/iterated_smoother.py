@@ -1,0 +1,135 @@
+"""The iterated extended smoother: linearise about a trajectory, smooth, repeat, which is Gauss-Newton (Bell 1994)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pinn_cli.baseline.linear_gaussian import Filtered
+from pinn_cli.baseline.regression import Regression, regress, regress_with_spread
+from pinn_cli.baseline.state_space import Levels, Linearised, StateSpace, Trajectory
+
+# Steps shorter than this part of the motion are taken unseen: the model is smooth on their scale, and looking costs a
+# tenth of a pass. A longer one is halved until the misfit falls, so many times at most.
+SHORT_STEP, HALVINGS = 0.1, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """One linearisation, filter and smoother.
+
+    Attributes:
+        levels: The noise levels, with the spread that was found.
+        linearised: The model where it was linearised.
+        filtered: Deviations from there.
+        regression: Parameters and start of the motion.
+        disturbances: (N, n), smoothed force that the model leaves out, N.
+        trajectory: The smoothed one.
+        step: Rms of its distance from where the model was linearised, over its own rms; the largest of any state kind.
+    """
+
+    levels: Levels
+    linearised: Linearised
+    filtered: Filtered
+    regression: Regression
+    disturbances: np.ndarray
+    trajectory: Trajectory
+    step: float
+
+
+class IteratedSmoother:
+    """Most probable trajectory and parameters under given noise levels.
+
+    Args:
+        space: The model.
+        passes: At most, for one noise level.
+        learn_spread: Whether the common spread of the believed parameters is learned on the way.
+
+    Attributes:
+        history: One row for every pass.
+    """
+
+    def __init__(self, space: StateSpace, passes: int, learn_spread: bool) -> None:
+        self.space, self.passes, self.learn_spread = space, passes, learn_spread
+        # Of unknown parameters nobody has said what they should be: only beliefs share how far they are off.
+        believed = [not parameter.unknown for parameter in space.problem.uncertain]
+        self.sharing = np.array([*believed, *[False] * (2 * space.n)])
+        self.history: list[dict[str, float]] = []
+        self.started = time.perf_counter()
+
+    def settle(self, trajectory: Trajectory, levels: Levels, tolerance: float) -> Pass:
+        """Passes until the step is shorter than ``tolerance``, or until they are used up.
+
+        Raises:
+            FloatingPointError: A pass left the finite numbers.
+        """
+        for _ in range(self.passes):
+            done = self.once(trajectory, levels)
+            trajectory, levels = done.trajectory, done.levels
+            if done.step < tolerance:
+                break
+        return done
+
+    def once(self, trajectory: Trajectory, levels: Levels) -> Pass:
+        """One pass.
+
+        Raises:
+            FloatingPointError: It left the finite numbers.
+        """
+        linearised = self.space.linearise(trajectory)
+        model = self.space.model(linearised, levels)
+        filtered = model.filter()
+        at, p = self.space.coefficients(trajectory), len(trajectory.parameters)
+        solve = regress_with_spread if self.learn_spread else regress
+        try:
+            found = solve(filtered, at, levels.spread, self.sharing)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise FloatingPointError(str(error)) from error
+        move, disturbances = filtered.smooth(found.change)
+        length = self._length(trajectory, move)
+        share = 1.0 if length < SHORT_STEP else self._share(trajectory, move, found, filtered)
+        moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * found.change[:p])
+        levels = replace(levels, spread=found.spread)
+        self._note(levels, found, length)
+        return Pass(levels, linearised, filtered, found, disturbances, moved, length)
+
+    def _note(self, levels: Levels, found: Regression, step: float) -> None:
+        row = {"iteration": len(self.history) + 1, "seconds": time.perf_counter() - self.started}
+        found_row = {"discrepancy": levels.discrepancy, "log_evidence": found.log_evidence, "step": step}
+        self.history.append({**row, **found_row})
+
+    def _length(self, trajectory: Trajectory, move: np.ndarray) -> float:
+        kinds = [
+            (x, y) for x, y in zip(*map(self.space.split, (trajectory.states + move, move)), strict=True) if x.size
+        ]
+        lengths = [np.sqrt(np.sum(y**2) / np.sum(x**2)) if y.any() else 0.0 for x, y in kinds]
+        if not np.all(np.isfinite(lengths)):
+            raise FloatingPointError("the smoothed trajectory is not finite")
+        return float(max(lengths))
+
+    def _share(self, trajectory: Trajectory, move: np.ndarray, found: Regression, filtered: Filtered) -> float:
+        """Largest of 1, 1/2, 1/4, ... of a step that makes the misfit less."""
+        p, share = len(trajectory.parameters), 1.0
+        before = self._misfit(trajectory, found, filtered)
+        for _ in range(HALVINGS):
+            moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * found.change[:p])
+            if self._misfit(moved, found, filtered) < before:
+                break
+            share /= 2.0
+        return share
+
+    def _misfit(self, trajectory: Trajectory, found: Regression, filtered: Filtered) -> float:
+        """Sum of squares that the smoother makes small, nonlinear; infinite where the motion overflows."""
+        covariance, m = filtered.model.step_covariance, filtered.innovation.shape[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            residuals = self.space.residuals(trajectory)
+        if not np.all(np.isfinite(residuals)):
+            return np.inf
+        misfit = np.sum(residuals[:-1] * np.linalg.solve(covariance[:-1], residuals[:-1, :, None])[..., 0])
+        misfit += residuals[-1, :m] @ np.linalg.solve(covariance[-1, :m, :m], residuals[-1, :m])
+        misfit += found.precision @ self.space.coefficients(trajectory) ** 2
+        latent = trajectory.states[0, 2 * self.space.n :]
+        start = filtered.model.initial_covariance[2 * self.space.n :, 2 * self.space.n :]
+        return float(misfit + latent @ np.linalg.solve(start, latent))

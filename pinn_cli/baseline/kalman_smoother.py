@@ -1,0 +1,78 @@
+"""Iterated extended Rauch-Tung-Striebel smoother: what one would pick instead of a network."""
+
+from __future__ import annotations
+
+import logging
+
+import pandas as pd
+
+from pinn_cli.baseline.base import Baseline
+from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
+from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
+from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
+from pinn_cli.baseline.state_space import Levels, StateSpace
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import is_finite_number, positive_number, whole_number
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.noise_model import sensor_noise
+
+log = logging.getLogger(__name__)
+
+
+class KalmanSmoother(Baseline):
+    """Smoothed states and parameters of the same model, from the same sensors (Sarkka 2013, chapter 10).
+
+    Args:
+        iterations: Passes at most under one noise level.
+        tolerance: Part of the motion; a pass that moves it by less is the last.
+        process_noise: Standard deviation of the force that the model leaves out, on every DOF, held from sample to
+            sample, N; None: the most probable one, widened for its colour.
+        learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    name = "kalman_smoother"
+
+    def __init__(
+        self,
+        iterations: int = 12,
+        tolerance: float = 1e-4,
+        process_noise: float | None = None,
+        learn_spread: bool = True,
+    ) -> None:
+        self.iterations = whole_number("baseline.iterations", iterations, least=1)
+        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
+            raise InputError("baseline.tolerance", tolerance, "a number between 0 and 1")
+        if not isinstance(learn_spread, bool):
+            raise InputError("baseline.learn_spread", learn_spread, "true or false")
+        self.tolerance, self.learn_spread = tolerance, learn_spread
+        self.process_noise = None if process_noise is None else positive_number("baseline.process_noise", process_noise)
+
+    def solve(self, problem: Problem, run: RunContext) -> Estimate | None:
+        """See :meth:`Baseline.solve`."""
+        response, force = sensor_noise(Spline().build(problem.record), problem.record)
+        smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
+        try:
+            last = self._last_pass(smoother, Levels(response, force, smoother.space.force_scale))
+        except FloatingPointError as error:
+            log.warning("baseline=kalman_smoother: no estimate, %s", error)
+            return None
+        converged = last.step < self.tolerance
+        summary = {
+            "iterations": len(smoother.history),
+            "stop_reason": "converged" if converged else "iteration limit",
+            "log_evidence": last.regression.log_evidence,
+        }
+        return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
+
+    def _last_pass(self, smoother: IteratedSmoother, levels: Levels) -> Pass:
+        """The solution under the given process noise, or under the one that is found."""
+        if self.process_noise is None:
+            best = widened(smoother, most_probable(smoother, levels))
+        else:
+            best = stiffened(smoother, levels, self.process_noise)
+        return smoother.settle(best.trajectory, best.levels, self.tolerance)

@@ -1,0 +1,191 @@
+"""Linear Gaussian time series with shared disturbances and regression coefficients: exact filter and smoother.
+
+Step k takes a state and a disturbance to an observation and to the next state,
+
+    [y_k; x_k+1] = c_k + T_k x_k + H_k e_k + B_k b + noise_k,   e_k ~ N(0, diag(q)),   noise_k ~ N(0, W),
+    x_0 ~ N(a_0 + A_0 b, P_0),
+
+with coefficients b that are the same at all times. A disturbance that both moves the state and shows in a sensor
+correlates process and measurement noise; so written, there is nothing special about that.
+
+The filter conditions the joint Gaussian of (y_k, x_k+1) on y_k (Sarkka 2013, lemma A.2 and theorem 4.2, one step
+later). Means are carried as linear functions of b, which then is a regression on the innovations (Rosenberg 1973; de
+Jong 1991). As constant states the coefficients would double the matrices; and an unknown start, which is a coefficient
+too, would enter as a huge P_0 that eats the digits of everything after it. The backward pass is that of de Jong (1989):
+Rauch, Tung and Striebel's smoother without the inverse of a predicted covariance, which little noise leaves singular.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+
+@dataclass(frozen=True, eq=False)
+class LinearGaussian:
+    """N steps with s states, d disturbances, m observations and p coefficients; float64 throughout.
+
+    Attributes:
+        observed: (N, m), y_k.
+        offset: (N, m + s), c_k.
+        state: (N, m + s, s), T_k; the first m rows make the observation, the others the next state.
+        disturbance: (N, m + s, d), H_k.
+        coefficient: (N, m + s, p), B_k.
+        disturbance_variance: (d,), q.
+        noise: (m + s, m + s), W.
+        initial: (s, 1 + p), [a_0, A_0].
+        initial_covariance: (s, s), P_0.
+    """
+
+    observed: np.ndarray
+    offset: np.ndarray
+    state: np.ndarray
+    disturbance: np.ndarray
+    coefficient: np.ndarray
+    disturbance_variance: np.ndarray
+    noise: np.ndarray
+    initial: np.ndarray
+    initial_covariance: np.ndarray
+
+    @cached_property
+    def step_covariance(self) -> np.ndarray:
+        """(N, m + s, m + s), of observation and next state of each step for a known state: disturbance and noise."""
+        root = self.disturbance * np.sqrt(self.disturbance_variance)
+        covariance: np.ndarray = root @ root.transpose(0, 2, 1) + self.noise
+        return covariance
+
+    def filter(self) -> Filtered:
+        """Predictions and innovations of every step, as functions of the coefficients.
+
+        Raises:
+            FloatingPointError: An innovation has no positive definite covariance.
+        """
+        m = self.observed.shape[1]
+        covariance, spread, gain = self._covariances()
+        closed = self.state[:, m:] - gain @ self.state[:, :m]
+        seen = (self.observed - self.offset[:, :m])[:, :, None]
+        known = np.concatenate((seen, -self.coefficient[:, :m]), axis=2)
+        mean = np.empty((len(known) + 1, *self.initial.shape))
+        mean[0] = self.initial
+        np.matmul(gain, known, out=mean[1:])
+        mean[1:, :, 0] += self.offset[:, m:]
+        mean[1:, :, 1:] += self.coefficient[:, m:]
+        for through, before, after in zip(closed, mean[:-1], mean[1:], strict=True):
+            after += through @ before  # noqa: PLW2901 (in place: what drives the mean becomes the mean)
+        mean = mean[:-1]
+        innovation = known - self.state[:, :m] @ mean
+        return Filtered(self, covariance, mean, innovation, spread, gain, closed)
+
+    def _covariances(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the predicted states (N, s, s) and of the innovations (N, m, m), and gains (N, s, m)."""
+        samples, m = self.observed.shape
+        s = len(self.initial)
+        joints = self.step_covariance.copy()
+        covariance, solved = np.empty((samples + 1, s, s)), []
+        covariance[0] = self.initial_covariance
+        for k, (step, joint, before, after) in enumerate(
+            zip(self.state, joints, covariance[:-1], covariance[1:], strict=True)
+        ):
+            joint += step @ before @ step.T  # noqa: PLW2901 (in place: what was added noise is the whole now)
+            shared = joint[m:, :m]
+            _, by_spread, failed = dposv(joint[:m, :m], shared.T)
+            if failed:
+                raise FloatingPointError(f"the innovation at sample {k} has no positive definite covariance")
+            np.subtract(joint[m:, m:], shared @ by_spread, out=after)
+            solved.append(by_spread)
+        gain = np.stack(solved).transpose(0, 2, 1)
+        return covariance[:-1], joints[:, :m, :m], gain
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """Forward pass of a :class:`LinearGaussian`.
+
+    Attributes:
+        model: What was filtered.
+        covariance: (N, s, s), of each state given all earlier observations and the coefficients.
+        mean: (N, s, 1 + p), its mean: at coefficients zero, and by coefficient.
+        innovation: (N, m, 1 + p), observations minus their predictions, likewise.
+        spread: (N, m, m), covariance of the innovations.
+        gain: (N, s, m), from innovation to the next predicted state.
+        closed: (N, s, s), from a state to the next, innovation held.
+    """
+
+    model: LinearGaussian
+    covariance: np.ndarray
+    mean: np.ndarray
+    innovation: np.ndarray
+    spread: np.ndarray
+    gain: np.ndarray
+    closed: np.ndarray
+
+    @cached_property
+    def weighted(self) -> np.ndarray:
+        """(N, m, 1 + p), innovations divided by their covariance."""
+        return np.linalg.solve(self.spread, self.innovation)
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """(1 + p, 1 + p), weighted squares and products of the innovations' columns, summed over all steps."""
+        flat = self.innovation.reshape(-1, self.innovation.shape[2])
+        moments: np.ndarray = flat.T @ self.weighted.reshape(flat.shape)
+        return moments
+
+    @cached_property
+    def log_spread(self) -> float:
+        """Sum of the log determinants of the innovations' covariances."""
+        return float(np.linalg.slogdet(self.spread)[1].sum())
+
+    def smooth(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smoothed states (N, s) and disturbances (N, d) at given coefficients (p,)."""
+        columns = np.concatenate(([1.0], coefficients))
+        states, disturbances = self._smoothed((self.mean @ columns)[..., None], (self.weighted @ columns)[..., None])
+        return states[:, :, 0], disturbances[:, :, 0]
+
+    def posterior(self) -> tuple[np.ndarray, np.ndarray]:
+        """What all observations leave open about state and disturbance together.
+
+        Returns:
+            Their covariance at every step for known coefficients (N, s + d, s + d), and what each coefficient does to
+            their mean (N, s + d, p).
+        """
+        s = self.mean.shape[1]
+        columns = np.concatenate(self._smoothed(self.mean[..., 1:], self.weighted[..., 1:]), axis=1)
+        prior = np.zeros((len(columns), columns.shape[1], columns.shape[1]))
+        prior[:, :s, :s] = self.covariance
+        diagonal = np.arange(s, columns.shape[1])
+        prior[:, diagonal, diagonal] = self.model.disturbance_variance
+        return prior - prior @ self._information() @ prior, columns
+
+    @property
+    def _disturbance_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """What a disturbance does to the innovation (N, m, d) and, that held, to the next state (N, s, d)."""
+        m = self.innovation.shape[1]
+        felt = self.model.disturbance[:, :m]
+        return felt, self.model.disturbance[:, m:] - self.gain @ felt
+
+    def _smoothed(self, mean: np.ndarray, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smoothed states (N, s, c) and disturbances (N, d, c), column by column."""
+        observe = self.model.state[:, : self.innovation.shape[1]]
+        score = observe.transpose(0, 2, 1) @ weighted  # what this observation says about its state, then all later ones
+        later = np.zeros_like(score)
+        for back, here, before, after in zip(self.closed[::-1], score[::-1], later[-2::-1], later[::-1], strict=False):
+            np.add(back.T @ after, here, out=before)
+        score += self.closed.transpose(0, 2, 1) @ later
+        felt, push = (rows.transpose(0, 2, 1) for rows in self._disturbance_rows)
+        disturbances = self.model.disturbance_variance[:, None] * (felt @ weighted + push @ later)
+        return mean + self.covariance @ score, disturbances
+
+    def _information(self) -> np.ndarray:
+        """(N, s + d, s + d), what this and later observations tell about state and disturbance of each step."""
+        felt, push = self._disturbance_rows
+        seen = np.concatenate((self.model.state[:, : felt.shape[1]], felt), axis=2)
+        gone = np.concatenate((self.closed, push), axis=2)
+        information = seen.transpose(0, 2, 1) @ np.linalg.solve(self.spread, seen)
+        s = self.closed.shape[1]
+        for k in range(len(gone) - 2, -1, -1):
+            information[k] += gone[k].T @ information[k + 1, :s, :s] @ gone[k]
+        return information

@@ -1,0 +1,64 @@
+"""What the posteriors that are found by NUTS share: their settings."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import is_finite_number, whole_number
+from pinn_cli.posterior.base import Posterior
+from pinn_cli.posterior.likelihood import ParameterLikelihood
+from pinn_cli.posterior.priors import Prior
+from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.scheme.unknowns import Place
+
+if TYPE_CHECKING:
+    from pinn_cli.training.estimate import RunContext
+
+# R-hat compares the halves of every chain, each by its variance.
+FEWEST_DRAWS = 4
+
+
+class Sampled(Posterior):
+    """A posterior that NUTS draws from (Hoffman and Gelman 2014; Pyro's).
+
+    Args:
+        chains: Independent chains; two and more let R-hat tell whether they agree.
+        warmup: Iterations of each chain in which the step size is learned; they are thrown away.
+        draws: Iterations of each chain that are kept.
+        target_accept: Acceptance rate that the step size is learned for; higher is slower and more careful.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    def __init__(self, chains: int = 4, warmup: int = 1000, draws: int = 1000, target_accept: float = 0.8) -> None:
+        self.chains = whole_number("posterior.chains", chains, least=1)
+        self.warmup = whole_number("posterior.warmup", warmup, least=1)
+        self.draws = whole_number("posterior.draws", draws, least=FEWEST_DRAWS)
+        if not is_finite_number(target_accept) or not 0 < target_accept < 1:
+            raise InputError("posterior.target_accept", target_accept, "a number between 0 and 1", "0.8 is usual")
+        self.target_accept = float(target_accept)
+
+    @abstractmethod
+    def likelihood(self, marginal: ParameterLikelihood, conditional: ParameterLikelihood) -> ParameterLikelihood:
+        """Which of the two it samples."""
+
+    def find(
+        self,
+        marginal: ParameterLikelihood,
+        conditional: ParameterLikelihood,
+        priors: Mapping[Place, Prior],
+        run: RunContext,
+    ) -> PosteriorSamples:
+        """See :meth:`Posterior.find`."""
+        # Pyro takes a third of a second to import, which a run that samples nothing need not wait for.
+        from pinn_cli.posterior.chains import sample_posterior
+        from pinn_cli.posterior.nuts import NutsSettings
+        from pinn_cli.posterior.target import priors_of
+
+        likelihood = self.likelihood(marginal, conditional)
+        settings = NutsSettings(self.warmup, self.draws, self.target_accept)
+        return sample_posterior(self.name, likelihood, priors_of(likelihood.names, priors), self.chains, settings, run)

@@ -1,0 +1,124 @@
+"""The posterior density in the coordinates that a sampler likes: unconstrained, uncorrelated, of unit width."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from pinn_cli.posterior.likelihood import ParameterLikelihood
+from pinn_cli.posterior.mode import FLAT, find_mode
+from pinn_cli.posterior.positivity import Softplus
+from pinn_cli.posterior.priors import Prior, stacked
+from pinn_cli.scheme.unknowns import Place
+
+# Standard deviation of the prior of s. The noise's scale has Jeffreys' prior, flat in its logarithm, over a range that
+# nobody will miss (a factor of exp(10) either way); without any end a record without a force sensor leaves s nowhere.
+S_STD = 10.0
+# A positive parameter whose likelihood peaks at or below zero starts this many standard deviations above it.
+ABOVE_ZERO = 0.1
+
+
+class Target:
+    """log p(theta, s | record) up to a constant, and the way there from coordinates q of about N(0, I).
+
+    ``x`` (p + 1,) are the unconstrained coordinates: theta_j itself, or what :class:`Softplus` makes of it where its
+    prior is positive, and last s. The density is that of x, so it contains the transform's Jacobian. The whitened
+    coordinates are q, with x = mode + L q, where L L' is the inverse of the curvature at the mode.
+
+    Args:
+        likelihood: Of the p parameters.
+        priors: (p,), in the likelihood's order.
+
+    Raises:
+        DivergenceError: The density cannot be evaluated where the search for the mode starts.
+    """
+
+    def __init__(self, likelihood: ParameterLikelihood, priors: Sequence[Prior]) -> None:
+        self.likelihood, self.priors = likelihood, tuple(priors)
+        self.groups = stacked(self.priors)
+        self.positive = np.flatnonzero([prior.positive for prior in self.priors])
+        self.width = _width(likelihood.curvature, np.array([prior.std for prior in self.priors]))
+        self.softplus = Softplus(self.width[self.positive])
+        with np.errstate(all="ignore"):
+            self.mode, self.precision = find_mode(self.log_density, *self._start())
+        # Of the inverse: L = C^-T where C C' is the precision.
+        self.spread = np.linalg.inv(np.linalg.cholesky(self.precision)).T
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates, p + 1."""
+        return len(self.priors) + 1
+
+    def log_density(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Value and gradient (p + 1,) at x; minus infinity where the likelihood has no value."""
+        theta, s = self.parameters(x), float(x[-1])
+        try:
+            value, by_theta, by_s = self.likelihood.evaluate(theta, s)
+        except np.linalg.LinAlgError:
+            return -math.inf, np.zeros_like(x)
+        slope = np.array(by_theta, dtype=float)
+        for places, prior in self.groups:
+            value += float(np.add.reduce(prior.log_density(theta[places])))
+            slope[places] += prior.slope(theta[places])
+        by_x, log_jacobian, bend = self.softplus.slopes(theta[self.positive])
+        slope[self.positive] = slope[self.positive] * by_x + bend
+        value += float(np.add.reduce(log_jacobian)) - 0.5 * (s / S_STD) ** 2
+        gradient = np.append(slope, by_s - s / S_STD**2)
+        return (float(value), gradient) if math.isfinite(value) else (-math.inf, np.zeros_like(x))
+
+    def potential(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the logarithm of the density at q (p + 1,), and its gradient by q."""
+        value, by_x = self.log_density(self.unwhitened(q))
+        return -value, -(by_x @ self.spread)
+
+    def unwhitened(self, q: np.ndarray) -> np.ndarray:
+        """X (..., p + 1) of q (..., p + 1)."""
+        return self.mode + q @ self._spread_transposed
+
+    def parameters(self, x: np.ndarray) -> np.ndarray:
+        """Theta (..., p), SI units, of x (..., p + 1)."""
+        theta = x[..., :-1].copy()
+        theta[..., self.positive] = self.softplus.parameters(theta[..., self.positive])
+        return theta
+
+    def sigma_force(self, x: np.ndarray) -> np.ndarray:
+        """Standard deviations (..., F), N, of the F measured forces' noise at x (..., p + 1)."""
+        return self.likelihood.sigma_force[measured_forces(self.likelihood)] * np.exp(x[..., -1:])
+
+    @cached_property
+    def _spread_transposed(self) -> np.ndarray:
+        return np.ascontiguousarray(self.spread.T)
+
+    def _start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the search for the mode starts, and how wide the density may be there, both in x (p + 1,)."""
+        prior_mean = np.array([prior.mean for prior in self.priors])
+        theta = np.where(np.isfinite(self.likelihood.peak), self.likelihood.peak, prior_mean)
+        at = np.maximum(theta, ABOVE_ZERO * self.width)[self.positive]
+        theta[self.positive] = self.softplus.coordinates(at)
+        s_width = float(self.likelihood.s_std)
+        s_width = min(s_width, S_STD) if math.isfinite(s_width) and s_width > 0 else 1.0
+        return np.append(theta, 0.0), np.append(self.width, s_width)
+
+
+def measured_forces(likelihood: ParameterLikelihood) -> np.ndarray:
+    """DOFs (F,) with a force sensor, counted from 0."""
+    return np.flatnonzero(np.isfinite(likelihood.sigma_force))
+
+
+def priors_of(names: Sequence[str], priors: Mapping[Place, Prior]) -> list[Prior]:
+    """The priors of parameters given by name, ``k_2``."""
+    places = [(kind, int(connection) - 1) for kind, _, connection in (name.rpartition("_") for name in names)]
+    return [priors[place] for place in places]
+
+
+def _width(curvature: np.ndarray, prior_std: np.ndarray) -> np.ndarray:
+    """Standard deviations (p,) of the parameters under likelihood and prior, both taken for Gaussians."""
+    with np.errstate(over="ignore"):  # of a prior whose tail is so heavy that it has none
+        precision = curvature + np.diag(prior_std**-2.0)
+    alone = np.sqrt(np.maximum(np.diag(curvature), 0) + prior_std**-2.0)
+    values, vectors = np.linalg.eigh(precision / np.outer(alone, alone))
+    together = np.sqrt(np.sum(vectors**2 / np.maximum(values, FLAT), axis=1)) / alone
+    return np.minimum(together, prior_std)

@@ -1,0 +1,106 @@
+"""Bayesian parameter estimation: every parameter unknown, and its whole distribution (paper, section 4.3)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import one_of
+from pinn_cli.posterior.prior_settings import checked_priors, read_priors, with_defaults
+from pinn_cli.posterior.priors import Prior
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
+from pinn_cli.scheme.sensors import observed_through, sensor_quantities
+from pinn_cli.scheme.starting_values import parameter_scales, starting_value
+from pinn_cli.scheme.unknowns import Place, checked_positive, unknown_places
+from pinn_cli.system.chain import Chain
+
+log = logging.getLogger(__name__)
+
+POSITIVE = ("m", "c", "k", "kappa", "mu")
+# Gauss-Newton works under Gaussians this much wider than a parameter's scale; the likelihood that it hands on is freed
+# of them again.
+WIDTH = 100.0
+
+
+class Bayesian(Scheme):
+    """Posterior distribution of all unknown parameters from the motion and force of every DOF.
+
+    Args:
+        unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
+        sensors: What an observed DOF of a simulated record has sensors for.
+        unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`; None: everything but the masses.
+        priors: See :func:`pinn_cli.posterior.prior_settings.read_priors`; parameters without one get a wide one on the
+            record's own scale.
+        positive: Kinds of parameters whose wide priors end at zero.
+        acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    name = "bayesian"
+
+    def __init__(
+        self,
+        unobserved: str | Sequence[int] | None = (),
+        sensors: Mapping[str, bool] | None = None,
+        unknown: str | Sequence[str] | None = None,
+        priors: Mapping[str, Any] | None = None,
+        positive: Sequence[str] = POSITIVE,
+        acceleration_through: str = "derivative",
+    ) -> None:
+        self.unobserved, self.unknown, self.priors = unobserved, unknown, priors
+        self.quantities = sensor_quantities({"displacement": True, "velocity": True} if sensors is None else sensors)
+        checked_priors(priors)
+        self.positive = checked_positive(positive)
+        self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
+
+    def observe(self, record: Record) -> Record:
+        """See :meth:`Scheme.observe`."""
+        return observed_through(record, self.quantities, 0.0, self.unobserved)
+
+    def problem(self, prescribed: Chain, record: Record) -> Problem:
+        """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
+        _check_sensors(record)
+        every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != "m"]
+        places = unknown_places(prescribed, record, self.unknown or every_but_masses)
+        priors = with_defaults(read_priors(self.priors, prescribed), prescribed, record, self.positive)
+        scales = parameter_scales(prescribed, record)
+        start = {kind: values.clone() for kind, values in prescribed.parameters.items()}
+        unknown = []
+        for place in places:
+            parameter = _unknown(place, priors[place], scales[place[0]])
+            start[parameter.kind][parameter.dof] = parameter.prescribed
+            unknown.append(parameter)
+        chain = prescribed.with_parameters(**start)
+        return Problem(chain, record, tuple(unknown), self.acceleration_through, {p: priors[p] for p in places})
+
+
+def _unknown(place: Place, prior: Prior, scale: float) -> UncertainParameter:
+    """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says."""
+    kind, dof = place
+    centre, width = prior.mean, prior.std
+    chosen = np.isfinite(centre) and np.isfinite(width) and width > 0
+    scale = max(scale, abs(centre), width) if chosen else scale
+    start = centre if chosen and centre != 0 else starting_value(kind, scale)
+    return UncertainParameter(kind, dof, float(start), WIDTH * scale, scale, True, prior.positive)
+
+
+def _check_sensors(record: Record) -> None:
+    """Every connection's elongation and rate must be there, or its parameters are a guess."""
+    unseen = np.flatnonzero(~record.observed) + 1
+    if unseen.size:
+        hint = "scheme=state_parameter estimates hidden motion and unknown parameters together"
+        dofs = ", ".join(map(str, unseen))
+        raise InputError("scheme", "bayesian", f"a sensor on every DOF, and there is none on DOF {dofs}", hint)
+    follows = record.sensors("displacement") | record.sensors("velocity")
+    for dof in np.flatnonzero(~follows) + 1:
+        log.warning(
+            "DOF %d has an accelerometer only: drift below its noise leaves stiffness and damping poorly known", dof
+        )

@@ -1,0 +1,171 @@
+"""The smoother as a baseline: what was put in is found, and found again in other units of time."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_problems import NONLINEARITIES, QUANTITIES, accelerations, measured, relative_error, small_chain
+from small_problems import sped_up as faster
+
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.baseline.none import NoBaseline
+from pinn_cli.baseline.state_space import Levels, StateSpace
+from pinn_cli.errors import InputError
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.record import Record, Response
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.training.estimate import Estimate, RunContext
+
+
+def solved(problem: Problem, **settings) -> Estimate:
+    estimate = KalmanSmoother(**settings).solve(problem, RunContext())
+    assert estimate is not None
+    return estimate
+
+
+def covered(estimate: Estimate, truth: Response, quantity: str) -> float:
+    """Share of points whose 95 % band covers the truth."""
+    error = np.abs(getattr(estimate.response, quantity) - getattr(truth, quantity))
+    return float((error <= 1.96 * getattr(estimate.std, quantity)).mean())
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+def test_motion_where_there_is_no_sensor(nonlinearity: str, hold: str) -> None:
+    chain = small_chain(nonlinearity)
+    measurements = measured(chain, hold, snr_db=40.0, duration=24.0, samples=513)
+    estimate = solved(Problem(chain, accelerations(measurements.record)))
+    truth = measurements.truth.response
+    for quantity, tolerance in zip(QUANTITIES, (0.06, 0.03, 0.03), strict=True):
+        assert relative_error(getattr(estimate.response, quantity), getattr(truth, quantity)) < tolerance
+    assert estimate.summary["stop_reason"] == "converged"
+    assert list(estimate.history["iteration"]) == list(range(1, estimate.summary["iterations"] + 1))
+
+
+def test_a_record_without_noise_is_followed_to_many_digits() -> None:
+    chain = small_chain("duffing")
+    measurements = measured(chain, "zero_order")
+    estimate = solved(Problem(chain, accelerations(measurements.record)))
+    for quantity in QUANTITIES:
+        truth = getattr(measurements.truth.response, quantity)
+        assert relative_error(getattr(estimate.response, quantity), truth) < 1e-4
+
+
+def test_parameters_that_are_wrong_are_put_right_with_honest_intervals() -> None:
+    true = small_chain("duffing")
+    measurements = measured(true, snr_db=40.0, duration=48.0, samples=1025)
+    offs = {"c": 1.05, "k": 0.95, "kappa": 1.06}
+    wrong = true.with_parameters(**{name: true.parameters[name] * factor for name, factor in offs.items()})
+    record = accelerations(measurements.record)
+    problem = SparseRecovery(parameter_uncertainty=0.075).problem(wrong, record)
+    estimate = solved(problem)
+    by_name = {p.name: p for p in estimate.parameters}
+    assert list(by_name) == [p.name for p in problem.uncertain]
+    assert all(by_name[f"k_{i}"].estimate == pytest.approx(15.0, rel=0.01) for i in (1, 2, 3))
+    truths = np.array([float(true.parameters[p.kind][p.dof]) for p in problem.uncertain])
+    scores = [(p.estimate - value) / p.std for p, value in zip(estimate.parameters, truths, strict=True)]
+    assert np.sqrt(np.mean(np.square(scores))) < 2.0
+    assert all(p.lower_90 < p.estimate < p.upper_90 for p in estimate.parameters)
+    held = solved(problem.without_uncertainty())
+    truth = measurements.truth.response.displacement
+    freed, fixed = (relative_error(e.response.displacement, truth) for e in (estimate, held))
+    assert freed < fixed / 2.0
+    assert held.parameters == []
+
+
+def test_masses_can_be_unknown() -> None:
+    true = small_chain("linear")
+    measurements = measured(true, snr_db=50.0, duration=24.0, samples=513)
+    wrong = true.with_parameters(m=true.parameters["m"] * 1.1)
+    uncertain = (UncertainParameter("m", 1, 11.0, 2.0),)
+    mass = true.parameters["m"].clone()
+    mass[1] = 11.0
+    problem = Problem(wrong.with_parameters(m=mass), accelerations(measurements.record), uncertain)
+    (found,) = solved(problem).parameters
+    assert found.estimate == pytest.approx(10.0, rel=0.01)
+    assert found.name == "m_2"
+
+
+def test_bands_cover_the_truth() -> None:
+    shares = {quantity: [] for quantity in QUANTITIES}
+    for seed in range(8):
+        chain = small_chain("duffing")
+        force = BandedNoise(3, 24.0, 513, [0.1, 1.0], 1.0, [1], seed=seed)
+        simulation = Simulation(24.0, 513)
+        truth = simulation.run(chain, force.force)
+        rng = np.random.default_rng(seed)
+        noisy = [getattr(truth, q) + 0.05 * getattr(truth, q).std() * rng.normal(size=(513, 3)) for q in QUANTITIES]
+        load = truth.force + np.array([0.05, 0.0, 0.0]) * rng.normal(size=(513, 3))
+        record = accelerations(Record(simulation.time, *noisy, load, np.arange(3) > 0))
+        estimate = solved(Problem(chain, record))
+        for quantity, share in shares.items():
+            share.append(covered(estimate, truth, quantity))
+    assert all(np.mean(share) > 0.85 for share in shares.values()), shares
+
+
+def test_a_force_that_nobody_measures_is_found() -> None:
+    chain = small_chain("duffing")
+    measurements = measured(chain, snr_db=40.0, duration=24.0, samples=513)
+    force = measurements.record.force.copy()
+    force[:, 0] = np.nan
+    sensors = {"acceleration": (1, 2, 3), "displacement": (1,)}
+    record = replace(measurements.record, force=force).keep(sensors)
+    estimate = solved(Problem(chain, record))
+    truth = measurements.truth.response
+    assert relative_error(estimate.response.force[:, 0], truth.force[:, 0]) < 0.1
+    assert covered(estimate, truth, "force") > 0.85
+    assert relative_error(estimate.response.displacement, truth.displacement) < 0.02
+
+
+def test_a_structure_thirty_times_faster_gives_the_same() -> None:
+    speed = 30.0
+    record = accelerations(measured(small_chain("duffing"), snr_db=30.0).record)
+    slow = solved(Problem(small_chain("duffing"), record), learn_spread=False)
+    fast = solved(Problem(small_chain("duffing", speed=speed), faster(record, speed)), learn_spread=False)
+    for order, quantity in enumerate(QUANTITIES):
+        expected = getattr(slow.response, quantity) * speed**order
+        assert relative_error(getattr(fast.response, quantity), expected) < 1e-6
+
+
+def test_a_given_process_noise_is_kept() -> None:
+    record = accelerations(measured(small_chain(), snr_db=30.0).record)
+    assert solved(Problem(small_chain(), record), process_noise=0.01).summary["sigma_discrepancy"] == pytest.approx(
+        0.01
+    )
+
+
+def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:
+    levels = Levels({}, np.array([3.0, np.nan]), 4.0)
+    np.testing.assert_allclose(levels.disturbance_variance, [25.0, 16.0])
+
+
+def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def broken(self: StateSpace, trajectory: object) -> np.ndarray:
+        raise FloatingPointError("overflow at sample 3")
+
+    monkeypatch.setattr(StateSpace, "linearise", broken)
+    problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
+    with caplog.at_level(logging.WARNING):
+        assert KalmanSmoother().solve(problem, RunContext()) is None
+    assert "overflow at sample 3" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("iterations", 0), ("tolerance", 1.0), ("process_noise", -1.0), ("learn_spread", "yes")],
+)
+def test_settings_out_of_range(setting: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"baseline.{setting}"):
+        KalmanSmoother(**{setting: value})  # type: ignore[arg-type]
+
+
+def test_none_is_no_baseline() -> None:
+    problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
+    assert NoBaseline().solve(problem, RunContext()) is None

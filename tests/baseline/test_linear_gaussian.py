@@ -1,0 +1,185 @@
+"""Filter, smoother and likelihood against a textbook implementation and against the dense Gaussian posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.stats import multivariate_normal
+
+from pinn_cli.baseline.linear_gaussian import LinearGaussian
+from pinn_cli.baseline.regression import regress
+
+RNG = np.random.default_rng
+
+
+def random_model(steps: int = 7, s: int = 3, d: int = 2, m: int = 2, p: int = 2, seed: int = 0) -> LinearGaussian:
+    rng = RNG(seed)
+    root, start = rng.normal(size=(m + s, m + s)), rng.normal(size=(s, s))
+    return LinearGaussian(
+        observed=rng.normal(size=(steps, m)),
+        offset=rng.normal(size=(steps, m + s)),
+        state=0.5 * rng.normal(size=(steps, m + s, s)),
+        disturbance=rng.normal(size=(steps, m + s, d)),
+        coefficient=rng.normal(size=(steps, m + s, p)),
+        disturbance_variance=np.linspace(0.5, 2.0, d),
+        noise=np.diag(np.diag(root @ root.T)),
+        initial=rng.normal(size=(s, 1 + p)),
+        initial_covariance=start @ start.T,
+    )
+
+
+@dataclass(frozen=True)
+class Dense:
+    """The joint Gaussian of everything, as matrices acting on independent standard variables (b, start, e, noise)."""
+
+    states: np.ndarray
+    disturbances: np.ndarray
+    observations: np.ndarray
+    variance: np.ndarray
+    state_mean: np.ndarray
+    observation_mean: np.ndarray
+
+    @classmethod
+    def of(cls, model: LinearGaussian) -> Dense:
+        (steps, m), (s, columns) = model.observed.shape, model.initial.shape
+        p, d = columns - 1, model.disturbance.shape[2]
+        width = p + s + steps * (d + m + s)
+        x, mean = np.zeros((s, width)), model.initial[:, 0]
+        x[:, :p], x[:, p : p + s] = model.initial[:, 1:], np.linalg.cholesky(model.initial_covariance)
+        rows: list[list[np.ndarray]] = [[], [], [], [], []]
+        for k in range(steps):
+            at = p + s + k * (d + m + s)
+            e, noise, b = np.zeros((d, width)), np.zeros((m + s, width)), np.zeros((p, width))
+            e[:, at : at + d], noise[:, at + d : at + d + m + s], b[:, :p] = np.eye(d), np.eye(m + s), np.eye(p)
+            out = model.state[k] @ x + model.disturbance[k] @ e + model.coefficient[k] @ b + noise
+            out_mean = model.state[k] @ mean + model.offset[k]
+            for row, value in zip(rows, (x, e, out[:m], mean, out_mean[:m]), strict=True):
+                row.append(value)
+            x, mean = out[m:], out_mean[m:]
+        once = np.concatenate((model.disturbance_variance, np.diag(model.noise)))
+        variance = np.concatenate((np.ones(p + s), np.tile(once, steps)))
+        states, disturbances, observations = (np.stack(row) for row in rows[:3])
+        return cls(states, disturbances, observations, variance, np.stack(rows[3]), np.concatenate(rows[4]))
+
+    def posterior(self, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the independent variables: mean and covariance."""
+        rows = self.observations.reshape(-1, len(self.variance))
+        cross = self.variance[:, None] * rows.T
+        gain = np.linalg.solve(rows @ cross, cross.T).T
+        return gain @ (observed.ravel() - self.observation_mean), np.diag(self.variance) - gain @ cross.T
+
+    def log_density(self, observed: np.ndarray) -> float:
+        rows = self.observations.reshape(-1, len(self.variance))
+        return float(multivariate_normal(self.observation_mean, rows * self.variance @ rows.T).logpdf(observed.ravel()))
+
+
+@pytest.mark.parametrize("p", [0, 2])
+def test_everything_equals_the_dense_gaussian_posterior(p: int) -> None:
+    model = random_model(p=p)
+    dense = Dense.of(model)
+    mean, covariance = dense.posterior(model.observed)
+    filtered = model.filter()
+    found = regress(filtered, np.zeros(p), 1.0, np.zeros(p, dtype=bool))
+    np.testing.assert_allclose(found.change, mean[:p], atol=1e-10)
+    np.testing.assert_allclose(found.covariance, covariance[:p, :p], atol=1e-10)
+    states, disturbances = filtered.smooth(found.change)
+    np.testing.assert_allclose(states, dense.states @ mean + dense.state_mean, atol=1e-10)
+    np.testing.assert_allclose(disturbances, dense.disturbances @ mean, atol=1e-10)
+    spread, by_coefficient = filtered.posterior()
+    spread = spread + by_coefficient @ found.covariance @ by_coefficient.transpose(0, 2, 1)
+    together = np.concatenate((dense.states, dense.disturbances), axis=1)
+    np.testing.assert_allclose(spread, together @ covariance @ together.transpose(0, 2, 1), atol=1e-10)
+
+
+def test_the_evidence_is_the_log_density_of_the_observations() -> None:
+    model = random_model()
+    constant = -0.5 * model.observed.size * np.log(2.0 * np.pi)
+    found = regress(model.filter(), np.zeros(2), 1.0, np.zeros(2, dtype=bool))
+    assert found.log_evidence + constant == pytest.approx(Dense.of(model).log_density(model.observed), abs=1e-9)
+
+
+def test_a_spread_is_a_factor_on_the_prior_standard_deviation() -> None:
+    model, spread = random_model(), 3.0
+    wide = replace(
+        model, coefficient=model.coefficient * [1.0, spread], initial=model.initial * np.array([1.0, 1.0, spread])
+    )
+    as_factor = regress(model.filter(), np.zeros(2), spread, np.array([False, True]))
+    as_unit = regress(wide.filter(), np.zeros(2), 1.0, np.zeros(2, dtype=bool))
+    assert as_factor.log_evidence == pytest.approx(as_unit.log_evidence, abs=1e-9)
+    np.testing.assert_allclose(as_factor.change, as_unit.change * [1.0, spread], atol=1e-10)
+
+
+def test_states_equal_those_of_a_textbook_rauch_tung_striebel_smoother() -> None:
+    steps, s, m, rng = 200, 4, 2, RNG(3)
+    through = np.linalg.qr(rng.normal(size=(s, s)))[0] * 0.98
+    seen, push = rng.normal(size=(m, s)), rng.normal(size=(s, 2))
+    observed = rng.normal(size=(steps, m)).cumsum(axis=0)
+    textbook = KalmanFilter(dim_x=s, dim_z=m)
+    textbook.F, textbook.H, textbook.P = through, seen, 2.0 * np.eye(s)
+    textbook.Q, textbook.R = push @ push.T, 0.3 * np.eye(m)
+    means, covariances, _, _ = textbook.rts_smoother(*updated_states(textbook, observed))
+    model = LinearGaussian(
+        observed=observed,
+        offset=np.zeros((steps, m + s)),
+        state=np.broadcast_to(np.vstack((seen, through)), (steps, m + s, s)),
+        disturbance=np.broadcast_to(np.vstack((np.zeros((m, 2)), push)), (steps, m + s, 2)),
+        coefficient=np.zeros((steps, m + s, 0)),
+        disturbance_variance=np.ones(2),
+        noise=np.diag([0.3] * m + [0.0] * s),
+        initial=np.zeros((s, 1)),
+        initial_covariance=2.0 * np.eye(s),
+    )
+    filtered = model.filter()
+    np.testing.assert_allclose(filtered.smooth(np.zeros(0))[0], means[:, :, 0], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(filtered.posterior()[0][:, :s, :s], covariances, rtol=1e-8, atol=1e-8)
+
+
+def updated_states(textbook: KalmanFilter, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means and covariances after each update, sample by sample, the first sample before the first step."""
+    means, covariances = [], []
+    for sample in observed:
+        textbook.update(sample[:, None])
+        means.append(textbook.x.copy())
+        covariances.append(textbook.P.copy())
+        textbook.predict()
+    return np.array(means), np.array(covariances)
+
+
+def test_an_unknown_start_costs_no_digits() -> None:
+    """A start a million times as uncertain as all else leaves states the digits that a huge covariance would eat."""
+    steps, h, rng = 300, 0.1, RNG(5)
+    through = np.array([[1.0, h], [-h, 1.0 - 0.01 * h]])
+    model = LinearGaussian(
+        observed=np.sin(h * np.arange(steps))[:, None] + 1e-3 * rng.normal(size=(steps, 1)),
+        offset=np.zeros((steps, 3)),
+        state=np.broadcast_to(np.vstack(([1.0, 0.0], through)), (steps, 3, 2)),
+        disturbance=np.broadcast_to(np.array([[0.0], [h * h / 2.0], [h]]), (steps, 3, 1)),
+        coefficient=np.zeros((steps, 3, 2)),
+        disturbance_variance=np.array([1e-10]),
+        noise=np.diag([1e-6, 0.0, 0.0]),
+        initial=np.hstack((np.zeros((2, 1)), 1e6 * np.eye(2))),
+        initial_covariance=np.zeros((2, 2)),
+    )
+    first = model.filter()
+    found = regress(first, np.zeros(2), 1.0, np.zeros(2, dtype=bool))
+    states, _ = first.smooth(found.change)
+    # Smoothing what is left changes nothing more.
+    again = replace(model, observed=model.observed - states[:, :1], offset=residual_offset(model, states))
+    second = replace(again, initial=np.hstack((np.zeros((2, 1)), 1e6 * np.eye(2)))).filter()
+    change = regress(second, found.change, 1.0, np.zeros(2, dtype=bool))
+    assert np.abs(second.smooth(change.change)[0]).max() < 1e-9 * np.abs(states).max()
+
+
+def residual_offset(model: LinearGaussian, states: np.ndarray) -> np.ndarray:
+    offset = np.zeros_like(model.offset)
+    offset[:-1, 1:] = np.einsum("kij,kj->ki", model.state[:-1, 1:], states[:-1]) - states[1:]
+    return offset
+
+
+def test_impossible_noise_is_an_error() -> None:
+    model = random_model()
+    with pytest.raises(FloatingPointError, match="sample 0"):
+        replace(model, noise=-1e3 * np.eye(5)).filter()
