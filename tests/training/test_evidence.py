@@ -5,22 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from small_problems import QUANTITIES, excitation, small_chain
+from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.parameter_likelihoods import marginal_likelihood
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
 
 
 def disturbed(
-    level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9
+    level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9, through: str = "derivative"
 ) -> tuple[Evidence, NoiseModel, float]:
     """A record with a force of rms ``level`` on every DOF that no sensor sees, over a share of the features' band."""
     chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
@@ -33,7 +34,7 @@ def disturbed(
     force = known.force(simulation.time)
     force[:, 0] += 0.003 * rng.normal(size=SAMPLES)
     record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
-    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record))
+    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record, (), through))
     noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
     # K values per DOF carry the power of N samples.
     put_in = level * np.sqrt(SAMPLES / equations.network.count)
@@ -44,6 +45,16 @@ def disturbed(
 @pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
 def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
     evidence, noise, put_in = disturbed(level, 1, nonlinearity)
+    best = evidence.scan(noise, 1.0)
+    assert best.solution.converged
+    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+
+
+@pytest.mark.parametrize("through", ["observer", "both"])
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
+    """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
+    evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
     best = evidence.scan(noise, 1.0)
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
@@ -117,3 +128,21 @@ def test_without_parameters_the_spread_stays():
     trained = evidence.scan(noise.with_spread(0.7), 1.0)
     assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
     assert isinstance(trained.solution.point.parameters, torch.Tensor)
+
+
+@pytest.mark.parametrize("through", ["observer", "both"])
+def test_the_force_sensors_noise_has_the_same_likelihood_through_every_comparison(through):
+    found = {}
+    for way in ("derivative", through):
+        chain = small_chain()
+        record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+        problem = Problem(chain, record, (UncertainParameter("k", 1, 15.0, 150.0, unknown=True),), way)
+        equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
+        evidence = Evidence(equations, 20, 1e-6, lambda losses, noise: None)
+        noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+        likelihood = marginal_likelihood(evidence, evidence.train(noise, equations.start()))
+        s = likelihood.s_std * np.linspace(-6.0, 6.0, 121)
+        values = [likelihood.evaluate(likelihood.peak, each)[0] for each in s]
+        found[way] = s[np.argmax(values)] / likelihood.s_std
+    assert abs(found["derivative"]) < 5.0
+    assert found[through] == pytest.approx(found["derivative"], abs=1.0)
