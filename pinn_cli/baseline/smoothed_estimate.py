@@ -84,6 +84,6 @@ def _parameters(space: StateSpace, last: Pass) -> list[ParameterEstimate]:
     lower, upper = norm.interval(0.9, mean, std) if len(uncertain) else (mean, mean)
     rows = np.stack((mean, std, lower, upper), axis=1).tolist()
     return [
-        ParameterEstimate(p.name, p.prescribed, *row, prior_std=p.prior_std, unknown=p.unknown)
+        ParameterEstimate(p.name, p.prescribed, row[0], row[1], row[2], row[3], p.prior_std, p.unknown)
         for p, row in zip(uncertain, rows, strict=True)
     ]

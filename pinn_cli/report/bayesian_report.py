@@ -68,7 +68,8 @@ def write_posterior_figures(
     samples = findings.samples
     figures = {"posterior_pairs": posterior_pairs_figure(samples, true, units)}
     if samples.statistics:
-        shown = worst_sampled(findings.diagnostics, PARAMETERS_SHOWN)
+        parameters = findings.diagnostics[findings.diagnostics["parameter"].isin(samples.names)]
+        shown = worst_sampled(parameters, PARAMETERS_SHOWN)
         figures["trace"] = trace_figure(samples, units, shown)
         figures["ranks"] = rank_figure(samples, shown)
     if findings.predictive is not None:
