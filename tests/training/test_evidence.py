@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -14,7 +16,7 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
-from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_equations import NormalEquations, Point
 from pinn_cli.training.parameter_likelihoods import marginal_likelihood
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
@@ -146,3 +148,68 @@ def test_the_force_sensors_noise_has_the_same_likelihood_through_every_compariso
         found[way] = s[np.argmax(values)] / likelihood.s_std
     assert abs(found["derivative"]) < 5.0
     assert found[through] == pytest.approx(found["derivative"], abs=1.0)
+
+
+def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
+    """Three believed stiffnesses of a Duffing chain and, unless it starts nowhere, one unknown cubic stiffness."""
+    chain = small_chain()
+    believed = [UncertainParameter("k", dof, 15.0, 1.5) for dof in range(3)]
+    kappa = chain.parameters["kappa"].clone()
+    unknown = []
+    if start is not None:
+        kappa[1] = start
+        unknown = [UncertainParameter("kappa", 1, start, 1e5, unknown=True, positive=True)]
+    record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+    problem = Problem(chain.with_parameters(kappa=kappa), record, (*believed, *unknown))
+    equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
+    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+    return Evidence(equations, 30, 1e-8, lambda losses, noise: None), noise
+
+
+def test_the_spread_is_learned_from_believed_parameters_alone():
+    """The update by hand, and an unknown parameter at a thousand prior deviations leaves it alone."""
+    evidence, noise = believed_and_unknown(1000.0)
+    trained = evidence.train(noise.with_spread(0.5), evidence.equations.start())
+    x = trained.solution.point.parameters.numpy()
+    variance = np.diag(trained.factor.corner_covariance)
+    determined = np.sum(1.0 - variance[:3] / 0.5**2)
+    assert determined > 2.5
+    expected = ((0.01 + np.sum(x[:3] ** 2)) / (0.01 + determined)) ** 0.5
+    assert evidence.learned_spread(trained) == pytest.approx(expected, rel=1e-9)
+    far = trained.solution.point.parameters.clone()
+    far[3] = 1e3
+    moved = replace(trained, solution=replace(trained.solution, point=Point(trained.solution.point.unknowns, far)))
+    assert evidence.learned_spread(moved) == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone():
+    spreads = {}
+    for start in (100.0, 10.0, 1000.0):
+        evidence, noise = believed_and_unknown(start)
+        spreads[start] = evidence.scan(noise, 1.0).noise.spread
+    assert spreads[100.0] < 0.3
+    for start in (10.0, 1000.0):
+        assert spreads[start] == pytest.approx(spreads[100.0], rel=1e-3)
+
+
+def test_with_unknown_parameters_alone_there_is_no_spread_to_learn():
+    evidence, noise = believed_and_unknown(30.0)
+    problem = evidence.equations.problem
+    equations = NormalEquations(evidence.equations.network, replace(problem, uncertain=problem.uncertain[3:]))
+    alone = Evidence(equations, 30, 1e-8, lambda losses, noise: None)
+    trained = alone.train(noise.with_spread(0.7), equations.start())
+    assert alone.learned_spread(trained) == 0.7
+
+
+def test_the_evidence_counts_the_spread_once_per_believed_parameter():
+    """With the parameters held where they are, only the spread's own terms change."""
+    evidence, noise = believed_and_unknown(100.0)
+    trained = evidence.train(noise, evidence.equations.start())
+    point, levels = trained.solution.point, {}
+    for spread in (0.5, 2.0):
+        under = noise.with_spread(spread)
+        factor = evidence.equations.assemble(point, under).factor()
+        levels[spread] = evidence.log_evidence(point, under, factor) + 0.5 * factor.log_determinant
+    x = float(point.parameters[:3].square().sum())
+    expected = -0.5 * x * (0.5**-2.0 - 2.0**-2.0) - 3.0 * np.log(0.5 / 2.0)
+    assert levels[0.5] - levels[2.0] == pytest.approx(expected, rel=1e-6)
