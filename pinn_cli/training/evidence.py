@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from torch import Tensor
 
 from pinn_cli.errors import DivergenceError
+from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.levenberg_marquardt import Solution, minimise
@@ -65,8 +67,9 @@ class Evidence:
     ) -> None:
         self.learn_spread = learn_spread
         self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
-        segments, network = equations.physics, equations.network
-        self.projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+        self.projection = self._projection(equations.physics)
+        # Where force and response are sampled at different times they differ.
+        self.observer_projection = self._projection(equations.observation)
 
     def train(self, noise: NoiseModel, start: Point) -> Trained | None:
         """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
@@ -82,14 +85,24 @@ class Evidence:
         """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
         equations = self.equations
         losses = equations.losses(point, noise)
-        enforced = equations.target.equation.cpu().numpy()
-        seen = self.projection.sum_of_squares(equations.residuals(point)["physics"])[enforced]
-        variance = noise.physics_variance[enforced]
-        count = equations.network.count
-        physics = float((seen / variance).sum() + count * np.log(variance).sum())
-        rest = sum(value for name, value in losses.items() if name != "physics")
+        seen = self._of_what_is_seen(equations.residuals(point), noise)
+        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer"))
         prior = -2.0 * int((~equations.unknown).sum()) * np.log(noise.spread)
-        return -0.5 * (physics + rest + factor.log_determinant - prior)
+        return -0.5 * (seen + rest + factor.log_determinant - prior)
+
+    def _of_what_is_seen(self, residuals: Mapping[str, Tensor], noise: NoiseModel) -> float:
+        """Chi^2 and log variances of the residuals whose variance has the discrepancy in it, in the features' sight."""
+        weights, total = self.equations.weights(noise), 0.0
+        for name, projection in (("physics", self.projection), ("observer", self.observer_projection)):
+            if name in residuals:
+                weight = weights[name].cpu().numpy()
+                seen, used = projection.sum_of_squares(residuals[name]), weight > 0
+                total += float((seen * weight)[used].sum() - self.equations.network.count * np.log(weight[used]).sum())
+        return total
+
+    def _projection(self, segments: Segments) -> FeatureProjection:
+        network = self.equations.network
+        return FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
 
     def scan(self, noise: NoiseModel, largest: float) -> Trained:
         """Most probable discrepancy and spread of the parameters, searched from soft physics to stiff.
