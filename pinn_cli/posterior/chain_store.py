@@ -85,7 +85,7 @@ def digest_of(target: Target, settings: NutsSettings, seed: int) -> str:
     said = [seed, settings, likelihood.names, target.priors, [(name, _version(name)) for name in PACKAGES]]
     probes = np.random.default_rng(0).standard_normal((PROBES, target.size))
     answers = [np.append(slope, value) for value, slope in map(target.potential, probes)]
-    numbers = [likelihood.sigma_force, likelihood.peak, likelihood.curvature, target.mode, target.spread, *answers]
+    numbers = [likelihood.sigma_force, likelihood.peak, likelihood.curvature, target.mode, target.precision, *answers]
     digest = hashlib.sha256(repr(said).encode())
     for array in numbers:
         digest.update(np.ascontiguousarray(array, dtype=float).tobytes())

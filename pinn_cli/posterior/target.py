@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from pinn_cli.posterior.likelihood import ParameterLikelihood
 from pinn_cli.posterior.mode import FLAT, find_mode
 from pinn_cli.posterior.positivity import Softplus
 from pinn_cli.posterior.priors import Prior, stacked
+from pinn_cli.posterior.whitening import Whitening
 from pinn_cli.scheme.unknowns import Place
 
 # Standard deviation of the prior of s. The noise's scale has Jeffreys' prior, flat in its logarithm, over a range that
@@ -19,6 +19,8 @@ from pinn_cli.scheme.unknowns import Place
 S_STD = 10.0
 # A positive parameter whose likelihood peaks at or below zero starts this many standard deviations above it.
 ABOVE_ZERO = 0.1
+# A parameter within so many standard deviations of zero may be there: its transform bends.
+NEAR_ZERO = 6.0
 
 
 class Target:
@@ -26,7 +28,7 @@ class Target:
 
     ``x`` (p + 1,) are the unconstrained coordinates: theta_j itself, or what :class:`Softplus` makes of it where its
     prior is positive, and last s. The density is that of x, so it contains the transform's Jacobian. The whitened
-    coordinates are q, with x = mode + L q, where L L' is the inverse of the curvature at the mode.
+    coordinates are q (p + 1,); see :class:`Whitening`.
 
     Args:
         likelihood: Of the p parameters.
@@ -44,8 +46,7 @@ class Target:
         self.softplus = Softplus(self.width[self.positive])
         with np.errstate(all="ignore"):
             self.mode, self.precision = find_mode(self.log_density, *self._start())
-        # Of the inverse: L = C^-T where C C' is the precision.
-        self.spread = np.linalg.inv(np.linalg.cholesky(self.precision)).T
+            self.whitening = self._whitening()
 
     @property
     def size(self) -> int:
@@ -71,12 +72,13 @@ class Target:
 
     def potential(self, q: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the logarithm of the density at q (p + 1,), and its gradient by q."""
-        value, by_x = self.log_density(self.unwhitened(q))
-        return -value, -(by_x @ self.spread)
+        x = self.whitening.coordinates(q)
+        value, by_x = self.log_density(x)
+        return -value, -self.whitening.slope(x, by_x)
 
     def unwhitened(self, q: np.ndarray) -> np.ndarray:
         """X (..., p + 1) of q (..., p + 1)."""
-        return self.mode + q @ self._spread_transposed
+        return self.whitening.coordinates(q)
 
     def parameters(self, x: np.ndarray) -> np.ndarray:
         """Theta (..., p), SI units, of x (..., p + 1)."""
@@ -88,9 +90,11 @@ class Target:
         """Standard deviations (..., F), N, of the F measured forces' noise at x (..., p + 1)."""
         return self.likelihood.sigma_force[measured_forces(self.likelihood)] * np.exp(x[..., -1:])
 
-    @cached_property
-    def _spread_transposed(self) -> np.ndarray:
-        return np.ascontiguousarray(self.spread.T)
+    def _whitening(self) -> Whitening:
+        from_zero = (self.parameters(self.mode) / self.width)[self.positive]
+        by_distance = np.argsort(from_zero, kind="stable")
+        near = self.positive[by_distance[from_zero[by_distance] < NEAR_ZERO]]
+        return Whitening(self.mode, self.precision, near, Softplus(self.width[near]))
 
     def _start(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the search for the mode starts, and how wide the density may be there, both in x (p + 1,)."""

@@ -84,6 +84,17 @@ def test_positive_parameters_against_quadrature(prior, peak):
     assert_moments(draws, np.array([mean]), np.array([np.sqrt(moment(2) / moment(0) - mean**2)]))
 
 
+def test_a_parameter_at_zero_does_not_hold_its_neighbour_up():
+    """A truncated Gaussian of correlation 0.95, against independent draws of it: chains used to stick in its tail."""
+    likelihood = GaussianLikelihood([0.7, 15.0], correlated([1.0, 1.0], 0.95))
+    priors = [HalfNormal(100.0), Normal(0.0, 1000.0)]
+    draws = sampled(likelihood, priors, NutsSettings(150, 600, 0.8))[..., :2]
+    known = np.random.default_rng(0).multivariate_normal(likelihood.peak, likelihood.covariance, 400_000)
+    known = known[known[:, 0] > 0]
+    assert_moments(draws, known.mean(0), known.std(0))
+    assert arviz.rhat(draws[..., 0]) < 1.02
+
+
 def test_a_record_that_says_nothing_gives_the_prior_back():
     prior = Gamma(2.0, 0.1)
     draws = sampled(Everywhere(), [prior])[..., :1]
