@@ -35,11 +35,16 @@ def excitation(chain: Chain, duration: float = 12.0, samples: int = 257) -> Band
 
 
 def measured(
-    chain: Chain, hold: str = "exact", snr_db: float | None = None, duration: float = 12.0, samples: int = 257
+    chain: Chain,
+    hold: str = "exact",
+    snr_db: float | None = None,
+    duration: float = 12.0,
+    samples: int = 257,
+    seed: int = 0,
 ) -> Measurements:
     """A record of the first DOF's force and of every response, with the truth."""
     simulation = Simulation(duration, samples, hold)
-    return Simulated(excitation(chain, duration, samples), simulation, Noise(snr_db)).measure(chain)
+    return Simulated(excitation(chain, duration, samples), simulation, Noise(snr_db, seed)).measure(chain)
 
 
 def accelerations(record: Record, dofs: tuple[int, ...] = (1, 2)) -> Record:

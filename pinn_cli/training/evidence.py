@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from torch import Tensor
 
 from pinn_cli.errors import DivergenceError
+from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.levenberg_marquardt import Solution, minimise
@@ -21,6 +23,9 @@ SCAN_FACTOR = 10.0**0.5
 DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
+# a second search from another start.
+SUSPICIOUS_DISCREPANCY = 0.01
 # Parabolas at most, and the gain in log evidence below which another is not worth a solution.
 REFINEMENTS, NEGLIGIBLE_GAIN = 4, 0.5
 # Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
@@ -65,8 +70,9 @@ class Evidence:
     ) -> None:
         self.learn_spread = learn_spread
         self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
-        segments, network = equations.physics, equations.network
-        self.projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+        self.projection = self._projection(equations.physics)
+        # Where force and response are sampled at different times they differ.
+        self.observer_projection = self._projection(equations.observation)
 
     def train(self, noise: NoiseModel, start: Point) -> Trained | None:
         """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
@@ -82,16 +88,51 @@ class Evidence:
         """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
         equations = self.equations
         losses = equations.losses(point, noise)
-        enforced = equations.target.equation.cpu().numpy()
-        seen = self.projection.sum_of_squares(equations.residuals(point)["physics"])[enforced]
-        variance = noise.physics_variance[enforced]
-        count = equations.network.count
-        physics = float((seen / variance).sum() + count * np.log(variance).sum())
-        rest = sum(value for name, value in losses.items() if name != "physics")
+        seen = self._of_what_is_seen(equations.residuals(point), noise)
+        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer"))
         prior = -2.0 * int((~equations.unknown).sum()) * np.log(noise.spread)
-        return -0.5 * (physics + rest + factor.log_determinant - prior)
+        return -0.5 * (seen + rest + factor.log_determinant - prior)
 
-    def scan(self, noise: NoiseModel, largest: float) -> Trained:
+    def _of_what_is_seen(self, residuals: Mapping[str, Tensor], noise: NoiseModel) -> float:
+        """Chi^2 and log variances of the residuals whose variance has the discrepancy in it, in the features' sight."""
+        weights, total = self.equations.weights(noise), 0.0
+        for name, projection in (("physics", self.projection), ("observer", self.observer_projection)):
+            if name in residuals:
+                weight = weights[name].cpu().numpy()
+                seen, used = projection.sum_of_squares(residuals[name]), weight > 0
+                total += float((seen * weight)[used].sum() - self.equations.network.count * np.log(weight[used]).sum())
+        return total
+
+    def _projection(self, segments: Segments) -> FeatureProjection:
+        network = self.equations.network
+        return FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+
+    def search(self, noise: NoiseModel, force: float, second_start: Callable[[], Point | None]) -> Trained:
+        """Most probable discrepancy and spread, from rest and, where that finds no good model, from another start.
+
+        Where a structure is strongly nonlinear, the motion that soft physics finds may lie in the wrong valley.
+
+        Args:
+            noise: Sensor noise; its discrepancy is ignored.
+            force: That acts, N.
+            second_start: Another motion to begin with; None: there is none.
+
+        Raises:
+            DivergenceError: Even the softest physics cannot be solved.
+        """
+        found = self.scan(noise, force, self.equations.start())
+        if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
+            return found
+        start = second_start()
+        if start is None:
+            return found
+        try:
+            other = self.scan(noise, SUSPICIOUS_DISCREPANCY * force, start)
+        except DivergenceError:
+            return found
+        return max(found, other, key=lambda trained: trained.log_evidence)
+
+    def scan(self, noise: NoiseModel, largest: float, start: Point) -> Trained:
         """Most probable discrepancy and spread of the parameters, searched from soft physics to stiff.
 
         Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
@@ -100,10 +141,14 @@ class Evidence:
 
         Args:
             noise: Sensor noise; its discrepancy is ignored.
-            largest: Where to begin, N: the force that acts.
+            largest: Where to begin, N: with a start at rest the force that acts.
+            start: The motion to begin with.
+
+        Raises:
+            DivergenceError: The first problem cannot be solved.
         """
         tried: list[Trained] = []
-        point, discrepancy, idle = self.equations.start(), largest, 0
+        point, discrepancy, idle = start, largest, 0
         best: Trained | None = None
         while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
             trained = self.train(noise.with_discrepancy(discrepancy), point)

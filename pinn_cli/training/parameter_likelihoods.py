@@ -79,6 +79,9 @@ def _level(evidence: Evidence, trained: Trained, s: float) -> float:
     total = float((seen / variance)[enforced].sum() + count * np.log(variance[enforced]).sum())
     total += sum(value for name, value in losses.items() if name not in ("physics", "prior"))
     total += trained.factor.readout_log_determinant
+    if "observer" in losses:
+        weight = equations.weights(noise)["observer"].cpu().numpy()
+        total -= len(record.time) * float(np.log(weight[weight > 0]).sum())
     forced = record.sensors("force")
     whole = equations.physics.scatter(residual).cpu().numpy()
     sensor = noise.force[forced] ** 2

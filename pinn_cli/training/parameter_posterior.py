@@ -18,20 +18,22 @@ def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[l
 
     The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
     cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
-    at a Newton step's distance from the solution.
+    at a Newton step's distance from the solution. What misfit may have added to each comes on top.
     """
     point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
-    covariance = trained.factor.corner_covariance + np.diag(coherent_misfit(equations, trained) ** 2)
-    posterior = TruncatedGaussian(point + _newton_step(equations, trained), covariance, equations.lower)
-    spread = np.sqrt(np.diag(posterior.covariance))
-    lower, upper = posterior.interval(NINETY_PERCENT)
+    peak = point + _newton_step(equations, trained)
+    posterior = TruncatedGaussian(peak, trained.factor.corner_covariance, equations.lower)
+    misfit = coherent_misfit(equations, trained)
+    spread, (lower, upper) = posterior.marginals(NINETY_PERCENT, misfit)
     estimates = []
     for i, p in enumerate(equations.problem.uncertain):
         estimate = p.value(p.lower if point[i] <= equations.lower[i] else scale[i] * point[i])
         low, high = p.value(scale[i] * lower[i]), p.value(scale[i] * upper[i])
         std = float(scale[i] * spread[i])
         estimates.append(ParameterEstimate(p.name, p.prescribed, estimate, std, low, high, p.prior_std, p.unknown))
-    return estimates, posterior.covariance / np.outer(spread, spread)
+    covariance = posterior.covariance + np.diag(misfit**2)
+    unit = np.sqrt(np.diag(covariance))
+    return estimates, covariance / np.outer(unit, unit)
 
 
 def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:

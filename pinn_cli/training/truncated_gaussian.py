@@ -44,12 +44,23 @@ class TruncatedGaussian:
             if np.all(np.abs(self.mean - before) <= tolerance):
                 break
 
-    def interval(self, probabilities: tuple[float, float]) -> np.ndarray:
-        """(2, p), the ends of every coordinate's own interval."""
+    def marginals(
+        self, probabilities: tuple[float, float], error: np.ndarray | float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Every coordinate by itself: standard deviations (p,), and the quantiles (2, p) at two probabilities.
+
+        Args:
+            probabilities: Of the two quantiles.
+            error: (p,), standard deviation of what else each coordinate may be off by, independently of the others;
+                what is left of the two together is still not below the bound.
+        """
         without = [self._without(i) for i in range(len(self.mean))]
-        center, spread = np.array([w[0] for w in without]), np.sqrt([w[1] for w in without])
-        cut = truncnorm((self.lower - center) / spread, np.inf, center, spread)
-        return np.stack([cut.ppf(probability) for probability in probabilities])
+        center = np.array([mean for mean, _ in without])
+        spread = np.sqrt(np.array([variance for _, variance in without]) + np.square(error))
+        cut = (self.lower - center) / spread
+        share = np.array([tail_moments(c)[1] for c in cut])
+        left = truncnorm(cut, np.inf, center, spread)
+        return spread * np.sqrt(share), np.stack([left.ppf(probability) for probability in probabilities])
 
     def _without(self, i: int) -> tuple[float, float]:
         """Mean and variance of a coordinate given every bound but its own."""
@@ -71,7 +82,9 @@ class TruncatedGaussian:
 
 
 def tail_moments(cut: float) -> tuple[float, float]:
-    """Mean and variance of a standard Gaussian given that it is at least ``cut``."""
+    """Mean and variance of a standard Gaussian given that it is at least ``cut``, which may be -inf."""
+    if np.isinf(cut):
+        return 0.0, 1.0
     if cut > FAR_TAIL:
         return cut + 1.0 / cut - 2.0 / cut**3, 1.0 / cut**2 - 6.0 / cut**4
     mean = np.sqrt(2.0 / np.pi) / erfcx(cut / np.sqrt(2.0))

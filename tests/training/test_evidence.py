@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
-from small_problems import QUANTITIES, excitation, small_chain
+from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
-from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_equations import NormalEquations, Point
+from pinn_cli.training.parameter_likelihoods import marginal_likelihood
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
 
 
 def disturbed(
-    level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9
+    level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9, through: str = "derivative"
 ) -> tuple[Evidence, NoiseModel, float]:
     """A record with a force of rms ``level`` on every DOF that no sensor sees, over a share of the features' band."""
     chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
@@ -33,7 +36,7 @@ def disturbed(
     force = known.force(simulation.time)
     force[:, 0] += 0.003 * rng.normal(size=SAMPLES)
     record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
-    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record))
+    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record, (), through))
     noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
     # K values per DOF carry the power of N samples.
     put_in = level * np.sqrt(SAMPLES / equations.network.count)
@@ -44,6 +47,16 @@ def disturbed(
 @pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
 def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
     evidence, noise, put_in = disturbed(level, 1, nonlinearity)
+    best = evidence.scan(noise, 1.0)
+    assert best.solution.converged
+    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+
+
+@pytest.mark.parametrize("through", ["observer", "both"])
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
+    """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
+    evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
     best = evidence.scan(noise, 1.0)
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
@@ -117,3 +130,86 @@ def test_without_parameters_the_spread_stays():
     trained = evidence.scan(noise.with_spread(0.7), 1.0)
     assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
     assert isinstance(trained.solution.point.parameters, torch.Tensor)
+
+
+@pytest.mark.parametrize("through", ["observer", "both"])
+def test_the_force_sensors_noise_has_the_same_likelihood_through_every_comparison(through):
+    found = {}
+    for way in ("derivative", through):
+        chain = small_chain()
+        record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+        problem = Problem(chain, record, (UncertainParameter("k", 1, 15.0, 150.0, unknown=True),), way)
+        equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
+        evidence = Evidence(equations, 20, 1e-6, lambda losses, noise: None)
+        noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+        likelihood = marginal_likelihood(evidence, evidence.train(noise, equations.start()))
+        s = likelihood.s_std * np.linspace(-6.0, 6.0, 121)
+        values = [likelihood.evaluate(likelihood.peak, each)[0] for each in s]
+        found[way] = s[np.argmax(values)] / likelihood.s_std
+    assert abs(found["derivative"]) < 5.0
+    assert found[through] == pytest.approx(found["derivative"], abs=1.0)
+
+
+def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
+    """Three believed stiffnesses of a Duffing chain and, unless it starts nowhere, one unknown cubic stiffness."""
+    chain = small_chain()
+    believed = [UncertainParameter("k", dof, 15.0, 1.5) for dof in range(3)]
+    kappa = chain.parameters["kappa"].clone()
+    unknown = []
+    if start is not None:
+        kappa[1] = start
+        unknown = [UncertainParameter("kappa", 1, start, 1e5, unknown=True, positive=True)]
+    record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+    problem = Problem(chain.with_parameters(kappa=kappa), record, (*believed, *unknown))
+    equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
+    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+    return Evidence(equations, 30, 1e-8, lambda losses, noise: None), noise
+
+
+def test_the_spread_is_learned_from_believed_parameters_alone():
+    """The update by hand, and an unknown parameter at a thousand prior deviations leaves it alone."""
+    evidence, noise = believed_and_unknown(1000.0)
+    trained = evidence.train(noise.with_spread(0.5), evidence.equations.start())
+    x = trained.solution.point.parameters.numpy()
+    variance = np.diag(trained.factor.corner_covariance)
+    determined = np.sum(1.0 - variance[:3] / 0.5**2)
+    assert determined > 2.5
+    expected = ((0.01 + np.sum(x[:3] ** 2)) / (0.01 + determined)) ** 0.5
+    assert evidence.learned_spread(trained) == pytest.approx(expected, rel=1e-9)
+    far = trained.solution.point.parameters.clone()
+    far[3] = 1e3
+    moved = replace(trained, solution=replace(trained.solution, point=Point(trained.solution.point.unknowns, far)))
+    assert evidence.learned_spread(moved) == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone():
+    spreads = {}
+    for start in (100.0, 10.0, 1000.0):
+        evidence, noise = believed_and_unknown(start)
+        spreads[start] = evidence.scan(noise, 1.0).noise.spread
+    assert spreads[100.0] < 0.3
+    for start in (10.0, 1000.0):
+        assert spreads[start] == pytest.approx(spreads[100.0], rel=1e-3)
+
+
+def test_with_unknown_parameters_alone_there_is_no_spread_to_learn():
+    evidence, noise = believed_and_unknown(30.0)
+    problem = evidence.equations.problem
+    equations = NormalEquations(evidence.equations.network, replace(problem, uncertain=problem.uncertain[3:]))
+    alone = Evidence(equations, 30, 1e-8, lambda losses, noise: None)
+    trained = alone.train(noise.with_spread(0.7), equations.start())
+    assert alone.learned_spread(trained) == 0.7
+
+
+def test_the_evidence_counts_the_spread_once_per_believed_parameter():
+    """With the parameters held where they are, only the spread's own terms change."""
+    evidence, noise = believed_and_unknown(100.0)
+    trained = evidence.train(noise, evidence.equations.start())
+    point, levels = trained.solution.point, {}
+    for spread in (0.5, 2.0):
+        under = noise.with_spread(spread)
+        factor = evidence.equations.assemble(point, under).factor()
+        levels[spread] = evidence.log_evidence(point, under, factor) + 0.5 * factor.log_determinant
+    x = float(point.parameters[:3].square().sum())
+    expected = -0.5 * x * (0.5**-2.0 - 2.0**-2.0) - 3.0 * np.log(0.5 / 2.0)
+    assert levels[0.5] - levels[2.0] == pytest.approx(expected, rel=1e-6)

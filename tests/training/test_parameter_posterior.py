@@ -103,12 +103,11 @@ def test_without_bounds_it_is_the_gaussian_of_the_dense_hessian(free):
     assert np.abs(correlation - np.eye(4)).max() > 0.1
 
 
-def test_the_priors_of_believed_parameters_are_those_with_the_learned_spread(free):
+def test_the_priors_are_those_of_the_user_whatever_spread_was_learned(free):
     equations, trained = free
     narrow = replace(trained, noise=trained.noise.with_spread(0.3))
     estimates, _ = parameter_posterior(equations, narrow)
-    expected = [p.prior_std * (1.0 if p.unknown else 0.3) for p in FREE]
-    assert [e.prior_std for e in estimates] == pytest.approx(expected)
+    assert [e.prior_std for e in estimates] == [p.prior_std for p in FREE]
 
 
 def test_a_bound_far_below_leaves_the_interval_centred(free):
@@ -121,7 +120,7 @@ def test_a_bound_far_below_leaves_the_interval_centred(free):
 
 
 @pytest.fixture(scope="module", params=[0.0, 7.3, 123.4])
-def held(request: pytest.FixtureRequest) -> tuple[NormalEquations, Trained, np.ndarray, np.ndarray]:
+def held(request: pytest.FixtureRequest):
     """A softening spring that an estimator takes to harden, beside an unknown stiffness."""
     kappa = unknown("kappa", 1, request.param, 1000.0)
     evidence = posed(chain_with_kappa(100.0, -4.0, 100.0), small_chain(), (unknown("k", 1, 20.0, 200.0), kappa))
@@ -129,20 +128,19 @@ def held(request: pytest.FixtureRequest) -> tuple[NormalEquations, Trained, np.n
     return evidence.equations, trained, *physical(evidence.equations, trained)
 
 
-def physical(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
-    """Peak and covariance of k and kappa without bounds, in their own units and with what misfit adds."""
+def physical(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of k and kappa, in their own units: peak and covariance without bounds, and what misfit adds."""
     peak, covariance = dense_posterior(equations, trained)
     unit = np.array([p.prior_std for p in equations.problem.uncertain])
     prescribed = np.array([p.prescribed for p in equations.problem.uncertain])
-    covariance = covariance + np.diag(coherent_misfit(equations, trained) ** 2)
-    return prescribed + unit * peak, covariance * np.outer(unit, unit)
+    return prescribed + unit * peak, covariance * np.outer(unit, unit), unit * coherent_misfit(equations, trained)
 
 
 def test_at_its_bound_a_parameter_has_the_interval_of_the_truncated_gaussian(held):
     (_, kappa), _ = parameter_posterior(*held[:2])
-    peak, covariance = held[2:]
-    spread = covariance[1, 1] ** 0.5
-    assert -4.0 < peak[1] / spread < 0.0
+    peak, covariance, misfit = held[2:]
+    spread = np.hypot(covariance[1, 1] ** 0.5, misfit[1])
+    assert -8.0 < peak[1] / spread < 0.0
     expected = truncnorm(-peak[1] / spread, np.inf, peak[1], spread)
     assert kappa.estimate == 0.0
     assert 0.0 <= kappa.lower_90 < kappa.upper_90
@@ -152,19 +150,20 @@ def test_at_its_bound_a_parameter_has_the_interval_of_the_truncated_gaussian(hel
 
 def test_beside_one_at_its_bound_a_parameter_has_an_interval_about_its_own_estimate(held):
     """Not about the place that it would have, were the other one free to go below zero."""
-    (k, kappa), correlation = parameter_posterior(*held[:2])
-    peak, covariance = held[2:]
-    slope = covariance[0, 1] / covariance[1, 1]
-    spread = covariance[1, 1] ** 0.5
+    (k, _), correlation = parameter_posterior(*held[:2])
+    peak, covariance, misfit = held[2:]
+    slope, spread = covariance[0, 1] / covariance[1, 1], covariance[1, 1] ** 0.5
     cut = truncnorm(-peak[1] / spread, np.inf, peak[1], spread)
-    assert k.lower_90 < k.estimate < k.upper_90
     center = peak[0] + slope * (cut.mean() - peak[1])
+    left = covariance[0, 0] + slope**2 * (cut.var() - spread**2) + misfit[0] ** 2
     assert (k.lower_90 + k.upper_90) / 2.0 == pytest.approx(center, abs=1e-3 * k.std)
-    assert k.std**2 == pytest.approx(covariance[0, 0] + slope**2 * (cut.var() - spread**2), rel=1e-3)
-    assert correlation[0, 1] == pytest.approx(slope * kappa.std / k.std, rel=1e-3)
+    assert k.lower_90 < k.estimate < k.upper_90
+    assert k.std == pytest.approx(left**0.5, rel=1e-3)
+    together = (left * (cut.var() + misfit[1] ** 2)) ** 0.5
+    assert correlation[0, 1] == pytest.approx(slope * cut.var() / together, rel=1e-3)
 
 
-def test_the_misfit_of_each_kind_is_the_discrepancy_over_the_force_of_one_prior_deviation():
+def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
     uncertain = tuple(
         UncertainParameter(kind, 1, value, 0.1 * value)
         for kind, value in (("m", 10.0), ("c", 1.0), ("k", 15.0), ("kappa", 100.0))
@@ -177,10 +176,15 @@ def test_the_misfit_of_each_kind_is_the_discrepancy_over_the_force_of_one_prior_
     force = [0.1 * p.prescribed * float(x.square().mean().sqrt()) for p, x in zip(uncertain, per_unit, strict=True)]
     # K coefficients of variance d^2 are a history of variance d^2 K / N.
     share = equations.network.count / len(equations.problem.record.time)
+    hidden = trained.noise.discrepancy * share**0.5 / np.array(force)
     found = coherent_misfit(equations, trained)
-    np.testing.assert_allclose(found, trained.noise.discrepancy * share**0.5 / np.array(force), rtol=1e-6)
-    more = replace(trained, noise=trained.noise.with_discrepancy(3.0 * trained.noise.discrepancy))
-    np.testing.assert_allclose(coherent_misfit(equations, more), 3.0 * found, rtol=1e-9)
+    assert hidden.max() < 0.2
+    np.testing.assert_allclose(found, hidden / np.sqrt(1.0 + hidden**2), rtol=1e-6)
+    less = replace(trained, noise=trained.noise.with_discrepancy(1e-3 * trained.noise.discrepancy))
+    np.testing.assert_allclose(coherent_misfit(equations, less), 1e-3 * hidden, rtol=1e-6)
+    # The prior bounds what can hide.
+    more = replace(trained, noise=trained.noise.with_discrepancy(1e6 * trained.noise.discrepancy))
+    np.testing.assert_allclose(coherent_misfit(equations, more), 1.0, rtol=1e-3)
     # A discrepancy of few values has the same size as one of many.
     coloured = replace(trained, noise=trained.noise.widened(0.2))
     np.testing.assert_allclose(coherent_misfit(equations, coloured), found, rtol=1e-9)
