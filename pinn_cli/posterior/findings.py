@@ -20,7 +20,8 @@ class ForcePredictive:
     Attributes:
         draws: (D,), which draws of every chain, counted from 0.
         samples: (T,), which samples of the record, counted from 0, in equal steps.
-        force: (chains, D, T, F), N, sensor noise included; the DOFs are the posterior's ``force_dofs``.
+        force: (chains, D, T, F), N, with the noise that the record has (that of the mean of repeated measurements); the
+            DOFs are the posterior's ``force_dofs``.
 
     Raises:
         ValueError: The shape of ``force`` does not fit.

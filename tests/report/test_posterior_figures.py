@@ -13,7 +13,12 @@ from matplotlib.figure import Figure
 from pinn_cli.report.figures.force_predictive import PERIODS_SHOWN, force_predictive_figure, predictive_window
 from pinn_cli.report.figures.highest_density import grid_density, mass_levels
 from pinn_cli.report.figures.parameter_axis import ParameterAxis
-from pinn_cli.report.figures.posterior_pairs import PARAMETERS_SHOWN, most_correlated, posterior_pairs_figure
+from pinn_cli.report.figures.posterior_pairs import (
+    PARAMETERS_SHOWN,
+    correlation_text,
+    most_correlated,
+    posterior_pairs_figure,
+)
 from pinn_cli.report.figures.posterior_trace import rank_figure, ranks, trace_figure
 
 TWELVE = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 5)]
@@ -55,6 +60,14 @@ def test_pairs_show_truth_correlation_and_units():
     assert "true value" in _texts(figure)
     assert _notes(figure) == []
     assert panels[4, 2].get_xlim() == panels[2, 2].get_xlim() == panels[5, 2].get_xlim()
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.5, "0.50"), (-0.001, "0.00"), (-0.9983, "\N{MINUS SIGN}0.998"), (1.0, "1.00"), (np.nan, "-")],
+)
+def test_a_correlation_is_written_1_only_where_it_is(value, text):
+    assert correlation_text(value) == text
 
 
 def test_pairs_without_truth():

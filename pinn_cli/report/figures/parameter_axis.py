@@ -23,7 +23,7 @@ MARGIN = 0.06  # of the span, on either side
 TRUTH_WITHIN = 2.0  # spans: a truth that is further off is left out, else the draws would be a line
 
 _CHARACTER, _LINE = 0.5, 1.2  # width of a digit and height of a line over the font's size
-_SPACE = 1.5  # characters between two tick labels
+_SPACE, _SPACE_UP = 1.5, 1.0  # between tick labels: characters, and lines
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,12 @@ class ParameterAxis:
             ticks = np.asarray(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], min_n_ticks=1).tick_values(lower, upper))
             decimals = max(_decimals(step) for step in np.diff(ticks)[:1])
             width = max(len(f"{tick:.{decimals}f}") for tick in ticks) if horizontal else 1.0
-            inside = 0.5 * width / room * (upper - lower)  # a label across an end would run into the next panel's
+            inside = (
+                0.5 * (width - 1.0) / room * (upper - lower)
+            )  # a label across an end would run into the next panel's
             ticks = ticks[(ticks >= lower + inside) & (ticks <= upper - inside)]
-            if len(ticks) and len(ticks) * (width + _SPACE) - _SPACE <= room:
+            space = _SPACE if horizontal else _SPACE_UP
+            if len(ticks) and len(ticks) * (width + space) - space <= room:
                 break
         return ticks, decimals
 

@@ -134,9 +134,17 @@ def _draw_joint(panel: Axes, pairs: np.ndarray, horizontal: ParameterAxis, verti
 def _write_correlation(panel: Axes, value: float, cell: float) -> None:
     panel.set(xticks=[], yticks=[])
     panel.patch.set_facecolor(colormaps["RdBu_r"](0.5 + 0.5 * value) if np.isfinite(value) else "#E6E6E6")
-    text = f"{round(value, 2) + 0.0:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "-"
+    text = correlation_text(value)
     colour = "white" if abs(value) > 0.65 else style.BLACK
     panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", fontsize=6 + 3 * cell, color=colour)
+
+
+def correlation_text(value: float) -> str:
+    """Two decimals; more, up to four, rather than a 1 that is none."""
+    if not np.isfinite(value):
+        return "-"
+    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")  # + 0.0: no minus before a 0
 
 
 def _label(panels: np.ndarray, axes_of: list[ParameterAxis], cell: float) -> None:
