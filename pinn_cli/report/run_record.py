@@ -26,6 +26,7 @@ PACKAGES = (
     "matplotlib",
     "hydra-core",
     "pyro-ppl",
+    "arviz",
 )
 
 
