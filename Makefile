@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format bench table1 table2 table3 table4 table5 table6 clean
+.PHONY: help venv run test test-all lint format bench calibration table1 table2 table3 table4 table5 table6 clean
 
 help: ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -41,6 +41,9 @@ test: lint ## lint, then every test that is not slow
 
 test-all: lint ## lint, then every test
 	$(BIN)/python -m pytest
+
+calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
+	$(BIN)/python -m benchmarks.calibration $(ARGS)
 
 bench: venv ## time and scaling over DOFs and durations
 	$(BIN)/python -m benchmarks $(ARGS)

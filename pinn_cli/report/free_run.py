@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
-from pinn_cli.record.simulation import Force, OverflowsError, simulate, substeps_needed
+from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.fitness import fitness_percent, fitness_table
 from pinn_cli.report.parameters import split_name
 
@@ -35,16 +36,6 @@ CONTRADICTED_BELOW = 95.0
 # One over the share of the record at its start that is left out where the start is not to count: there the ends of
 # splines show, and the motion far from the sensors is poorly known for as long as a wave takes to get there.
 EXCUSED_SHARE = 10
-
-# A spline through the samples of a measured force. Degree 5 puts an error of 4e-6 into the response to noise up to a
-# quarter of the Nyquist frequency, and 2e-4 up to half of it (degree 3: 2e-4, 3e-3). Higher degrees follow the force
-# better inside the record and overshoot at its ends: in the first interval white noise grows 2-fold with degree 5,
-# 5-fold with 7, 14-fold with 9.
-SPLINE_DEGREE = 5
-
-# An estimate can be absurdly stiff, and the report would never end. Fifty steps of Runge-Kutta per sample put the
-# highest mode at three times the Nyquist frequency of the record.
-MOST_SUBSTEPS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +67,10 @@ def free_run(prescribed: Chain, estimate: Estimate, record: Record) -> FreeRun:
         dofs = f"DOF{'s' if unknown.size > 1 else ''} {', '.join(map(str, unknown))}"
         return FreeRun(None, f"the force on {dofs} is unknown, and a free run needs every force")
     chain = estimated_chain(prescribed, estimate.parameters)
-    substeps = substeps_needed(chain, record.step)
-    if substeps > MOST_SUBSTEPS:
-        needs = f"it takes {substeps} steps per sample, and {MOST_SUBSTEPS} are allowed"
-        return FreeRun(None, f"the estimated system is too stiff for a free run: {needs}")
     try:
         response = _simulated(chain, estimate, record, record.force)
+    except TooStiffError as error:
+        return FreeRun(None, f"the estimated system is too stiff for a free run: {error}")
     except OverflowsError as error:
         return FreeRun(None, f"the estimated system is unstable: its free run overflows at {error.time:.4g} s")
     return FreeRun(response, _contradiction(chain, estimate, record, response))
@@ -130,20 +119,8 @@ def free_run_table(
 
 def _simulated(chain: Chain, estimate: Estimate, record: Record, force: np.ndarray, first: int = 0) -> Response:
     """The chain under ``force`` (N, n) from the estimated state at sample ``first`` on."""
-    hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
     start = estimate.response.displacement[first], estimate.response.velocity[first]
-    time = record.time[first:]
-    return simulate(chain, _between_samples(time, force[first:], hold), time, hold, initial=start)
-
-
-def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
-    """The force at any time of the record, from its samples (N, n)."""
-    if hold == "zero_order":
-        return lambda _: force  # a simulation that holds the force asks for it at the samples only
-    from scipy.interpolate import make_interp_spline
-
-    spline: Force = make_interp_spline(time, force, k=SPLINE_DEGREE)
-    return spline
+    return resimulate(chain, record, start, force, first)
 
 
 def _contradiction(chain: Chain, estimate: Estimate, record: Record, response: Response) -> str:

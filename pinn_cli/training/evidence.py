@@ -23,6 +23,9 @@ SCAN_FACTOR = 10.0**0.5
 DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
+# a second search from another start.
+SUSPICIOUS_DISCREPANCY = 0.01
 # Parabolas at most, and the gain in log evidence below which another is not worth a solution.
 REFINEMENTS, NEGLIGIBLE_GAIN = 4, 0.5
 # Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
@@ -104,7 +107,32 @@ class Evidence:
         network = self.equations.network
         return FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
 
-    def scan(self, noise: NoiseModel, largest: float) -> Trained:
+    def search(self, noise: NoiseModel, force: float, second_start: Callable[[], Point | None]) -> Trained:
+        """Most probable discrepancy and spread, from rest and, where that finds no good model, from another start.
+
+        Where a structure is strongly nonlinear, the motion that soft physics finds may lie in the wrong valley.
+
+        Args:
+            noise: Sensor noise; its discrepancy is ignored.
+            force: That acts, N.
+            second_start: Another motion to begin with; None: there is none.
+
+        Raises:
+            DivergenceError: Even the softest physics cannot be solved.
+        """
+        found = self.scan(noise, force, self.equations.start())
+        if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
+            return found
+        start = second_start()
+        if start is None:
+            return found
+        try:
+            other = self.scan(noise, SUSPICIOUS_DISCREPANCY * force, start)
+        except DivergenceError:
+            return found
+        return max(found, other, key=lambda trained: trained.log_evidence)
+
+    def scan(self, noise: NoiseModel, largest: float, start: Point) -> Trained:
         """Most probable discrepancy and spread of the parameters, searched from soft physics to stiff.
 
         Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
@@ -113,10 +141,14 @@ class Evidence:
 
         Args:
             noise: Sensor noise; its discrepancy is ignored.
-            largest: Where to begin, N: the force that acts.
+            largest: Where to begin, N: with a start at rest the force that acts.
+            start: The motion to begin with.
+
+        Raises:
+            DivergenceError: The first problem cannot be solved.
         """
         tried: list[Trained] = []
-        point, discrepancy, idle = self.equations.start(), largest, 0
+        point, discrepancy, idle = start, largest, 0
         best: Trained | None = None
         while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
             trained = self.train(noise.with_discrepancy(discrepancy), point)

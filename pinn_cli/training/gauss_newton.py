@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
 from pinn_cli.training.scales import scales
+from pinn_cli.training.simulated_start import simulated_start
 
 # How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
 # force scale implies.
@@ -89,7 +91,8 @@ class GaussNewton(Training):
         noise = NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity)
         noise = noise.pooled() if self.pooled else noise
         if not self.weights:
-            return evidence.widen_for_colour(evidence.scan(noise, force))
+            second_start = partial(simulated_start, evidence.equations)
+            return evidence.widen_for_colour(evidence.search(noise, force, second_start))
         trained_fixed = evidence.train(self._fixed(noise, problem.record, force, velocity), evidence.equations.start())
         if trained_fixed is None:
             raise InputError(

@@ -71,6 +71,10 @@ class BandLayout:
         flat = blocks.reshape(-1, *blocks.shape[2:])
         return blocks.new_zeros((self.size, *blocks.shape[2:])).index_add_(0, local[alive], flat[alive])
 
+    def unknowns(self, weights: Tensor) -> Tensor:
+        """Readout weights (count, ndof) as the vector of unknowns (size,)."""
+        return (weights if self.feature_first else weights.T).reshape(-1)
+
     def weights(self, unknowns: Tensor) -> Tensor:
         """Vector of unknowns (size,) as readout weights (count, ndof)."""
         return (

@@ -119,11 +119,13 @@ class FeatureProjection:
         moments = self._moments(values)
         return np.einsum("ki,ki->i", moments, cho_solve_banded((self.factor, True), moments))
 
+    def coefficients(self, values: Tensor) -> Tensor:
+        """Of the features in the projection of a history (N, n): (count, n)."""
+        return torch.as_tensor(cho_solve_banded((self.factor, True), self._moments(self.segments.gather(values))))
+
     def residual(self, values: Tensor) -> np.ndarray:
         """(N, n) minus its projection: what the features cannot follow."""
-        moments = self._moments(self.segments.gather(values))
-        coefficients = torch.as_tensor(cho_solve_banded((self.factor, True), moments))
-        fitted = self.features @ coefficients[self.index]
+        fitted = self.features @ self.coefficients(values)[self.index]
         return (values.cpu() - self.segments.scatter(fitted.to(self.segments.mask.device)).cpu()).numpy()
 
 

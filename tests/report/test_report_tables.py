@@ -34,7 +34,7 @@ def _fitness(case: str, offset: float) -> pd.DataFrame:
 def _parameters(case: str, error_percent: float = 1.0, std_percent: float = 1.0) -> pd.DataFrame:
     """Each published parameter, estimated too large by so much, among others that are in no table."""
     table = published.parameters().loc[lambda table: table["case"] == case, ["parameter", "true"]]
-    table = pd.concat([pd.DataFrame({"parameter": ["c_1"], "true": [1.0]}), table], ignore_index=True)
+    table = pd.concat([pd.DataFrame({"parameter": ["m_1"], "true": [10.0]}), table], ignore_index=True)
     estimate, std = table["true"] * (1.0 + error_percent / 100.0), table["true"] * std_percent / 100.0
     lower, upper = estimate - 1.645 * std, estimate + 1.645 * std
     return table.assign(estimate=estimate, error_percent=error_percent, std=std, lower_90=lower, upper_90=upper)
@@ -130,6 +130,24 @@ def test_table4_tells_of_the_case_that_failed(tmp_path, commands):
     assert tables.main(["table4", "--output", str(tmp_path)]) == 1
     assert set(pd.read_csv(tmp_path / "table4.csv")["case"]) == {"sp_5dof_van_der_pol", "sp_5dof_perturbed"}
     assert "sp_5dof_linear, fixed parameters: exit status 1" in (tmp_path / "table4.md").read_text()
+
+
+def test_table6_compares_three_posteriors(tmp_path, commands):
+    assert tables.main(["table6", "--output", str(tmp_path)]) == 0
+    cases = ["pe_2dof_duffing", "pe_2dof_van_der_pol"]
+    assert [command[3].removeprefix("experiment=paper/") for command in commands] == [
+        c for c in cases for _ in range(3)
+    ]
+    assert [command[4] for command in commands[1:3]] == ["posterior=conditional", "posterior=laplace"]
+    assert commands[0][4].startswith("hydra.run.dir=")
+    table = pd.read_csv(tmp_path / "table6.csv")
+    assert len(table) == 2 * 6 * 3
+    assert table.loc[0, ["published", "published_error_percent", "published_std"]].tolist() == [0.984, 1.6, 0.03]
+    text = (tmp_path / "table6.md").read_text()
+    assert text.count("| case | parameter | true | published | error | std | ours | error | std |") == 3
+    assert "| pe_2dof_duffing | c_1 | 1 | 0.984 | 1.6 | 0.03 | 1.010 | 1.00 | 0.01 | 0.994 to 1.026 | yes |" in text
+    assert text.index("## Marginal") < text.index("## Conditional") < text.index("## Laplace")
+    assert "Seconds: pe_2dof_duffing" in text
 
 
 def _table3_row(text: str, parameter: str) -> list[str]:

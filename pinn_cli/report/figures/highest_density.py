@@ -9,7 +9,10 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-CELLS = 60
+CELLS = 80
+
+# Standard deviation of the kernel at least, cells: one that is narrower than the cells are wide would ring.
+NARROWEST = 0.8
 
 
 def grid_density(
@@ -32,7 +35,7 @@ def grid_density(
     counts, *edges = np.histogram2d(pairs[:, 0], pairs[:, 1], bins=cells, range=(horizontal, vertical))
     x, y = (0.5 * (edge[1:] + edge[:-1]) for edge in edges)
     steps = np.array([x[1] - x[0], y[1] - y[0]])
-    covariance = np.cov(pairs.T) / np.outer(steps, steps) * len(pairs) ** (-1.0 / 3.0)
+    covariance = np.cov(pairs.T) / np.outer(steps, steps) * len(pairs) ** (-1.0 / 3.0) + NARROWEST**2 * np.eye(2)
     # On a grid twice as large, so that what is smoothed out on one side does not come in on the other.
     frequencies = np.stack(np.meshgrid(*[2.0 * np.pi * np.fft.fftfreq(2 * cells)] * 2, indexing="ij"))
     kernel = np.exp(-0.5 * np.einsum("iab,ij,jab->ab", frequencies, covariance, frequencies))

@@ -1,0 +1,104 @@
+"""The table of diagnostics, and what is said of bad draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pinn_cli.posterior.diagnostics import diagnose, divergences, verdict
+from pinn_cli.posterior.samples import PosteriorSamples
+
+COLUMNS = ["parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean"]
+
+
+def samples(draws: np.ndarray, method: str = "marginal") -> PosteriorSamples:
+    """Of c_1 as given, and of k_2 and the noise as a good sampler would draw them."""
+    chains, count = draws.shape
+    generator = np.random.default_rng(1)
+    good = generator.normal(15.0, 0.5, (chains, count))
+    statistics = {"diverging": np.zeros((chains, count), dtype=bool)} if method != "laplace" else {}
+    return PosteriorSamples(
+        method=method,
+        names=("c_1", "k_2"),
+        draws=np.stack([draws, good], axis=-1),
+        sigma_force=np.exp(generator.normal(-2.0, 0.02, (chains, count, 1))),
+        force_dofs=np.array([3]),
+        prior=generator.gamma(2.0, size=(count, 2)),
+        statistics=statistics,
+        warmup=0,
+        seconds=np.ones(chains),
+    )
+
+
+def walk(step: float, count: int = 1000, chains: int = 4) -> np.ndarray:
+    """An autoregression that forgets at the rate of ``step``."""
+    noise = np.random.default_rng(2).standard_normal((chains, count))
+    out = noise.copy()
+    for i in range(1, count):
+        out[:, i] = (1 - step) * out[:, i - 1] + np.sqrt(1 - (1 - step) ** 2) * noise[:, i]
+    return out
+
+
+def test_good_draws():
+    found = samples(np.random.default_rng(0).normal(1.0, 0.1, (4, 1000)))
+    table = diagnose(found)
+    assert list(table.columns) == COLUMNS
+    assert list(table["parameter"]) == ["c_1", "k_2", "sigma_force_3"]
+    row = table.iloc[0]
+    assert row["mean"] == pytest.approx(1.0, abs=0.01)
+    assert row["std"] == pytest.approx(0.1, rel=0.05)
+    assert (row["lower_90"], row["upper_90"]) == pytest.approx((1 - 0.1645, 1 + 0.1645), abs=0.01)
+    assert row["r_hat"] == pytest.approx(1.0, abs=0.005)
+    assert row["ess_bulk"] == pytest.approx(4000, rel=0.15)
+    assert row["mcse_mean"] == pytest.approx(0.1 / np.sqrt(4000), rel=0.15)
+    assert verdict(table, found) == []
+
+
+def test_chains_that_disagree():
+    found = samples(np.random.default_rng(0).standard_normal((4, 1000)) + np.arange(4)[:, None])
+    lines = verdict(diagnose(found), found)
+    assert all(line.startswith("c_1: ") for line in lines)
+    assert "the chains disagree" in lines[0]
+    assert "posterior.draws" in lines[0]
+
+
+def test_chains_that_crawl():
+    found = samples(walk(0.02))
+    lines = verdict(diagnose(found), found)
+    assert any("effective draws" in line and "raise posterior.draws to" in line for line in lines)
+    few = samples(np.random.default_rng(0).standard_normal((4, 50)))
+    assert {line.split(":")[0] for line in verdict(diagnose(few), few)} == {"c_1", "k_2", "sigma_force_3"}
+
+
+def test_divergences():
+    found = samples(np.random.default_rng(0).standard_normal((4, 1000)))
+    diverging = np.zeros((4, 1000), dtype=bool)
+    diverging[1, 7:9] = True
+    found = replace(found, statistics={"diverging": diverging})
+    assert divergences(found) == 2
+    (line,) = verdict(diagnose(found), found)
+    assert line.startswith("2 of 4000 draws diverged")
+    assert "posterior.target_accept" in line
+
+
+def test_a_chain_that_does_not_move():
+    found = samples(np.full((4, 1000), 3.0))
+    (line,) = verdict(diagnose(found), found)
+    assert line.startswith("c_1 does not move")
+
+
+def test_one_chain_is_judged_by_its_halves():
+    good = samples(np.random.default_rng(0).standard_normal((1, 2001)))
+    assert verdict(diagnose(good), good) == []
+    drifting = samples(np.linspace(0.0, 3.0, 2000)[None] + np.random.default_rng(0).standard_normal((1, 2000)))
+    assert diagnose(drifting)["r_hat"][0] > 1.1
+
+
+def test_the_closed_form_has_nothing_to_diagnose():
+    found = samples(np.random.default_rng(0).standard_normal((1, 50)), "laplace")
+    table = diagnose(found)
+    assert table[["r_hat", "ess_bulk", "ess_tail"]].isna().all(axis=None)
+    assert table["mcse_mean"][0] == pytest.approx(1 / np.sqrt(50), rel=0.3)
+    assert verdict(table, found) == []

@@ -1,0 +1,123 @@
+"""The variants behind one interface: which likelihood they take, what they hand over, which settings they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from toy_likelihoods import GaussianLikelihood, correlated
+
+from pinn_cli.errors import InputError
+from pinn_cli.posterior.conditional import Conditional
+from pinn_cli.posterior.laplace import Laplace
+from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.nuts import STATISTICS
+from pinn_cli.posterior.priors import Gamma, HalfNormal
+from pinn_cli.targets import build
+from pinn_cli.training.estimate import RunContext
+
+CONF = Path(__file__).parents[2] / "conf" / "posterior"
+NAMES = ("c_2", "k_1")
+SIGMA = (0.1, np.nan, 0.3)
+WIDE = GaussianLikelihood([1.0, 15.0], correlated([0.1, 0.3], 0.5), NAMES, SIGMA)
+NARROW = GaussianLikelihood([1.2, 15.5], correlated([0.02, 0.06], 0.5), NAMES, SIGMA)
+PRIORS = {("k", 0): Gamma(2.0, 0.1), ("k", 1): Gamma(9.0, 9.0), ("c", 1): HalfNormal(5.0)}
+
+
+@pytest.mark.parametrize(
+    ("posterior", "likelihood"),
+    [
+        (Marginal(2, 100, 300), WIDE),
+        (Conditional(2, 100, 300), NARROW),
+        (Laplace(4000), WIDE),
+    ],
+    ids=["marginal", "conditional", "laplace"],
+)
+def test_each_samples_its_own_likelihood(posterior, likelihood):
+    samples = posterior.find(WIDE, NARROW, PRIORS, RunContext(seed=1))
+    std = np.sqrt(np.diag(likelihood.covariance))
+    np.testing.assert_allclose(samples.draws.mean((0, 1)), likelihood.peak, atol=0.2 * std.max())
+    np.testing.assert_allclose(samples.draws.std((0, 1)), std, rtol=0.15)
+    assert (samples.method, samples.names) == (posterior.name, NAMES)
+
+
+def test_shapes_of_what_is_sampled():
+    samples = Marginal(chains=3, warmup=20, draws=10).find(WIDE, NARROW, PRIORS, RunContext())
+    assert samples.draws.shape == (3, 10, 2)
+    assert samples.sigma_force.shape == (3, 10, 2)
+    np.testing.assert_array_equal(samples.force_dofs, [1, 3])
+    np.testing.assert_allclose(samples.sigma_force[..., 1] / samples.sigma_force[..., 0], 3.0)
+    assert samples.prior.shape == (10, 2)
+    assert {name: values.shape for name, values in samples.statistics.items()} == dict.fromkeys(STATISTICS, (3, 10))
+    assert (samples.warmup, samples.seconds.shape) == (20, (3,))
+
+
+def test_shapes_of_the_closed_form():
+    samples = Laplace(50).find(WIDE, NARROW, PRIORS, RunContext())
+    assert (samples.draws.shape, samples.sigma_force.shape, samples.prior.shape) == ((1, 50, 2), (1, 50, 2), (50, 2))
+    assert (samples.statistics, samples.warmup, samples.seconds.shape) == ({}, 0, (1,))
+
+
+def test_draws_from_the_prior_are_in_the_likelihoods_order():
+    prior = Laplace(4000).find(WIDE, NARROW, PRIORS, RunContext()).prior
+    np.testing.assert_allclose(prior.mean(0), [HalfNormal(5.0).mean, 20.0], rtol=0.1)
+    np.testing.assert_allclose(prior.std(0), [HalfNormal(5.0).std, Gamma(2.0, 0.1).std], rtol=0.1)
+
+
+@pytest.mark.parametrize("posterior", [Marginal(2, 20, 10), Laplace(10)], ids=["marginal", "laplace"])
+def test_the_seed_decides_and_nothing_else(posterior):
+    first, again, other = (posterior.find(WIDE, NARROW, PRIORS, RunContext(seed=seed)) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first.draws, again.draws)
+    np.testing.assert_array_equal(first.prior, again.prior)
+    assert not np.any(first.draws == other.draws)
+    assert not np.any(first.prior == other.prior)
+
+
+def test_laplace_and_nuts_agree_where_the_record_says_much():
+    run = RunContext()
+    exact, sampled = Laplace().find(WIDE, NARROW, PRIORS, run), Marginal(2, 100, 400).find(WIDE, NARROW, PRIORS, run)
+    std = exact.draws.std((0, 1))
+    np.testing.assert_allclose(exact.draws.mean((0, 1)), sampled.draws.mean((0, 1)), atol=0.1 * std.max())
+    np.testing.assert_allclose(std, sampled.draws.std((0, 1)), rtol=0.15)
+
+
+def test_thirty_parameters():
+    peak = np.linspace(1.0, 100.0, 30)
+    likelihood = GaussianLikelihood(peak, correlated(0.1 * peak, 0.9))
+    priors = {("k", i): HalfNormal(1000.0) for i in range(30)}
+    samples = Marginal(2, 100, 100).find(likelihood, likelihood, priors, RunContext())
+    np.testing.assert_allclose(samples.draws.mean((0, 1)), peak, atol=0.04 * peak.max())
+    assert not samples.statistics["diverging"].any()
+
+
+@pytest.mark.parametrize(("name", "cls"), [("marginal", Marginal), ("conditional", Conditional), ("laplace", Laplace)])
+def test_the_config_builds_it_with_the_classs_own_defaults(name, cls):
+    posterior = build(OmegaConf.load(CONF / f"{name}.yaml"), "posterior")
+    assert type(posterior) is cls
+    assert vars(posterior) == vars(cls())
+    assert posterior.name == name
+
+
+@pytest.mark.parametrize("cls", [Marginal, Conditional])
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"chains": 0}, "posterior.chains=0: must be a whole number >= 1"),
+        ({"warmup": -1}, "posterior.warmup=-1: must be a whole number >= 1"),
+        ({"draws": 3}, "posterior.draws=3: must be a whole number >= 4"),
+        ({"draws": 1e3}, "posterior.draws=1000.0: must be a whole number >= 4"),
+        ({"target_accept": 1.0}, "posterior.target_accept=1.0: must be a number between 0 and 1"),
+        ({"target_accept": "high"}, "posterior.target_accept=high: must be a number between 0 and 1"),
+    ],
+)
+def test_impossible_settings_are_named(cls, settings, told):
+    with pytest.raises(InputError) as error:
+        cls(**settings)
+    assert str(error.value).startswith(told)
+
+
+def test_laplace_needs_a_draw():
+    with pytest.raises(InputError, match=r"posterior\.draws=0: must be a whole number >= 1"):
+        Laplace(0)
