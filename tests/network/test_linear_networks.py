@@ -134,6 +134,27 @@ def test_the_size_depends_on_the_record_and_not_on_its_time_scale(record, kind):
     assert fast.free_intervals == pytest.approx(30.0 * slow.free_intervals)
 
 
+def test_a_refined_spline_has_a_quarter_more_knots(record):
+    design = Spline(degree=4, continuity="penalised")
+    fine, coarse = design.refined().build(record), design.build(record)
+    assert fine.intervals == pytest.approx(1.25 * coarse.intervals, abs=1.0)
+    assert (fine.degree, fine.continuity) == (4, "penalised")
+    assert design.knots_per_period is None  # the design itself stays as it was
+    assert vars(design.refined().refined()) == vars(design.refined())
+
+
+@pytest.mark.parametrize("settings", [{"knots_per_period": 3.0}, {"intervals": 20}], ids=str)
+def test_a_spline_whose_knots_the_user_chose_keeps_them(record, settings):
+    design = Spline(**settings)
+    assert design.refined().build(record).intervals == design.build(record).intervals
+
+
+@pytest.mark.parametrize("settings", [{}, {"harmonics": 9}], ids=str)
+def test_refining_leaves_fourier_features_as_they_are(settings):
+    design = Fourier(**settings)
+    assert design.refined() is design
+
+
 @pytest.mark.parametrize("kind", DESIGNS)
 def test_it_covers_a_time_axis_that_does_not_begin_at_zero(record, kind):
     later = Record(**{**vars(record), "time": record.time + 1000.0})

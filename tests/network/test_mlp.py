@@ -143,3 +143,8 @@ def test_impossible_settings_are_named(settings, named):
     with pytest.raises(InputError) as error:
         Mlp(**settings)
     assert str(error.value).startswith(named)
+
+
+def test_refining_leaves_it_as_it_is():
+    design = Mlp(2, 16)
+    assert design.refined() is design

@@ -10,6 +10,7 @@ import pytest
 from small_problems import NONLINEARITIES, measured, small_chain
 
 from pinn_cli.errors import InputError
+from pinn_cli.posterior.priors import Prior
 from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
@@ -116,7 +117,8 @@ def test_a_problem_has_no_way_to_the_truth():
         "record",
         "uncertain",
         "acceleration_through",
+        "priors",
     }
-    record = typing.get_type_hints(Problem)["record"]
+    record = typing.get_type_hints(Problem, localns={"Prior": Prior})["record"]
     assert not {Truth, Measurements} & reachable(record, set())
     assert not [name for name in dir(record) if "true" in name or "truth" in name]

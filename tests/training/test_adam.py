@@ -72,35 +72,6 @@ def test_it_finds_the_motion_where_all_is_measured(hold):
         assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
 
 
-def test_it_learns_a_parameter():
-    record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
-    wrong = small_chain("linear", ndof=1, k=18.0)
-    problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 0.3),))
-    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
-    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
-    assert (learned.name, learned.prescribed) == ("k_1", 18.0)
-    assert learned.estimate == pytest.approx(15.0, rel=0.02)
-    assert all(math.isnan(value) for value in (learned.std, learned.lower_90, learned.upper_90))
-
-
-def test_a_narrow_prior_holds_a_parameter():
-    record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
-    wrong = small_chain("linear", ndof=1, k=18.0)
-    problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 1e-4),))
-    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
-    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
-    assert learned.estimate == pytest.approx(18.0, rel=0.01)
-
-
-def test_parameters_come_in_the_order_of_the_problem():
-    chain = small_chain()
-    order = (uncertain(chain, "kappa", 2, 0.1), uncertain(chain, "c", 0, 0.1), uncertain(chain, "k", 1, 0.1))
-    estimate = short().solve(small_problem(uncertain=order), Spline(), RunContext())
-    assert [(p.name, p.prescribed) for p in estimate.parameters] == [("kappa_3", 100.0), ("c_1", 1.0), ("k_2", 15.0)]
-    assert all(p.estimate != p.prescribed for p in estimate.parameters)
-    assert {"loss_prior", "weight_prior"} <= set(estimate.history)
-
-
 def test_the_same_seed_gives_the_same_numbers():
     before = torch.get_rng_state()
     estimates = [short().solve(small_problem(), DESIGNS["mlp"], RunContext(seed=seed)) for seed in (5, 5, 6)]

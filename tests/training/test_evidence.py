@@ -47,7 +47,7 @@ def disturbed(
 @pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
 def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
     evidence, noise, put_in = disturbed(level, 1, nonlinearity)
-    best = evidence.scan(noise, 1.0)
+    best = evidence.scan(noise, 1.0, evidence.equations.start())
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
 
@@ -57,7 +57,7 @@ def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
 def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
     """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
     evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
-    best = evidence.scan(noise, 1.0)
+    best = evidence.scan(noise, 1.0, evidence.equations.start())
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
 
@@ -119,7 +119,7 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
     growth = {}
     for share in (0.1, 1.0):
         evidence, noise, _ = disturbed(0.1, 1, share=share)
-        best = evidence.scan(noise, 1.0)
+        best = evidence.scan(noise, 1.0, evidence.equations.start())
         growth[share] = evidence.widen_for_colour(best).noise.discrepancy / best.noise.discrepancy
     assert growth[1.0] < 1.4
     assert growth[0.1] > 1.5 * growth[1.0]
@@ -127,7 +127,7 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
 
 def test_without_parameters_the_spread_stays():
     evidence, noise, _ = disturbed(0.1, 1)
-    trained = evidence.scan(noise.with_spread(0.7), 1.0)
+    trained = evidence.scan(noise.with_spread(0.7), 1.0, evidence.equations.start())
     assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
     assert isinstance(trained.solution.point.parameters, torch.Tensor)
 
@@ -186,7 +186,7 @@ def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone(
     spreads = {}
     for start in (100.0, 10.0, 1000.0):
         evidence, noise = believed_and_unknown(start)
-        spreads[start] = evidence.scan(noise, 1.0).noise.spread
+        spreads[start] = evidence.scan(noise, 1.0, evidence.equations.start()).noise.spread
     assert spreads[100.0] < 0.3
     for start in (10.0, 1000.0):
         assert spreads[start] == pytest.approx(spreads[100.0], rel=1e-3)

@@ -206,10 +206,11 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     """
     stiffnesses = tuple(unknown("k", dof, 20.0, 200.0) for dof in names)
     evidence = posed(small_chain(), small_chain("linear"), stiffnesses, duration=duration)
-    record, network = evidence.equations.problem.record, evidence.equations.network
-    trained = evidence.widen_for_colour(evidence.scan(NoiseModel(*sensor_noise(network, record), 1.0, 1.0), 1.0))
+    equations = evidence.equations
+    noise = NoiseModel(*sensor_noise(equations.network, equations.problem.record), 1.0, 1.0)
+    trained = evidence.widen_for_colour(evidence.scan(noise, 1.0, equations.start()))
     hessian = 200.0 * np.sqrt(np.diag(trained.factor.corner_covariance))
-    estimates, _ = parameter_posterior(evidence.equations, trained)
+    estimates, _ = parameter_posterior(equations, trained)
     assert all(e.lower_90 < 15.0 < e.upper_90 for e in estimates)
     assert all(e.upper_90 - e.lower_90 < 15.0 for e in estimates)
     assert any(abs(e.estimate - 15.0) > NINETY * alone for e, alone in zip(estimates, hessian, strict=True))

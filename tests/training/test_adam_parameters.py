@@ -1,0 +1,160 @@
+"""Parameters of the chain under first-order training: learned, bounded, believed and unknown."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+import pytest
+import torch
+from calls import Compose, PinnRun
+from small_problems import QUANTITIES, accelerations, measured, small_chain
+
+from pinn_cli.config import RunConfig
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.system.chain import Chain
+from pinn_cli.training.adam import Adam
+from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.losses import Losses
+
+
+def uncertain(chain: Chain, kind: str, dof: int, relative: float) -> UncertainParameter:
+    value = float(chain.parameters[kind][dof])
+    return UncertainParameter(kind, dof, value, relative * value)
+
+
+def short(**settings) -> Adam:
+    return Adam(**{"iterations": 20, "collocation_points": 128, "history_every": 10, **settings})
+
+
+def test_it_learns_a_parameter():
+    record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
+    wrong = small_chain("linear", ndof=1, k=18.0)
+    problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 0.3),))
+    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
+    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    assert (learned.name, learned.prescribed) == ("k_1", 18.0)
+    assert learned.estimate == pytest.approx(15.0, rel=0.02)
+    assert all(math.isnan(value) for value in (learned.std, learned.lower_90, learned.upper_90))
+
+
+def test_a_narrow_prior_holds_a_parameter():
+    record = measured(small_chain("linear", ndof=1), snr_db=40.0).record
+    wrong = small_chain("linear", ndof=1, k=18.0)
+    problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 1e-4),))
+    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
+    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    assert learned.estimate == pytest.approx(18.0, rel=0.01)
+
+
+def test_parameters_come_in_the_order_of_the_problem():
+    chain = small_chain()
+    order = (uncertain(chain, "kappa", 2, 0.1), uncertain(chain, "c", 0, 0.1), uncertain(chain, "k", 1, 0.1))
+    record = accelerations(measured(chain, snr_db=40.0).record)
+    estimate = short().solve(Problem(chain, record, order), Spline(), RunContext())
+    assert [(p.name, p.prescribed) for p in estimate.parameters] == [("kappa_3", 100.0), ("c_1", 1.0), ("k_2", 15.0)]
+    assert all(p.estimate != p.prescribed for p in estimate.parameters)
+    assert {"loss_prior", "weight_prior"} <= set(estimate.history)
+
+
+def one_mass_unknown(name: str, start: float, **settings) -> Problem:
+    """A linear one-mass chain with every sensor, one parameter unknown and the others fixed."""
+    chain = small_chain("linear", ndof=1)
+    every = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True), "parameter_uncertainty": 0.0}
+    scheme = StateParameter(**every, unknown=name, initial={name: start}, **settings)
+    return scheme.problem(chain, scheme.observe(measured(chain, snr_db=40.0).record))
+
+
+@pytest.mark.parametrize(("name", "start", "truth", "left"), [("k_1", 5.0, 15.0, 0.3), ("m_1", 7.0, 10.0, 0.8)])
+def test_an_unknown_parameter_moves_from_its_start_to_the_truth(name, start, truth, left):
+    problem = one_mass_unknown(name, start)
+    training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
+    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    assert (learned.name, learned.prescribed, learned.unknown) == (name, start, True)
+    assert abs(learned.estimate - truth) < left * abs(start - truth)
+    assert learned.prior_std == problem.uncertain[0].prior_std > 5.0 * truth
+    assert all(math.isnan(value) for value in (learned.std, learned.lower_90, learned.upper_90))
+
+
+@pytest.mark.parametrize("positive", [["k"], []], ids=["positive", "free"])
+def test_a_positive_parameter_is_never_below_zero(monkeypatch, positive):
+    """Steps as long as the parameter itself throw it about; only its bound keeps it from falling below zero."""
+    seen, terms = [], Losses.terms
+
+    def watched(self: Losses, network, parameters) -> dict[str, torch.Tensor]:
+        seen.append(float(parameters()["k"].detach()[0]))
+        return terms(self, network, parameters)
+
+    monkeypatch.setattr(Losses, "terms", watched)
+    training = short(stages=1, parameter_learning_rate=1.0, dtype="float64", collocation_points=None)
+    training.solve(one_mass_unknown("k_1", 5.0, positive=positive), Fourier(), RunContext())
+    assert len(seen) == 21
+    assert (min(seen) >= 0.0) == bool(positive)
+    assert (min(seen) == 0.0) == bool(positive)
+
+
+def test_believed_and_unknown_parameters_are_told_apart():
+    chain = small_chain()
+    scheme = StateParameter(unobserved=[2], parameter_uncertainty=0.05)
+    problem = scheme.problem(chain, scheme.observe(measured(chain, snr_db=40.0).record))
+    estimate = short().solve(problem, Spline(), RunContext())
+    assert [p.name for p in estimate.parameters if p.unknown] == ["k_2", "kappa_2"]
+    assert [p.prior_std for p in estimate.parameters] == [p.prior_std for p in problem.uncertain]
+    assert estimate.correlation is None
+
+
+SHRUNK = ("system.ndof=5", "simulation.duration=12", "simulation.samples=256", "excitation.band=[0.2,1.5]", "threads=1")
+STATE_PARAMETER = "experiment=paper_training_state_parameter"
+
+
+@pytest.mark.parametrize(
+    ("experiment", "starts"),
+    [
+        (STATE_PARAMETER, {"k_2": 10.0, "k_4": 10.0, "kappa_2": 75.0, "kappa_4": 75.0}),
+        (
+            "experiment=[paper/sp_5dof_van_der_pol,paper_training_state_parameter]",
+            {"k_2": 10.0, "k_4": 10.0, "mu_2": 1.0, "mu_4": 1.0},
+        ),
+    ],
+    ids=["duffing", "van_der_pol"],
+)
+def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation(composed: Compose, experiment, starts):
+    config = RunConfig.read(composed(experiment, *SHRUNK))
+    training, network, scheme = config.training, config.network, config.scheme
+    assert isinstance(training, Adam)
+    assert isinstance(network, Mlp)
+    assert isinstance(scheme, StateParameter)
+    assert (training.iterations, training.stages, training.physics_growth) == (200_000, 2, 10.0)
+    assert (training.learning_rate, training.parameter_learning_rate) == (1e-3, 5e-4)
+    assert (training.betas, training.weight_decay) == ((0.99, 0.999), 1e-5)
+    assert training.weights.by_term(1.0) == {
+        "observation": 1.0,
+        "continuity": 1.0,
+        "forced": 100.0,
+        "unforced": 100.0,
+        "prior": 1.0,
+    }
+    assert (training.collocation_points, training.dtype) == (4096, torch.float32)
+    assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "tanh", "penalised")
+    _, prescribed = config.model_error.chains(config.chain)
+    problem = scheme.problem(prescribed, config.observe(config.source.measure(config.chain).record))
+    assert problem.acceleration_through == "both"
+    assert {p.name: p.prescribed for p in problem.uncertain} == starts
+    assert all(p.unknown and p.positive for p in problem.uncertain)
+    assert problem.record.observed.tolist() == [True, False, True, False, True]
+
+
+def test_the_papers_state_parameter_estimation_runs(pinn_run: PinnRun):
+    few = ("network.width=16", "training.iterations=5", "training.history_every=5")
+    outcome = pinn_run(STATE_PARAMETER, *SHRUNK, *few)
+    assert outcome.status == 0, outcome.err
+    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    assert list(parameters.index) == ["k_2", "k_4", "kappa_2", "kappa_4"]
+    assert parameters["prescribed"].tolist() == [10.0, 10.0, 75.0, 75.0]
+    assert (parameters["estimate"] != parameters["prescribed"]).all()
+    assert parameters[["std", "lower_90", "upper_90"]].isna().all(axis=None)
+    assert pd.read_csv(outcome.directory / "history.csv")["iteration"].tolist() == [0, 5, 10]
