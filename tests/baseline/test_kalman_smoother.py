@@ -71,7 +71,7 @@ def test_parameters_that_are_wrong_are_put_right_with_honest_intervals() -> None
     scores = [(p.estimate - value) / p.std for p, value in zip(estimate.parameters, truths, strict=True)]
     assert np.sqrt(np.mean(np.square(scores))) < 2.0
     assert all(p.lower_90 < p.estimate < p.upper_90 for p in estimate.parameters)
-    held = solved(problem.without_uncertainty())
+    held = solved(replace(problem, uncertain=()))
     truth = measurements.truth.response.displacement
     freed, fixed = (relative_error(e.response.displacement, truth) for e in (estimate, held))
     assert freed < fixed / 2.0
