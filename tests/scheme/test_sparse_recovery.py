@@ -12,6 +12,7 @@ from small_problems import NONLINEARITIES, measured, small_chain
 from pinn_cli.errors import InputError
 from pinn_cli.posterior.priors import Prior
 from pinn_cli.record.record import Measurements, Truth
+from pinn_cli.record.repeats import Repeats
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 
@@ -99,12 +100,17 @@ def test_names_are_counted_from_one():
     assert UncertainParameter("kappa", 3, 100.0, 7.5).name == "kappa_4"
 
 
+def hints(cls: type) -> dict[str, type]:
+    """Types of a dataclass's fields, those included that are imported for type checkers alone."""
+    return typing.get_type_hints(cls, localns={"Prior": Prior, "Repeats": Repeats})
+
+
 def reachable(cls: type, seen: set[type]) -> set[type]:
     """Every dataclass that a field of a dataclass may hold."""
     if cls in seen:
         return seen
     seen.add(cls)
-    for hint in typing.get_type_hints(cls).values():
+    for hint in hints(cls).values():
         for part in (hint, *typing.get_args(hint)):
             if isinstance(part, type) and dataclasses.is_dataclass(part):
                 reachable(part, seen)
@@ -119,6 +125,6 @@ def test_a_problem_has_no_way_to_the_truth():
         "acceleration_through",
         "priors",
     }
-    record = typing.get_type_hints(Problem, localns={"Prior": Prior})["record"]
+    record = hints(Problem)["record"]
     assert not {Truth, Measurements} & reachable(record, set())
     assert not [name for name in dir(record) if "true" in name or "truth" in name]
