@@ -86,9 +86,8 @@ class ParameterAxis:
             ticks = np.asarray(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10], min_n_ticks=1).tick_values(lower, upper))
             decimals = max(_decimals(step) for step in np.diff(ticks)[:1])
             width = max(len(f"{tick:.{decimals}f}") for tick in ticks) if horizontal else 1.0
-            inside = (
-                0.5 * (width - 1.0) / room * (upper - lower)
-            )  # a label across an end would run into the next panel's
+            # A label across an end would run into the next panel's; the gap between them has room for a character.
+            inside = 0.5 * (width - (1.0 if horizontal else 0.0)) / room * (upper - lower)
             ticks = ticks[(ticks >= lower + inside) & (ticks <= upper - inside)]
             space = _SPACE if horizontal else _SPACE_UP
             if len(ticks) and len(ticks) * (width + space) - space <= room:
