@@ -105,7 +105,7 @@ def test_shared_streams_are_shared_by_neighbours():
         np.testing.assert_allclose(unit[0, :, 1], unit[1, :, 0], atol=1e-9)
         np.testing.assert_allclose(unit[0, :, 2], unit[1, :, 1], atol=1e-9)
         np.testing.assert_allclose(unit[0, :, 2], unit[2, :, 0], atol=1e-9)
-        drawn = np.random.RandomState(SEEDS[quantity] + 3).standard_normal(SAMPLES)  # noqa: NPY002
+        drawn = np.random.RandomState(SEEDS[quantity] + 3).standard_normal(SAMPLES)
         np.testing.assert_allclose(unit[1, :, 2], drawn, atol=1e-9)
 
 
