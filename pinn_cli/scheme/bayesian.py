@@ -69,7 +69,7 @@ class Bayesian(Scheme):
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         _check_sensors(record)
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != "m"]
-        places = unknown_places(prescribed, record, self.unknown or every_but_masses)
+        places = unknown_places(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
         priors = with_defaults(read_priors(self.priors, prescribed), prescribed, record, self.positive)
         scales = parameter_scales(prescribed, record)
         start = {kind: values.clone() for kind, values in prescribed.parameters.items()}

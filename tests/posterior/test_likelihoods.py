@@ -1,0 +1,127 @@
+"""The two likelihoods of parameters, on matrices of their own: gradients, what they are at their peaks, and beyond."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from toy_likelihoods import correlated, slopes
+
+from pinn_cli.posterior.conditional_likelihood import ConditionalLikelihood
+from pinn_cli.posterior.likelihood import ParameterLikelihood
+from pinn_cli.posterior.marginal_likelihood import S_POINTS, S_RANGE, MarginalLikelihood
+
+STD = np.array([0.1, 2.0, 0.5])
+PEAK = np.array([1.0, 15.0, -3.0])
+S_STD = 0.02
+NAMES, SIGMA = ("c_1", "k_1", "kappa_2"), np.array([0.1, np.nan])
+
+
+def table() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """S, level, peak and precision of a likelihood all of which depends on s, and not in a polynomial way."""
+    s = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * S_STD
+    gram = np.linalg.inv(correlated(STD, 0.6))
+    level = -0.5 * (np.exp(-2.0 * s) + 2.0 * s) / (2.0 * S_STD**2)
+    peak = PEAK + STD * np.sin(3.0 * s)[:, None]
+    precision = gram / (0.2 + 0.8 * np.exp(2.0 * s))[:, None, None]
+    return s, level, peak, precision
+
+
+def marginal() -> MarginalLikelihood:
+    return MarginalLikelihood(NAMES, SIGMA, *table(), S_STD)
+
+
+def unforced() -> MarginalLikelihood:
+    """Without a force sensor nothing depends on s."""
+    s, level, peak, precision = (values[2:3] for values in table())
+    return MarginalLikelihood(NAMES, np.full(2, np.nan), s, level, peak, precision, 1.0)
+
+
+def conditional() -> ConditionalLikelihood:
+    gram = np.linalg.inv(correlated(STD, 0.6)) * 0.04
+    return ConditionalLikelihood(NAMES, np.array([True, False]), gram, PEAK, least=1200.0 * 0.04, count=1200)
+
+
+def gradient(likelihood: ParameterLikelihood, theta: np.ndarray, s: float) -> np.ndarray:
+    def value(x: np.ndarray) -> float:
+        return likelihood.evaluate(x[:-1], x[-1])[0]
+
+    return slopes(value, np.append(theta, s), np.append(1e-4 * STD, 1e-4 * likelihood.s_std))
+
+
+@pytest.mark.parametrize("s", [-9.0, -6.1, -5.9, -2.0, 0.0, 0.7, 5.0, 6.5, 20.0], ids=lambda s: f"{s} deviations")
+@pytest.mark.parametrize("make", [marginal, unforced, conditional])
+def test_gradients_are_those_of_the_values(make, s):
+    likelihood = make()
+    for seed in range(3):
+        theta = PEAK + 2.0 * STD * np.random.default_rng(seed).standard_normal(3)
+        _, by_theta, by_s = likelihood.evaluate(theta, s * likelihood.s_std)
+        numeric = gradient(likelihood, theta, s * likelihood.s_std)
+        np.testing.assert_allclose(STD * by_theta, STD * numeric[:-1], rtol=1e-5, atol=1e-5)
+        assert by_s * likelihood.s_std == pytest.approx(numeric[-1] * likelihood.s_std, rel=1e-5, abs=1e-4)
+
+
+@pytest.mark.parametrize("make", [marginal, unforced, conditional])
+def test_peak_and_curvature_are_those_at_the_noise_that_was_found(make):
+    likelihood = make()
+    _, by_theta, _ = likelihood.evaluate(likelihood.peak, 0.0)
+    np.testing.assert_allclose(STD * by_theta, 0.0, atol=1e-9)
+    steps = [0.1 * width * unit for width, unit in zip(STD, np.eye(3), strict=True)]
+    for step in steps:
+        change = likelihood.evaluate(likelihood.peak + step, 0.0)[1]
+        np.testing.assert_allclose(change, -likelihood.curvature @ step, rtol=1e-9, atol=1e-12)
+
+
+def test_the_marginal_is_its_table_at_the_tables_points():
+    likelihood = marginal()
+    theta = PEAK + STD
+    for s, level, peak, precision in zip(*table(), strict=True):
+        away = theta - peak
+        expected = level - 0.5 * away @ precision @ away
+        assert likelihood.evaluate(theta, s)[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_between_the_points_it_is_as_smooth_as_what_was_tabulated():
+    likelihood, theta = marginal(), PEAK + STD * [1.0, -1.0, 0.5]
+    for s in np.linspace(-5.5, 5.5, 12) * S_STD:
+        level = -0.5 * (np.exp(-2.0 * s) + 2.0 * s) / (2.0 * S_STD**2)
+        away = theta - PEAK - STD * np.sin(3.0 * s)
+        gram = np.linalg.inv(correlated(STD, 0.6)) / (0.2 + 0.8 * np.exp(2.0 * s))
+        assert likelihood.evaluate(theta, s)[0] == pytest.approx(level - 0.5 * away @ gram @ away, abs=2e-3)
+
+
+def test_beyond_the_table_it_falls_as_a_gaussian_and_never_rises_again():
+    likelihood = marginal()
+    ends = [likelihood.evaluate(PEAK, s * S_STD) for s in (6.0, 8.0, 50.0, 1e6)]
+    assert np.all(np.diff([value for value, *_ in ends]) < 0)
+    assert ends[1][0] == pytest.approx(ends[0][0] - 0.5 * 2.0**2, rel=1e-9)
+    assert ends[1][2] == pytest.approx(-2.0 / S_STD)
+    left = [likelihood.evaluate(PEAK, -s * S_STD)[0] for s in (6.0, 8.0, 50.0, 1e6)]
+    assert np.all(np.diff(left) < 0)
+    assert np.isfinite(left).all()
+
+
+def test_without_a_force_sensor_the_noise_tells_nothing():
+    likelihood = unforced()
+    values = [likelihood.evaluate(PEAK, s)[0] for s in (-0.5, 0.0, 0.5)]
+    assert values == pytest.approx([values[0]] * 3)
+
+
+def test_the_conditional_is_the_density_of_independent_gaussian_residuals():
+    """Against scipy's, on residuals that are linear in the parameters."""
+    rng = np.random.default_rng(0)
+    columns, force = rng.standard_normal((400, 3)), 0.3 * rng.standard_normal(400)
+    measured = columns @ PEAK + force
+    gram = columns.T @ columns
+    peak = np.linalg.solve(gram, columns.T @ measured)
+    least = float(np.sum((measured - columns @ peak) ** 2))
+    likelihood = ConditionalLikelihood(NAMES, np.array([True, True]), gram, peak, least, 400)
+    np.testing.assert_allclose(likelihood.sigma_force, np.sqrt(least / 400))
+
+    def log_density(theta: np.ndarray, s: float) -> float:
+        sigma = likelihood.sigma_force[0] * np.exp(s)
+        return float(np.sum(-0.5 * ((measured - columns @ theta) / sigma) ** 2 - np.log(sigma)))
+
+    points = [(PEAK, 0.0), (peak, 0.3), (PEAK + 0.1, -0.2), (PEAK - 1.0, 2.0)]
+    expected = np.array([log_density(*point) for point in points])
+    found = np.array([likelihood.evaluate(*point)[0] for point in points])
+    np.testing.assert_allclose(found - found[0], expected - expected[0], rtol=1e-9)
