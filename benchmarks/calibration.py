@@ -2,7 +2,7 @@
 
 The paper's two 2-DOF chains (240 s, 20 dB, 5 repeats), with the force on the first DOF or on both, over many noise
 seeds. Every network is trained as `pinn-run scheme=bayesian` trains it, and its posterior found in several ways:
-`marginal` and `conditional` by NUTS, `laplace` and `conditional_laplace` by the Gaussian at the peak of the same two, in
+`marginal` and `conditional` by NUTS, `laplace` and `conditional_laplace` by the Gaussian at the peak of these, in
 milliseconds. Printed: mean relative error of the posterior means, share of the 90 % intervals that hold the truth, and
 the worst of the sampler's diagnostics.
 """
