@@ -38,14 +38,10 @@ def test_a_run_leaves_what_was_unknown_and_what_was_found(pinn_run: PinnRun) -> 
 
 SETTINGS = {
     "a connection that there is not": ("scheme.unknown=[k_9]", "scheme.unknown=k_9: must be one of m, c, k, kappa"),
-    "another nonlinearity's parameter": ("scheme.unknown=[mu_2]", "scheme.unknown=mu_2: must be one of m, c, k, kappa"),
     "nothing unknown": ("scheme.unknown=[]", "scheme.unknown=[]: must be null, or at least one name"),
     "a start below zero": ("scheme.initial.k=-3", "scheme.initial.k=-3: must be >= 0"),
     "a start of what there is not": ("scheme.initial={k_7: 5}", "scheme.initial.k_7="),
     "a start that is no number": ("scheme.initial.k=stiff", "scheme.initial.k=stiff: must be a finite number"),
-    "a prior without width": ("scheme.prior_width=0", "scheme.prior_width=0: must be a finite number > 0"),
-    "an unknown comparison": ("scheme.acceleration_through=eye", "scheme.acceleration_through=eye: must be one of"),
-    "one kind where a list belongs": ("scheme.positive=k", "scheme.positive=k: must be a list of kinds"),
 }
 
 

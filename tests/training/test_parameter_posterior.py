@@ -119,7 +119,7 @@ def test_a_bound_far_below_leaves_the_interval_centred(free):
         assert given.estimate - given.lower_90 == pytest.approx(NINETY * given.std, rel=1e-5)
 
 
-@pytest.fixture(scope="module", params=[0.0, 7.3, 123.4])
+@pytest.fixture(scope="module", params=[0.0, 123.4])
 def held(request: pytest.FixtureRequest):
     """A softening spring that an estimator takes to harden, beside an unknown stiffness."""
     kappa = unknown("kappa", 1, request.param, 1000.0)

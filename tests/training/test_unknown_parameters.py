@@ -73,8 +73,10 @@ def assert_found(estimate: Estimate, chain: Chain, relative: float, deviations: 
         assert given.std < relative * truth, name
 
 
-@pytest.mark.parametrize("hold", ["exact", "zero_order"])
-@pytest.mark.parametrize("nonlinearity", [name for name in NONLINEARITIES if name != "power_damping"])
+@pytest.mark.parametrize(
+    ("nonlinearity", "hold"),
+    [("linear", "exact"), ("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")],
+)
 def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold):
     estimate, chain = found(nonlinearity, hold), small_chain(nonlinearity)
     expected = ["k_2", *[f"{kind}_2" for kind in NONLINEARITIES[nonlinearity][1]]]
@@ -103,12 +105,10 @@ def test_a_start_ten_times_off_ends_at_the_same_place(nonlinearity, factor):
     assert estimate.summary["parameter_spread"] == pytest.approx(found(nonlinearity).summary["parameter_spread"], 0.01)
 
 
-@pytest.mark.parametrize(
-    ("names", "relative"), [(["m_2", "c_2"], 0.01), (["m_*", "c_*"], 0.02), ("*", 0.05)], ids=["two", "six", "twelve"]
-)
-def test_masses_and_dampings_are_found_where_all_is_measured(names, relative):
+@pytest.mark.parametrize(("names", "count", "relative"), [(["m_2", "c_2"], 2, 0.01), ("*", 12, 0.05)])
+def test_masses_and_dampings_are_found_where_all_is_measured(names, count, relative):
     estimate = identified(example(), small_chain(), unknown=names, **EVERY_SENSOR)
-    assert len(unknowns(estimate)) == {"*": 12}.get(str(names), len(names) * (3 if "m_*" in names else 1))
+    assert len(unknowns(estimate)) == count
     assert_found(estimate, small_chain(), relative)
 
 
@@ -119,9 +119,8 @@ def test_with_all_other_parameters_held_fixed():
     assert_found(estimate, small_chain(), relative=0.05)
 
 
-@pytest.mark.parametrize("through", ["observer", "both"])
-def test_accelerations_through_the_observer_equation(through):
-    estimate = identified(example(), small_chain(), acceleration_through=through)
+def test_accelerations_through_the_observer_equation():
+    estimate = identified(example(), small_chain(), acceleration_through="observer")
     assert_found(estimate, small_chain(), relative=0.05)
 
 
@@ -131,7 +130,7 @@ def test_a_softening_spring_is_found_where_it_may_be_one():
     assert kappa.upper_90 < 0.0
 
 
-@pytest.mark.parametrize("start", [None, 7.3, 123.4])
+@pytest.mark.parametrize("start", [None, 123.4])
 def test_a_softening_spring_that_may_be_none_ends_at_exactly_zero(start):
     estimate = identified(softening_example(), softening_chain(), initial={"kappa": start})
     k, kappa = unknowns(estimate).values()
