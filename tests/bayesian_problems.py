@@ -1,0 +1,68 @@
+"""Small problems of Bayesian parameter estimation, and what training makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from small_problems import excitation
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.chain import Chain
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.scales import scales
+
+PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A problem and the most probable network of it."""
+
+    problem: Problem
+    evidence: Evidence
+    trained: Trained
+
+    @property
+    def equations(self) -> NormalEquations:
+        return self.evidence.equations
+
+
+def source(
+    chain: Chain,
+    *,
+    forced: tuple[int, ...] = (1,),
+    duration: float = 12.0,
+    samples: int = 257,
+    snr_db: float = 20.0,
+    repeats: int = 1,
+    hold: str = "exact",
+    seed: int = 0,
+    rms: float = 4.0,
+) -> Simulated:
+    """A force of the given rms, N, in a band about that of the chain, and noise on every sensor."""
+    band = excitation(chain, duration, samples).band
+    force = BandedNoise(chain.ndof, duration, samples, list(band), rms, list(forced))
+    return Simulated(force, Simulation(duration, samples, hold), Noise(snr_db, seed, repeats=repeats))
+
+
+def posed(chain: Chain, scheme: Bayesian | None = None, **settings) -> Problem:
+    """The problem of a simulated record, of whose chain the scheme knows the masses only; see :func:`source`."""
+    scheme = scheme or Bayesian()
+    return scheme.problem(chain, scheme.observe(source(chain, **settings).measure(chain).record))
+
+
+def solved(problem: Problem, intervals: int | None = None) -> Example:
+    """As training=gauss_newton solves it, only to the last digit."""
+    network = Spline(intervals=intervals).refined().build(problem.record)
+    evidence = Evidence(NormalEquations(network, problem), 40, PRECISE, lambda losses, noise: None)
+    force, _ = scales(problem)
+    noise = NoiseModel(*sensor_noise(network, problem.record), force, 1.0)
+    return Example(problem, evidence, evidence.widen_for_colour(evidence.search(noise, force, lambda: None)))

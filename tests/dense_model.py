@@ -1,0 +1,121 @@
+"""The probability of a record under a spline network and a chain, written out with dense matrices, in numpy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from bayesian_problems import Example
+from scipy.interpolate import BSpline
+
+from pinn_cli.physics import hold_delay
+
+
+class DenseModel:
+    """Displacement and velocity of every DOF, the force residual, and their variances under an example's noise.
+
+    Weights are (K, n); parameters are a vector in the order of the problem's uncertain ones.
+    """
+
+    def __init__(self, example: Example, s: float = 0.0) -> None:
+        self.problem, self.noise = example.problem, example.trained.noise
+        record, network = self.problem.record, example.equations.network
+        degree, width = network.degree, network.spacing
+        knots = network.start + width * np.arange(-degree, network.intervals + degree + 1)
+        spline = BSpline(knots, np.eye(network.count), degree)
+        self.value, self.rate = spline(record.time), spline.derivative()(record.time)
+        later = record.time + hold_delay(record)
+        self.at_force = tuple(spline.derivative(order)(later) for order in range(3))
+        self.record, self.shape = record, (network.count, record.ndof)
+        force = np.nan_to_num(self.noise.force) * np.exp(s)
+        self.variance = force**2 + self.noise.discrepancy**2
+        self.values = {kind: value.numpy().copy() for kind, value in self.problem.chain.parameters.items()}
+
+    def parameters(self, theta: Sequence[float]) -> dict[str, np.ndarray]:
+        out = {kind: value.copy() for kind, value in self.values.items()}
+        for parameter, value in zip(self.problem.uncertain, theta, strict=True):
+            out[parameter.kind][parameter.dof] = value
+        return out
+
+    def chi_square(self, weights: np.ndarray, theta: Sequence[float]) -> tuple[float, np.ndarray, np.ndarray]:
+        """Weighted sum of squares of a chain with cubic springs, its gradient by the weights and by theta."""
+        p = self.parameters(theta)
+        total, by_weights = 0.0, np.zeros(self.shape)
+        for name, features in (("displacement", self.value), ("velocity", self.rate)):
+            residual = features @ weights - getattr(self.record, name)
+            weighted = residual / self.noise.response[name] ** 2
+            total += float(np.sum(residual * weighted))
+            by_weights += 2.0 * features.T @ weighted
+        u, v, a = (features @ weights for features in self.at_force)
+        e, de = (np.diff(x, axis=1, prepend=0.0) for x in (u, v))
+        kappa = p.get("kappa", np.zeros(self.shape[1]))
+        carried = p["c"] * de + p["k"] * e + kappa * e**3
+        residual = p["m"] * a + carried - np.append(carried[:, 1:], np.zeros((len(u), 1)), axis=1) - self.record.force
+        weighted = 2.0 * residual / self.variance
+        total += 0.5 * float(np.sum(residual * weighted))
+        by_carried = np.diff(weighted, axis=1, prepend=0.0)
+        by_e, by_de = by_carried * (p["k"] + 3.0 * kappa * e**2), by_carried * p["c"]
+        by_u, by_v = (x - np.append(x[:, 1:], np.zeros((len(u), 1)), axis=1) for x in (by_e, by_de))
+        value, rate, curvature = self.at_force
+        by_weights += value.T @ by_u + rate.T @ by_v + curvature.T @ (p["m"] * weighted)
+        by = {"m": a, "c": de, "k": e, "kappa": e**3}
+        own = {"m": weighted}
+        by_theta = [
+            float(np.sum(own.get(q.kind, by_carried)[:, q.dof] * by[q.kind][:, q.dof])) for q in self.problem.uncertain
+        ]
+        return total, by_weights, np.array(by_theta)
+
+    def marginal(self, theta: Sequence[float]) -> tuple[float, float]:
+        """Of a linear chain: the least sum of squares of all weights, and the log determinant of its Hessian."""
+        hessian, right, constant = self._quadratic(theta)
+        factor = np.linalg.cholesky(hessian)
+        half = np.linalg.solve(factor, right)
+        return constant - float(half @ half), 2.0 * float(np.log(np.diag(factor)).sum())
+
+    def log_likelihood(self, theta: Sequence[float], s: float) -> float:
+        """Of a linear chain, at force noise exp(s): of every sample and repeat, up to a constant in theta and s.
+
+        The discrepancy is as rich as the features: what they cannot see of the residual, and the scatter of repeats,
+        is the sensors' noise alone.
+        """
+        least, determinant = self.marginal(theta)
+        forced, repeats = self.record.sensors("force"), self.record.repeats
+        count, samples = self.shape[0], len(self.record.time)
+        residual = (self.force(theta) - self.record.force)[:, forced]
+        features = self.at_force[0]
+        unseen = np.sum((residual - features @ np.linalg.lstsq(features, residual)[0]) ** 2, axis=0)
+        least += np.sum(unseen * (1.0 / (self.noise.force[forced] * np.exp(s)) ** 2 - 1.0 / self.variance[forced]))
+        logarithms = count * np.log(self.variance).sum() + 2.0 * (samples - count) * forced.sum() * s
+        if repeats is not None:
+            sensor = (self.noise.force[forced] * np.exp(s)) ** 2
+            logarithms += (repeats.square["force"][forced] / (repeats.count * sensor)).sum()
+            logarithms += 2.0 * repeats.freedom * forced.sum() * s
+        return -0.5 * (least + determinant + float(logarithms))
+
+    def force(self, theta: Sequence[float]) -> np.ndarray:
+        """(N, n), what the most probable motion of a linear chain takes with these parameters."""
+        hessian, right, _ = self._quadratic(theta)
+        weights = np.linalg.solve(hessian, right).reshape(self.shape[1], -1).T
+        u, v, a = (features @ weights for features in self.at_force)
+        p = self.parameters(theta)
+        carried = p["c"] * np.diff(v, axis=1, prepend=0.0) + p["k"] * np.diff(u, axis=1, prepend=0.0)
+        return p["m"] * a + carried - np.append(carried[:, 1:], np.zeros((len(u), 1)), axis=1)
+
+    def _quadratic(self, theta: Sequence[float]) -> tuple[np.ndarray, np.ndarray, float]:
+        """Chi^2 = w^T H w - 2 g^T w + constant, w (n K,) DOF by DOF."""
+        p, (count, n) = self.parameters(theta), self.shape
+        below = np.eye(n) - np.eye(n, k=-1)  # displacements to elongations
+        value, rate, curvature = self.at_force
+        chain = np.kron(np.diag(p["m"]), curvature)
+        for kind, features in (("c", rate), ("k", value)):
+            chain += np.kron(below.T @ np.diag(p[kind]) @ below, features)
+        groups = [(chain, self.record.force, np.sqrt(self.variance))]
+        for name, features in (("displacement", self.value), ("velocity", self.rate)):
+            groups.append((np.kron(np.eye(n), features), getattr(self.record, name), self.noise.response[name]))
+        hessian, right, constant = np.zeros((n * count, n * count)), np.zeros(n * count), 0.0
+        for matrix, measured, sigma in groups:
+            weight = np.repeat(1.0 / sigma**2, len(measured))
+            hessian += matrix.T @ (matrix * weight[:, None])
+            right += matrix.T @ (weight * measured.T.ravel())
+            constant += float(np.sum(weight * measured.T.ravel() ** 2))
+        return hessian, right, constant
