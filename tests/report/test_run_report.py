@@ -28,7 +28,8 @@ def reported(composed, make_case, tmp_path, monkeypatch):
         changes = {"correlation": np.eye(len(parameters)), **changes}
         estimate = replace(case.estimate, parameters=parameters, **changes)
         config = RunConfig.read(composed(*SMALL))
-        return tmp_path, run_report.write_report(config, case.record, case.truth, estimate, tmp_path, Stages())
+        results = run_report.Results(case.record, case.truth, estimate)
+        return tmp_path, run_report.write_report(config, results, tmp_path, Stages())
 
     return report
 
