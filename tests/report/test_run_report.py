@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from calls import SMALL
+from fake_posteriors import DUFFING, make_findings, make_samples
 
 from pinn_cli.config import RunConfig
 from pinn_cli.report import run_report
@@ -62,3 +64,20 @@ def test_a_training_without_correlation_writes_no_matrix(reported):
 def test_the_columns_of_parameters_csv_are_agreed(reported, unknown):
     directory, _ = reported(*unknown)
     assert list(pd.read_csv(directory / "parameters.csv")) == [*LABELS, *COLUMNS]
+
+
+def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case, tmp_path, monkeypatch):
+    monkeypatch.setattr(run_report, "write_figures", lambda *_, **__: [])
+    case = make_case(ndof=3, observed=3)
+    start = [replace(case.estimate.parameters[0], name=name) for name in DUFFING]
+    samples = make_samples()
+    findings = make_findings(samples, None, "3 divergences")
+    results = run_report.Results(case.record, case.truth, replace(case.estimate, parameters=start), posterior=findings)
+    text = run_report.write_report(RunConfig.read(composed(*SMALL)), results, tmp_path, Stages())
+    table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
+    assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))
+    assert (tmp_path / "posterior.nc").is_file()
+    assert (tmp_path / "figures" / "posterior_pairs.png").is_file()
+    assert "quality check FAILED: 3 divergences" in text
+    record = json.loads((tmp_path / "run.json").read_text())["posterior"]
+    assert (record["method"], record["chains"], record["quality_check"]) == ("marginal", 4, ["3 divergences"])
