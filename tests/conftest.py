@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 import sys
@@ -19,10 +20,14 @@ from pinn_cli.command_line import execute
 from pinn_cli.main import run
 
 
+def log_files() -> list[logging.Handler]:
+    return [handler for handler in logging.getLogger().handlers if isinstance(handler, logging.FileHandler)]
+
+
 @pytest.fixture(autouse=True)
 def global_state() -> Iterator[None]:
-    """Put back the generators, thread counts and environment that tests share, and forbid a changed default dtype."""
-    environment, threads = dict(os.environ), torch.get_num_threads()
+    """Put back the generators, thread counts, log files and environment that tests share; forbid a new default dtype."""
+    environment, threads, logs = dict(os.environ), torch.get_num_threads(), log_files()
     torch_state, python_state = torch.get_rng_state(), random.getstate()
     numpy_state = np.random.get_state()  # noqa: NPY002
     yield
@@ -32,6 +37,10 @@ def global_state() -> Iterator[None]:
     torch.set_rng_state(torch_state)
     np.random.set_state(numpy_state)  # noqa: NPY002
     random.setstate(python_state)
+    # A run logs into its own directory, which goes with the test; what logs later must not look for it.
+    for handler in set(log_files()) - set(logs):
+        logging.getLogger().removeHandler(handler)
+        handler.close()
     assert torch.get_default_dtype() == torch.float32, "the test changed torch's default dtype"
 
 
