@@ -81,26 +81,35 @@ def priors_of(found: Example) -> list:
     return [found.problem.priors[p.kind, p.dof] for p in found.problem.uncertain]
 
 
-NUTS = {"chains": 2, "warmup": 150, "draws": 600}
+LONG, SHORT = {"chains": 2, "warmup": 200, "draws": 1000}, {"chains": 1, "warmup": 100, "draws": 400}
 
 
+@pytest.mark.parametrize("which", ["conditional", "marginal"])
 @pytest.mark.parametrize(
-    ("posterior", "which", "tolerance"),
-    [
-        (Conditional(**NUTS), "conditional", 0.1),
-        (Marginal(**NUTS), "marginal", 0.1),
-        (Laplace(4000), "marginal", 0.1),
-    ],
-    ids=["conditional", "marginal", "laplace"],
+    ("unknown", "settings", "tolerance"),
+    [(TWO, SHORT, 0.2), pytest.param(None, LONG, 0.1, marks=pytest.mark.slow)],
+    ids=["two unknown", "four unknown"],
 )
-@pytest.mark.parametrize("unknown", [None, TWO], ids=["four unknown", "two unknown"])
-def test_samplers_against_the_closed_form_under_normal_priors(posterior, which, tolerance, unknown):
-    """Twelve hundred draws of NUTS know a mean to 0.03 and a standard deviation to 3 %."""
+def test_nuts_against_the_closed_form_under_normal_priors(which, unknown, settings, tolerance):
+    """Four hundred draws of NUTS know a mean to 0.05 standard deviations, and those to 4 %; two thousand to half."""
+    kind = {"conditional": Conditional, "marginal": Marginal}[which]
+    assert_found(kind(**settings), which, unknown, tolerance)
+
+
+@pytest.mark.parametrize("unknown", [TWO, None], ids=["two unknown", "four unknown"])
+def test_laplace_against_the_closed_form_under_normal_priors(unknown):
+    """The noise of a short record is a little skewed: its mode is 0.14 of its standard deviation from its mean."""
+    assert_found(Laplace(4000), "marginal", unknown, 0.06, of_noise=0.2)
+
+
+def assert_found(posterior, which: str, unknown, tolerance: float, of_noise: float | None = None) -> None:
     both, priors = likelihoods(unknown), example(unknown).problem.priors
     samples = posterior.find(both.marginal, both.conditional, priors, RunContext(seed=5))
     mean, std = conjugate(getattr(both, which), priors_of(example(unknown)))
     found_mean, found_std = moments(samples)
-    np.testing.assert_allclose((found_mean - mean) / std, 0.0, atol=tolerance)
+    off = np.abs(found_mean - mean) / std
+    assert off[:-1].max() < tolerance
+    assert off[-1] < (of_noise or tolerance)
     np.testing.assert_allclose(found_std / std, 1.0, atol=tolerance)
 
 
@@ -211,13 +220,14 @@ def hamiltonian(density: JointDensity, draws: int, seed: int) -> np.ndarray:
 @pytest.mark.slow
 def test_a_duffing_chain_against_an_exact_sampler_over_all_weights_and_parameters():
     scheme = Bayesian(priors=VAGUE)
-    found = solved(posed(small_chain("duffing", ndof=2), scheme, samples=193, duration=15.0, rms=6.0), 50)
+    found = solved(posed(small_chain("duffing", ndof=2), scheme, samples=257, duration=15.0, rms=6.0), 75)
     both = parameter_likelihoods(found.evidence, found.trained)
-    samples = Marginal(2, 500, 4000).find(both.marginal, both.conditional, found.problem.priors, RunContext())
-    draws = hamiltonian(JointDensity(found), 20000, 0)[500:, -len(both.marginal.names) - 1 :]
+    samples = Marginal(2, 300, 2000).find(both.marginal, both.conditional, found.problem.priors, RunContext())
+    draws = hamiltonian(JointDensity(found), 8000, 0)[200:, -len(both.marginal.names) - 1 :]
     exact_mean, exact_std = draws.mean(axis=0), draws.std(axis=0)
     mean, std = moments(samples)
     exact_mean[-1] += np.log(both.marginal.sigma_force[0])
     difference, ratio = (mean - exact_mean) / exact_std, std / exact_std
+    print(found.trained.noise.discrepancy / found.trained.noise.force, difference, ratio)
     np.testing.assert_allclose(difference, 0.0, atol=0.15)
     np.testing.assert_allclose(ratio, 1.0, atol=0.1)
