@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.paper.digests import package_versions
+from pinn_cli.report.paper.figure_list import PAPER_FIGURES
 from pinn_cli.report.paper.plan import planned_runs
 from pinn_cli.report.paper.runs import make_runs
 
@@ -27,7 +28,7 @@ def make_paper(output: Path, runner: Runner | None = None) -> int:
     Returns:
         0, or 1 if a run failed: what could be made without it is there nevertheless.
     """
-    from pinn_cli.report.paper.figures import PAPER_FIGURES
+    # pandas, torch and matplotlib are wanted once the runs are there: --help need not wait for them.
     from pinn_cli.report.paper.report import ReportContent, write_report
     from pinn_cli.report.paper.tables import paper_tables, write_tables
 
@@ -42,8 +43,6 @@ def make_paper(output: Path, runner: Runner | None = None) -> int:
 
 def make_figures(output: Path, runner: Runner | None = None) -> int:
     """Make the runs that a figure is drawn from, where they are missing, and draw the figures; as `make_paper`."""
-    from pinn_cli.report.paper.figures import PAPER_FIGURES
-
     runs, failures = _runs(output, {figure.run for figure in PAPER_FIGURES}, runner)
     _figures(runs, output)
     print(output / "figures")
@@ -56,7 +55,7 @@ def _runs(output: Path, names: set[str] | None, runner: Runner | None) -> tuple[
 
 
 def _figures(runs: Sequence[FinishedRun], output: Path) -> dict[int, Path]:
-    from pinn_cli.report.paper.figures import PAPER_FIGURES, draw_figures
+    from pinn_cli.report.paper.figures import draw_figures
 
     directory = output / "figures"
     drawn = draw_figures({run.planned.name: run.directory for run in runs}, directory)

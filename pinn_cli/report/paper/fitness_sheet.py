@@ -8,6 +8,7 @@ import numpy as np
 
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report.comparison import GROUP_TITLES
+from pinn_cli.report.paper.plan import source_title
 from pinn_cli.report.paper.sheet import Cell, Mark, Row, Sheet, number
 
 if TYPE_CHECKING:
@@ -70,9 +71,9 @@ def _source_rows(ours: pd.DataFrame, sources: Sequence[Variant], columns: list[t
         cells = ours[ours["variant"] == source.name].set_index(["group", "quantity"]).to_dict(orient="index")
         if not cells:
             continue
-        ranged.append(Row(("", source.title), tuple(_compared(cells.get(key)) for key in columns)))
+        ranged.append(Row(("", source_title(source)), tuple(_compared(cells.get(key)) for key in columns)))
         strict = tuple(number(cells[key]["fitness_percent"], ".2f") if key in cells else Cell("-") for key in columns)
-        printed.append(Row(("", f"{source.title}, printed"), strict, secondary=True))
+        printed.append(Row(("", f"{source_title(source)}, printed"), strict, secondary=True))
     return ranged + printed
 
 

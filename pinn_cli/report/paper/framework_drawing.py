@@ -77,9 +77,9 @@ def _draw_losses(axes: Axes) -> None:
         (5.75, 1.42),
         (1.3, 0.74),
         "physics\n"
-        + r"$L_p=\langle f^{*}-\tilde{f}\,\rangle$"
-        + "\n"
-        + r"$L_c=\langle \dot{u}-\mathrm{d}u/\mathrm{d}t\rangle$",
+        r"$L_p=\langle f^{*}-\tilde{f}\,\rangle$"
+        "\n"
+        r"$L_c=\langle \dot{u}-\mathrm{d}u/\mathrm{d}t\rangle$",
         _PHYSICS,
     )
     for height in (2.75, 1.79):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pinn_cli.report.paper.plan import source_title
 from pinn_cli.report.paper.sheet import Cell, Mark, Row, Sheet, number
 from pinn_cli.report.parameter_comparison import to_digits_of
 
@@ -61,7 +62,7 @@ def parameter_sheet(
         for source in sources:
             ours = [found.get((case, source.name, name)) for case, name in keys]
             if any(ours):
-                rows.append(Row(("", source.title), tuple(cell for row in ours for cell in _ours(row))))
+                rows.append(Row(("", source_title(source)), tuple(cell for row in ours for cell in _ours(row))))
     groups = tuple((_CASES.get(str(case), str(case)), len(COLUMNS)) for case in parameters)
     columns = COLUMNS * len(groups)
     return Sheet(table.name, table.title, NOTE, ("Parameter", "Estimate"), groups, columns, tuple(rows))
@@ -115,7 +116,7 @@ def perturbed_sheet(comparison: pd.DataFrame, sources: Sequence[Variant]) -> She
             rows.append(Row((name if position == 0 else "", title), cells, begins=position == 0))
         errors = {source.name: (block[source.name] - block["drawn"]).abs() for source in known}
         rows += [
-            Row(("", f"{source.title}, estimate"), tuple(number(value, ".2f", _nearer(errors, source.name, i))
+            Row(("", f"{source_title(source)}, estimate"), tuple(number(value, ".2f", _nearer(errors, source.name, i))
                 for i, value in zip(block.index, block[source.name], strict=True)))
             for source in known
         ]  # fmt: skip

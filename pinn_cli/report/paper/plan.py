@@ -52,6 +52,11 @@ def planned_runs() -> list[PlannedRun]:
     return list(dict.fromkeys(runs))
 
 
+def source_title(variant: Variant) -> str:
+    """What a row of a table calls a variant."""
+    return variant.title if variant.name == SMOOTHER.name else f"ours, {variant.title}"
+
+
 def _with_smoother(variants: tuple[Variant, ...]) -> tuple[Variant, ...]:
     """The first variant solves the same problem by the smoother too."""
     first, *others = variants

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from pinn_cli.report.paper.figures import PaperFigure
+    from pinn_cli.report.paper.figure_list import PaperFigure
     from pinn_cli.report.paper.runs import FinishedRun
     from pinn_cli.report.paper.tables import PaperTable
 
@@ -141,4 +141,10 @@ def _run_row(run: FinishedRun) -> str:
     variant = run.planned.variant
     settings = f"<br><code>{escape(' '.join(variant.overrides))}</code>" if variant.overrides else ""
     cells = "".join(f"<td>{text}</td>" for text in (*stages, f"{run.process_seconds:.1f}"))
-    return f'<tr><th scope="row">{escape(run.planned.case)}</th><th scope="row">{escape(variant.title)}{settings}</th>{cells}</tr>'
+    heads = f'<th scope="row">{escape(run.planned.case)}</th><th scope="row">{escape(variant.title)}{settings}</th>'
+    return f"<tr>{heads}{cells}</tr>"
+
+
+def _seconds(value: float) -> str:
+    """A dash where nothing was done, which takes no time worth a digit."""
+    return f"{value:.1f}" if value >= 0.05 else "-"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 INTRODUCTION = (
-    "<p>Haywood-Alexander, Arcieri, Kamariotis and Chatzi, <i>Response Estimation and System Identification of Dynamical "
+    "<p>Haywood-Alexander, Arcieri, Kamariotis and Chatzi, <i>Response Estimation and System Identification of "
+    "Dynamical "
     "Systems via Physics-Informed Neural Networks</i>: every table and figure, computed again from the signals of the "
     "authors' public code. Beside each published value stand ours (<code>pinn-run</code> with its defaults, prescribed "
     "parameters uncertain), ours with prescribed parameters held fixed as in the paper, and those of an iterated "
@@ -41,7 +42,8 @@ authors' code trains the network with the true parameters; here they are unknown
 STYLE = """
 :root { color-scheme: light; }
 * { box-sizing: border-box; }
-body { margin: 0; background: #fff; color: #1a1a1a; font: 16px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
+body { margin: 0; background: #fff; color: #1a1a1a; }
+body { font: 16px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
 main { max-width: 76rem; margin: 0 auto; padding: 1rem; }
 p, ul, figcaption { max-width: 50rem; }
 h1 { font-size: 1.6rem; line-height: 1.2; }
@@ -55,7 +57,8 @@ img { display: block; max-width: 100%; height: auto; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .82rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .15rem .45rem; text-align: right; white-space: nowrap; }
-th[scope=row] { text-align: left; font-weight: 400; }
+thead th.head, th[scope=row] { text-align: left; }
+tbody th { font-weight: 400; }
 thead th { font-weight: 600; border-bottom: 1px solid #333; }
 th[colspan], th[scope=colgroup] { text-align: center; }
 tr.begins > * { border-top: 1px solid #bbb; }

@@ -26,6 +26,9 @@ _LATEX = str.maketrans(
      "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "κ": r"$\kappa$", "μ": r"$\mu$",
      "–": "--", "²": "$^2$", "‖": r"$\|$", "·": r"$\cdot$"}
 )  # fmt: skip
+# Letters with a combining accent are two characters, which a translation by character cannot see.
+_ACCENTED = {"x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$"}
+_ACCENTS = re.compile(f"({'|'.join(_ACCENTED)})")
 _HTML = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"})
 
 
@@ -97,7 +100,9 @@ def written(text: str, form: Form) -> str:
     names = text.split("/")
     if all(name in _QUANTITIES or _PARAMETER.fullmatch(name) for name in names):
         return "/".join(_symbol(name, form) for name in names)
-    return text if form == "plain" else text.translate(_LATEX if form == "latex" else _HTML)
+    if form == "latex":
+        return "".join(_ACCENTED.get(part, part.translate(_LATEX)) for part in _ACCENTS.split(text))
+    return text if form == "plain" else text.translate(_HTML)
 
 
 def _symbol(name: str, form: Form) -> str:

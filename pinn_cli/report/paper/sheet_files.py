@@ -82,7 +82,8 @@ def html(sheet: Sheet) -> str:
     )
     named = any(title for title, _ in sheet.groups)
     top = f'<tr><td colspan="{len(sheet.heads)}"></td>{groups}</tr>\n' if named else ""
-    titles = "".join(f'<th scope="col">{written(text, "html")}</th>' for text in (*sheet.heads, *sheet.columns))
+    titles = "".join(f'<th class="head" scope="col">{written(text, "html")}</th>' for text in sheet.heads)
+    titles += "".join(f'<th scope="col">{written(text, "html")}</th>' for text in sheet.columns)
     return (
         f'<figure class="table" id="{sheet.name}">\n'
         f"<figcaption><b>{written(sheet.title, 'html')}.</b> {written(sheet.note, 'html')}</figcaption>\n"
