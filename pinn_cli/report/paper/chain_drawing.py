@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -85,7 +85,7 @@ def _draw_spring(axes: Axes, left: float, right: float, height: float) -> None:
 
 def _draw_damper(axes: Axes, left: float, right: float, height: float) -> None:
     middle = (left + right) / 2.0
-    line = {"color": style.BLACK, "linewidth": 0.8}
+    line: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8}
     axes.plot([left, middle - 0.15], [height, height], **line)
     axes.plot([middle + 0.15, middle - 0.15, middle - 0.15, middle + 0.15],
               [height + 0.1, height + 0.1, height - 0.1, height - 0.1], **line)  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -33,8 +33,14 @@ _SCHEMES = (
     _Domains("(c) state-parameter estimation", (1, 3, 5, 6)),
     _Domains("(d) Bayesian parameter estimation", tuple(range(1, _NDOF + 1))),
 )
-_POINT = {"linestyle": "none", "marker": "o", "markersize": 3.2, "markeredgewidth": 0, "color": style.VERMILLION}
-_AREA = {"facecolor": style.SKY, "alpha": 0.35, "linewidth": 0}
+_POINT: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 3.2,
+    "markeredgewidth": 0,
+    "color": style.VERMILLION,
+}
+_AREA: dict[str, Any] = {"facecolor": style.SKY, "alpha": 0.35, "linewidth": 0}
 
 
 def domain_figure() -> Figure:

@@ -82,8 +82,8 @@ def _summary(content: ReportContent) -> str:
         listed = "".join(f"<li>{escape(failure.splitlines()[0])}</li>" for failure in content.failures)
         failed = f'<p class="worse">Runs that failed; their cells are missing:</p><ul>{listed}</ul>'
     head = "<tr><th>Values at least as good as the published ones</th><th>ours</th><th>Kalman smoother</th></tr>"
-    table = f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
-    return f"{failed}\n{table}"
+    counts = f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
+    return f"{failed}\n{counts}"
 
 
 def _figure(figure: PaperFigure, images: Mapping[int, Path]) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-
-import pandas as pd
 
 from pinn_cli.report.comparison import GROUP_TITLES
 from pinn_cli.report.paper.plan import SMOOTHER
@@ -75,7 +74,7 @@ def fitness_reason(row: dict[Any, Any], smoother: float) -> str:
         smoother: Its range fitness in percent; NaN where there is none.
     """
     ours = row["range_fitness_percent"]
-    if pd.isna(smoother):
+    if math.isnan(smoother):
         return "No smoother stands beside it, so noise and method cannot be told apart."
     if smoother <= ours + NEAR:
         limit = "model and noise allow" if "snr50" not in row["case"] else "the record allows"
