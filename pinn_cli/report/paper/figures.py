@@ -63,7 +63,8 @@ def draw(figure: PaperFigure, run: Path | None) -> Figure:
     if figure.kind == "error_map":
         return error_map_figure(saved.estimate, saved.record, saved.truth)
     linear = equivalent_linear(figure.case) if figure.case.endswith("_linear") else None
-    beside = next(iter(saved.baselines.items()), None)
+    smoothed = saved.baselines.get(SMOOTHER.name)
+    beside = None if smoothed is None else (SMOOTHER.title, smoothed)
     return response_figure(saved.estimate, saved.record, saved.truth, linear, baseline=beside)
 
 

@@ -30,7 +30,7 @@ _CASES = {
 COLUMNS = ("True", "Estimate", "Error (%)", "Std")
 NOTE = (
     "Errors are 100 |estimate − true| / |true|; std is the posterior standard deviation, which the paper gives for the "
-    "Bayesian cases only. k in N/m, c in N s/m, κ in N/m³, μ in N s/m³."
+    "Bayesian cases only. k in N/m, c in N s/m, κ in N/m³, μ in N s/m."
 )
 TABLE1_NOTE = (
     "Of the 6-DOF chain whose estimator is given wrong values: k in N/m, c in N s/m, κ in N/m³. The true values are "

@@ -98,9 +98,10 @@ def _figure(figure: PaperFigure, images: Mapping[int, Path]) -> str:
 
 
 def _fidelity(content: ReportContent) -> str:
+    words = f"{FIDELITY}\n{_without_smoother(content.runs)}"
     found = shortfalls(content.tables)
     if not found:
-        return f"{FIDELITY}\n<p>No value of ours is worse than the published one.</p>"
+        return f"{words}\n<p>No value of ours is worse than the published one.</p>"
     rows = "\n".join(
         f'<tr><td>{escape(item.table)}</td><th scope="row">{escape(item.cell)}</th><td>{escape(item.published)}</td>'
         f'<td>{escape(item.ours)}</td><td class="text">{escape(item.reason)}</td></tr>'
@@ -108,8 +109,24 @@ def _fidelity(content: ReportContent) -> str:
     )
     head = "<tr><th>Table</th><th>Cell</th><th>published</th><th>ours</th><th>why</th></tr>"
     return (
-        f"{FIDELITY}\n<h3>Every value of ours that is worse than the published one: {len(found)}</h3>\n"
+        f"{words}\n<h3>Every value of ours that is worse than the published one: {len(found)}</h3>\n"
         f'<div class="scroll" tabindex="0"><table>\n<thead>{head}</thead>\n<tbody>\n{rows}\n</tbody>\n</table></div>'
+    )
+
+
+def _without_smoother(runs: Sequence[FinishedRun]) -> str:
+    """Where the smoother was asked for and found nothing."""
+    cases = [
+        run.planned.case
+        for run in runs
+        if SMOOTHER.name in " ".join(run.planned.variant.overrides)
+        and SMOOTHER.name not in {estimate.variant for estimate in run.estimates()}
+    ]
+    if not cases:
+        return ""
+    return (
+        f"<p><b>No smoother.</b> The Kalman smoother found no estimate of {escape(', '.join(cases))}: its covariances "
+        "did not stay positive definite from where the unknown parameters start.</p>"
     )
 
 

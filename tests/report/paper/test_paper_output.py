@@ -70,6 +70,7 @@ def test_report_says_what_was_run(paper):
     assert "numpy" in text
     assert "sp_5dof_snr10, k_2" in text  # 0.8 % off where 0.145 % is published
     assert "Barely identifiable" not in text
+    assert "no estimate of pe_2dof_duffing, pe_2dof_van_der_pol" in text
 
 
 @pytest.mark.parametrize("number", range(1, 7))
