@@ -9,7 +9,7 @@ INSTALLED := $(VENV)/.installed
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format bench calibration table1 table2 table3 table4 table5 table6 clean
+.PHONY: help venv run test test-all lint format bench calibration table1 table2 table3 table4 table5 table6 paper figures clean
 
 help: ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -65,6 +65,12 @@ table5: venv ## the paper's state-parameter table: fitness of its six cases, pub
 
 table6: venv ## the paper's Bayesian table: marginal, conditional and Laplace posteriors, published beside ours
 	$(BIN)/python -m pinn_cli.report.tables table6 $(ARGS)
+
+paper: venv ## outputs/paper: every run that is missing, Tables 1 to 6, Figures 1 to 14 and report.html
+	$(BIN)/python -m pinn_cli.report.paper $(ARGS)
+
+figures: venv ## outputs/paper/figures: Figures 1 to 14, with the runs that they need
+	$(BIN)/python -m pinn_cli.report.paper figures $(ARGS)
 
 clean: ## remove the environment, builds, caches and every result in outputs/
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -65,6 +65,19 @@ class DenseModel:
         ]
         return total, by_weights, np.array(by_theta)
 
+    def square_of_force(self, weights: np.ndarray, theta: Sequence[float]) -> float:
+        """Sum of squares of the first DOF's force residual, N^2."""
+        residual = self.required(weights, theta) - self.record.force
+        return float(np.sum(residual[:, 0] ** 2))
+
+    def required(self, weights: np.ndarray, theta: Sequence[float]) -> np.ndarray:
+        """(N, n), the force that a motion takes."""
+        p = self.parameters(theta)
+        u, v, a = (features @ weights for features in self.at_force)
+        e, de = (np.diff(x, axis=1, prepend=0.0) for x in (u, v))
+        carried = p["c"] * de + p["k"] * e + p.get("kappa", 0.0) * e**3
+        return p["m"] * a + carried - np.append(carried[:, 1:], np.zeros((len(u), 1)), axis=1)
+
     def marginal(self, theta: Sequence[float]) -> tuple[float, float]:
         """Of a linear chain: the least sum of squares of all weights, and the log determinant of its Hessian."""
         hessian, right, constant = self._quadratic(theta)
@@ -95,11 +108,7 @@ class DenseModel:
     def force(self, theta: Sequence[float]) -> np.ndarray:
         """(N, n), what the most probable motion of a linear chain takes with these parameters."""
         hessian, right, _ = self._quadratic(theta)
-        weights = np.linalg.solve(hessian, right).reshape(self.shape[1], -1).T
-        u, v, a = (features @ weights for features in self.at_force)
-        p = self.parameters(theta)
-        carried = p["c"] * np.diff(v, axis=1, prepend=0.0) + p["k"] * np.diff(u, axis=1, prepend=0.0)
-        return p["m"] * a + carried - np.append(carried[:, 1:], np.zeros((len(u), 1)), axis=1)
+        return self.required(np.linalg.solve(hessian, right).reshape(self.shape[1], -1).T, theta)
 
     def _quadratic(self, theta: Sequence[float]) -> tuple[np.ndarray, np.ndarray, float]:
         """Chi^2 = w^T H w - 2 g^T w + constant, w (n K,) DOF by DOF."""

@@ -80,7 +80,12 @@ def run_case(case: str, variant: Variant, directory: Path) -> CaseRun:
 
 def command_of(case: str, variant: Variant) -> list[str]:
     """The command of a run, as a list of arguments."""
-    return [sys.executable, "-m", "pinn_cli.main", f"experiment=paper/{case}", *variant.overrides]
+    return [sys.executable, "-m", "pinn_cli.main", *overrides_of(case, variant)]
+
+
+def overrides_of(case: str, variant: Variant) -> list[str]:
+    """The overrides of a run, as `pinn-run` takes them."""
+    return [f"experiment=paper/{case}", *variant.overrides]
 
 
 def run_cases(cases: Sequence[str], variants: Sequence[Variant], directory: Path) -> tuple[list[CaseRun], list[str]]:

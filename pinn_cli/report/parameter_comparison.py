@@ -92,7 +92,7 @@ def _variant_table(rows: pd.DataFrame) -> list[str]:
 
 def _cells(row: Mapping[Hashable, Any], with_std: bool) -> list[str]:
     mark = f" {LARGER}" if row["larger_error"] else ""
-    estimate, lower, upper = (_to_digits_of(row["std"], row[name]) for name in ("estimate", "lower_90", "upper_90"))
+    estimate, lower, upper = (to_digits_of(row["std"], row[name]) for name in ("estimate", "lower_90", "upper_90"))
     inside = "nan" if pd.isna(row["truth_inside"]) else "yes" if row["truth_inside"] else "no"
     return [
         str(row["parameter"]),
@@ -108,7 +108,7 @@ def _cells(row: Mapping[Hashable, Any], with_std: bool) -> list[str]:
     ]
 
 
-def _to_digits_of(std: float, value: float) -> str:
+def to_digits_of(std: float, value: float) -> str:
     """The value to the second digit of its standard deviation; to five digits where there is none."""
     if not std > 0.0:
         return f"{value:.5g}"

@@ -1,0 +1,233 @@
+"""Posteriors of real, small records against exact ones: closed forms, quadrature, and a sampler over all weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from bayesian_problems import Example, posed, solved
+from dense_model import DenseModel
+from small_problems import small_chain
+
+from pinn_cli.posterior.conditional import Conditional
+from pinn_cli.posterior.laplace import Laplace
+from pinn_cli.posterior.likelihood import ParameterLikelihood
+from pinn_cli.posterior.marginal import Marginal
+from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.posterior.target import S_STD
+from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
+
+# Priors that pull: about as narrow as the likelihood, and off the truth.
+PULLING = {
+    "k": {"kind": "normal", "mean": 15.5, "std": 0.4},
+    "c": {"kind": "normal", "mean": 0.8, "std": 0.2},
+}
+VAGUE = {
+    "k": {"kind": "normal", "mean": 15.0, "std": 100.0},
+    "c": {"kind": "normal", "mean": 1.0, "std": 10.0},
+    "kappa": {"kind": "normal", "mean": 100.0, "std": 1e4},
+}
+TWO = ("c_1", "k_1")
+
+
+@cache
+def example(unknown: tuple[str, ...] | None = None) -> Example:
+    """A linear chain of two DOFs, of which all or two parameters are unknown."""
+    scheme = Bayesian(priors=PULLING, unknown=unknown)
+    return solved(posed(small_chain("linear", ndof=2), scheme, samples=129, duration=10.0, snr_db=15.0), 40)
+
+
+@cache
+def likelihoods(unknown: tuple[str, ...] | None = None) -> ParameterLikelihoods:
+    return parameter_likelihoods(example(unknown).evidence, example(unknown).trained)
+
+
+def moments(samples: PosteriorSamples) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of the parameters, then of the logarithm of the first force's noise."""
+    draws = np.concatenate((samples.draws, np.log(samples.sigma_force[..., :1])), axis=-1)
+    flat = draws.reshape(-1, draws.shape[-1])
+    return flat.mean(axis=0), flat.std(axis=0)
+
+
+def conjugate(likelihood: ParameterLikelihood, priors) -> tuple[np.ndarray, np.ndarray]:
+    """Exact moments under Normal priors: Gaussian given s, which a fine grid sums over.
+
+    The likelihood given s is the exponential of a parabola, so that value and gradient at a few points are all of it.
+    """
+    place = np.array([prior.location for prior in priors])
+    believed = np.diag([prior.scale**-2.0 for prior in priors])
+    rows = []
+    for s in np.linspace(-12.0, 12.0, 241) * likelihood.s_std:
+        value, slope, _ = likelihood.evaluate(place, s)
+        units = np.sqrt(np.diag(np.linalg.inv(likelihood.curvature)))
+        told = np.stack([(slope - likelihood.evaluate(place + h, s)[1]) / h.sum() for h in np.diag(units)])
+        precision = 0.5 * (told + told.T) + believed
+        move = np.linalg.solve(precision, slope)
+        odds = value + 0.5 * slope @ move - 0.5 * np.linalg.slogdet(precision)[1] - 0.5 * (s / S_STD) ** 2
+        rows.append((odds, np.append(place + move, s), np.append(np.diag(np.linalg.inv(precision)), 0.0)))
+    odds, means, variances = (np.array(column) for column in zip(*rows, strict=True))
+    weight = np.exp(odds - odds.max())
+    weight /= weight.sum()
+    mean = weight @ means
+    std = np.sqrt(weight @ (variances + (means - mean) ** 2))
+    return mean + np.append(np.zeros(len(priors)), np.log(likelihood.sigma_force[0])), std
+
+
+def priors_of(found: Example) -> list:
+    return [found.problem.priors[p.kind, p.dof] for p in found.problem.uncertain]
+
+
+LONG, SHORT = {"chains": 2, "warmup": 200, "draws": 1000}, {"chains": 1, "warmup": 100, "draws": 400}
+
+
+@pytest.mark.parametrize("which", ["conditional", "marginal"])
+@pytest.mark.parametrize(
+    ("unknown", "settings", "tolerance"),
+    [(TWO, SHORT, 0.2), pytest.param(None, LONG, 0.1, marks=pytest.mark.slow)],
+    ids=["two unknown", "four unknown"],
+)
+def test_nuts_against_the_closed_form_under_normal_priors(which, unknown, settings, tolerance):
+    """Four hundred draws of NUTS know a mean to 0.05 standard deviations, and those to 4 %; two thousand to half."""
+    kind = {"conditional": Conditional, "marginal": Marginal}[which]
+    assert_found(kind(**settings), which, unknown, tolerance)
+
+
+@pytest.mark.parametrize("unknown", [TWO, None], ids=["two unknown", "four unknown"])
+def test_laplace_against_the_closed_form_under_normal_priors(unknown):
+    """The noise of a short record is a little skewed: its mode is 0.14 of its standard deviation from its mean."""
+    assert_found(Laplace(4000), "marginal", unknown, 0.06, of_noise=0.2)
+
+
+def assert_found(posterior, which: str, unknown, tolerance: float, of_noise: float | None = None) -> None:
+    both, priors = likelihoods(unknown), example(unknown).problem.priors
+    samples = posterior.find(both.marginal, both.conditional, priors, RunContext(seed=5))
+    mean, std = conjugate(getattr(both, which), priors_of(example(unknown)))
+    found_mean, found_std = moments(samples)
+    off = np.abs(found_mean - mean) / std
+    assert off[:-1].max() < tolerance
+    assert off[-1] < (of_noise or tolerance)
+    np.testing.assert_allclose(found_std / std, 1.0, atol=tolerance)
+
+
+def quadrature(exact: Callable[[np.ndarray], float], mean: np.ndarray, covariance: np.ndarray, order: int = 9):
+    """Moments of a density that is near a given Gaussian: Gauss and Hermite's points, weighed by what it differs."""
+    root = np.linalg.cholesky(covariance)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(order)
+    grid = np.stack(np.meshgrid(*[nodes] * len(mean), indexing="ij"), -1).reshape(-1, len(mean))
+    weight = np.prod(np.stack(np.meshgrid(*[weights] * len(mean), indexing="ij"), -1).reshape(-1, len(mean)), axis=1)
+    theta = mean + grid @ root.T
+    odds = np.array([exact(at) for at in theta]) + 0.5 * np.sum(grid**2, axis=1)
+    weight = weight * np.exp(odds - odds.max())
+    weight /= weight.sum()
+    centre = weight @ theta
+    return centre, np.sqrt(weight @ (theta - centre) ** 2)
+
+
+def test_a_linear_chain_against_its_exact_posterior():
+    """All weights integrated out by dense algebra, the noise at three levels, the parameters by quadrature."""
+    found, marginal, priors = example(TWO), likelihoods(TWO).marginal, priors_of(example(TWO))
+    precision = marginal.curvature + np.diag([prior.scale**-2.0 for prior in priors])
+    pull = marginal.curvature @ marginal.peak + [prior.location / prior.scale**2 for prior in priors]
+    centre, covariance = np.linalg.solve(precision, pull), np.linalg.inv(precision)
+    mean, std = conjugate(marginal, priors)
+    # The noise of the force is nearly independent of the parameters: given at its own mean.
+    s = mean[-1] - np.log(marginal.sigma_force[0])
+    dense = DenseModel(found, s)
+
+    def exact(theta: np.ndarray) -> float:
+        prior = sum(float(p.log_density(t)) for p, t in zip(priors, theta, strict=True))
+        return dense.log_likelihood(theta, s) + prior
+
+    exact_mean, exact_std = quadrature(exact, centre, covariance)
+    np.testing.assert_allclose((mean[:-1] - exact_mean) / exact_std, 0.0, atol=0.1)
+    np.testing.assert_allclose(std[:-1] / exact_std, 1.0, atol=0.05)
+
+
+class JointDensity:
+    """Of all weights, parameters and the force's noise of a Duffing chain, in coordinates white at the given point."""
+
+    def __init__(self, found: Example) -> None:
+        self.found, self.dense = found, DenseModel(found)
+        equations, point = found.equations, found.trained.solution.point
+        weights = equations.readout(point)[0].numpy()
+        values = equations.parameters(point)
+        theta = [float(values[p.kind][p.dof]) for p in found.problem.uncertain]
+        self.centre = np.concatenate((weights.ravel(), theta, [0.0]))
+        self.size = len(self.centre)
+        self.priors = priors_of(found)
+        self.root = self._whitened()
+
+    def log_density(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        count = self.dense.shape[0] * self.dense.shape[1]
+        weights, theta, s = x[:count].reshape(self.dense.shape), x[count:-1], x[-1]
+        force = self.dense.noise.force[0] * np.exp(s)
+        self.dense.variance[0] = force**2 + self.dense.noise.discrepancy**2
+        chi_square, by_weights, by_theta = self.dense.chi_square(weights, theta)
+        of_force, samples = self.dense.square_of_force(weights, theta), len(self.dense.record.time)
+        share = force**2 / self.dense.variance[0]
+        by_s = share * (of_force / self.dense.variance[0] - samples) - s / S_STD**2
+        value = -0.5 * chi_square - 0.5 * samples * np.log(self.dense.variance[0]) - 0.5 * (s / S_STD) ** 2
+        value += sum(float(p.log_density(t)) for p, t in zip(self.priors, theta, strict=True))
+        slope = np.array([float(p.slope(t)) for p, t in zip(self.priors, theta, strict=True)])
+        return value, np.concatenate((-0.5 * by_weights.ravel(), slope - 0.5 * by_theta, [by_s]))
+
+    def potential(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        value, gradient = self.log_density(self.centre + self.root @ q)
+        return -value, -self.root.T @ gradient
+
+    def _whitened(self) -> np.ndarray:
+        """Newton steps to the mode; then the inverse root of the Hessian there."""
+        for _ in range(5):
+            hessian = self._hessian()
+            self.centre = self.centre + np.linalg.solve(hessian, self.log_density(self.centre)[1])
+        return np.linalg.inv(np.linalg.cholesky(self._hessian())).T
+
+    def _hessian(self) -> np.ndarray:
+        steps = 1e-5 * np.maximum(np.abs(self.centre), 0.1)
+        rows = [
+            (self.log_density(self.centre - h)[1] - self.log_density(self.centre + h)[1]) / (2.0 * h.sum())
+            for h in np.diag(steps)
+        ]
+        return 0.5 * (np.array(rows) + np.array(rows).T)
+
+
+def hamiltonian(density: JointDensity, draws: int, seed: int) -> np.ndarray:
+    """(draws, size), by Hamiltonian Monte Carlo of random length: a textbook's, that shares nothing with NUTS."""
+    rng, step = np.random.default_rng(seed), 0.35
+    q = np.zeros(density.size)
+    value, slope = density.potential(q)
+    out, accepted = np.empty((draws, density.size)), 0
+    for i in range(draws):
+        p = rng.standard_normal(density.size)
+        energy = value + 0.5 * p @ p
+        there, momentum, at, pull = q.copy(), p - 0.5 * step * slope, value, slope
+        for _ in range(rng.integers(2, 7)):
+            there += step * momentum
+            at, pull = density.potential(there)
+            momentum -= step * pull
+        momentum += 0.5 * step * pull
+        if np.log(rng.random()) < energy - at - 0.5 * momentum @ momentum:
+            q, value, slope, accepted = there, at, pull, accepted + 1
+        out[i] = q
+    assert accepted > 0.6 * draws
+    return density.centre + out @ density.root.T
+
+
+@pytest.mark.slow
+def test_a_duffing_chain_against_an_exact_sampler_over_all_weights_and_parameters():
+    scheme = Bayesian(priors=VAGUE)
+    found = solved(posed(small_chain("duffing", ndof=2), scheme, samples=257, duration=15.0, rms=6.0), 75)
+    both = parameter_likelihoods(found.evidence, found.trained)
+    samples = Marginal(2, 300, 2000).find(both.marginal, both.conditional, found.problem.priors, RunContext())
+    draws = hamiltonian(JointDensity(found), 8000, 0)[200:, -len(both.marginal.names) - 1 :]
+    exact_mean, exact_std = draws.mean(axis=0), draws.std(axis=0)
+    mean, std = moments(samples)
+    exact_mean[-1] += np.log(both.marginal.sigma_force[0])
+    difference, ratio = (mean - exact_mean) / exact_std, std / exact_std
+    print(found.trained.noise.discrepancy / found.trained.noise.force, difference, ratio)
+    np.testing.assert_allclose(difference, 0.0, atol=0.15)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.1)
