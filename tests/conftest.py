@@ -26,7 +26,7 @@ def log_files() -> list[logging.Handler]:
 
 @pytest.fixture(autouse=True)
 def global_state() -> Iterator[None]:
-    """Put back the generators, thread counts, log files and environment that tests share; forbid a new default dtype."""
+    """Put back the generators, threads, log files and environment that tests share; forbid a new default dtype."""
     environment, threads, logs = dict(os.environ), torch.get_num_threads(), log_files()
     torch_state, python_state = torch.get_rng_state(), random.getstate()
     numpy_state = np.random.get_state()  # noqa: NPY002
