@@ -35,7 +35,8 @@ NOTE = (
 TABLE1_NOTE = (
     "Of the 6-DOF chain whose estimator is given wrong values: k in N/m, c in N s/m, κ in N/m³. The true values are "
     "drawn as the authors' code draws them. Below them is what uncertain parameters and the smoother make of the "
-    "prescribed values while they estimate the motion, which the paper does not attempt."
+    "prescribed values while they estimate the motion, which the paper does not attempt; "
+    "there a mark says which of the two is nearer to the truth."
 )
 
 
@@ -128,5 +129,5 @@ def perturbed_sheet(comparison: pd.DataFrame, sources: Sequence[Variant]) -> She
 
 def _nearer(errors: Mapping[str, pd.Series[float]], name: str, position: Any) -> Mark:
     """Nothing is published to compare with: the better of the estimates is marked."""
-    others = [error[position] for other, error in errors.items() if other != name]
-    return "better" if others and errors[name][position] < min(others) else ""
+    others = [round(error[position], 2) for other, error in errors.items() if other != name]
+    return "better" if others and round(errors[name][position], 2) < min(others) else ""

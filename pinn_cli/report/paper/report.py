@@ -81,7 +81,8 @@ def _summary(content: ReportContent) -> str:
     if content.failures:
         listed = "".join(f"<li>{escape(failure.splitlines()[0])}</li>" for failure in content.failures)
         failed = f'<p class="worse">Runs that failed; their cells are missing:</p><ul>{listed}</ul>'
-    head = "<tr><th>Values at least as good as the published ones</th><th>ours</th><th>Kalman smoother</th></tr>"
+    titles = "<th class=head>Values at least as good as the published ones</th><th>ours</th><th>Kalman smoother</th>"
+    head = f"<tr>{titles}</tr>"
     counts = f'<div class="scroll"><table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table></div>'
     return f"{failed}\n{counts}"
 
@@ -107,7 +108,10 @@ def _fidelity(content: ReportContent) -> str:
         f'<td>{escape(item.ours)}</td><td class="text">{escape(item.reason)}</td></tr>'
         for item in found
     )
-    head = "<tr><th>Table</th><th>Cell</th><th>published</th><th>ours</th><th>why</th></tr>"
+    head = (
+        "<tr><th class=head>Table</th><th class=head>Cell</th><th>published</th><th>ours</th>"
+        "<th class=head>why</th></tr>"
+    )
     return (
         f"{words}\n<h3>Every value of ours that is worse than the published one: {len(found)}</h3>\n"
         f'<div class="scroll" tabindex="0"><table>\n<thead>{head}</thead>\n<tbody>\n{rows}\n</tbody>\n</table></div>'
@@ -137,8 +141,8 @@ def _runs(content: ReportContent) -> str:
         f"{escape(name)} {escape(str(version))}" for name, version in content.versions.items() if version
     )
     head = (
-        "<tr><th>Case</th><th>variant</th><th>estimate (s)</th><th>posterior (s)</th><th>smoother (s)</th>"
-        "<th>whole process (s)</th></tr>"
+        "<tr><th class=head>Case</th><th class=head>variant</th><th>estimate (s)</th><th>posterior (s)</th>"
+        "<th>smoother (s)</th><th>whole process (s)</th></tr>"
     )
     return (
         f"<p>{len(content.runs)} runs, {total:.0f} s one after the other, imports and each run's own figures included. "

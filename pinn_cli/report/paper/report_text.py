@@ -68,6 +68,10 @@ td.better, span.better { background: #e3f3ea; font-weight: 600; }
 td.worse, span.worse { background: #fbe9df; }
 td span { display: inline-block; width: 1em; margin-left: .15em; font-size: .65em; }
 p.worse { background: #fbe9df; padding: .3rem .5rem; }
+@media (max-width: 45rem) {
+  tbody th[scope=row], thead th.head { white-space: normal; min-width: 5rem; max-width: 8rem; }
+  th, td { padding: .15rem .25rem; }
+}
 @media print {
   @page { size: A4 landscape; margin: 12mm; }
   body { font-size: 10pt; }

@@ -77,8 +77,7 @@ def fitness_reason(row: dict[Any, Any], smoother: float) -> str:
     if math.isnan(smoother):
         return "No smoother stands beside it, so noise and method cannot be told apart."
     if smoother <= ours + NEAR:
-        limit = "model and noise allow" if "snr50" not in row["case"] else "the record allows"
-        return f"The smoother reaches {smoother:.2f} % on the same record: this is what {limit} in this one draw."
+        return f"The smoother reaches {smoother:.2f} % on the same record: no more than the record and the model allow."
     return f"The smoother reaches {smoother:.2f} % on the same record: the shortfall is ours."
 
 

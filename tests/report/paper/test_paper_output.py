@@ -155,7 +155,7 @@ def test_values_that_are_worse_are_listed_with_a_reason(tmp_path, runner):
 
 def test_reasons():
     row = {"case": "sr_6dof_snr10", "range_fitness_percent": 95.0}
-    assert "the record allows" in fitness_reason(row, 95.05)
+    assert "the record and the model allow" in fitness_reason(row, 95.05)
     assert "the shortfall is ours" in fitness_reason(row, 97.0)
     assert "cannot be told apart" in fitness_reason(row, math.nan)
     row = {"case": "sp_5dof_snr10", "parameter": "kappa_2", "std": 25.0, "true": 100.0, "estimate": 56.0}
