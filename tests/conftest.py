@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 import sys
@@ -21,11 +22,18 @@ from pinn_cli.main import run
 
 @pytest.fixture(autouse=True)
 def global_state() -> Iterator[None]:
-    """Put back the generators, thread counts and environment that tests share, and forbid a changed default dtype."""
+    """Put back what tests share, generators, threads, environment and logging; forbid a changed default dtype."""
     environment, threads = dict(os.environ), torch.get_num_threads()
     torch_state, python_state = torch.get_rng_state(), random.getstate()
     numpy_state = np.random.get_state()  # noqa: NPY002
+    root, package = logging.getLogger(), logging.getLogger("pinn_cli")
+    handlers, levels = list(root.handlers), (root.level, package.level)
     yield
+    # Hydra leaves handlers behind that write to the streams of the test that called the program.
+    for handler in [handler for handler in root.handlers if handler not in handlers]:
+        root.removeHandler(handler)
+    root.setLevel(levels[0])
+    package.setLevel(levels[1])
     os.environ.clear()
     os.environ.update(environment)
     torch.set_num_threads(threads)
