@@ -20,27 +20,28 @@ from pinn_cli.command_line import execute
 from pinn_cli.main import run
 
 
-def log_files() -> list[logging.Handler]:
-    return [handler for handler in logging.getLogger().handlers if isinstance(handler, logging.FileHandler)]
-
-
 @pytest.fixture(autouse=True)
 def global_state() -> Iterator[None]:
-    """Put back the generators, threads, log files and environment that tests share; forbid a new default dtype."""
-    environment, threads, logs = dict(os.environ), torch.get_num_threads(), log_files()
+    """Put back what tests share, generators, threads, environment and logging; forbid a changed default dtype."""
+    environment, threads = dict(os.environ), torch.get_num_threads()
     torch_state, python_state = torch.get_rng_state(), random.getstate()
     numpy_state = np.random.get_state()  # noqa: NPY002
+    root, package = logging.getLogger(), logging.getLogger("pinn_cli")
+    handlers, levels = list(root.handlers), (root.level, package.level)
     yield
+    # A run logs to the streams and into the directory of its test, which go with it.
+    for handler in [handler for handler in root.handlers if handler not in handlers]:
+        root.removeHandler(handler)
+        if isinstance(handler, logging.FileHandler):
+            handler.close()
+    root.setLevel(levels[0])
+    package.setLevel(levels[1])
     os.environ.clear()
     os.environ.update(environment)
     torch.set_num_threads(threads)
     torch.set_rng_state(torch_state)
     np.random.set_state(numpy_state)  # noqa: NPY002
     random.setstate(python_state)
-    # A run logs into its own directory, which goes with the test; what logs later must not look for it.
-    for handler in set(log_files()) - set(logs):
-        logging.getLogger().removeHandler(handler)
-        handler.close()
     assert torch.get_default_dtype() == torch.float32, "the test changed torch's default dtype"
 
 

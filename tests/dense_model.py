@@ -14,6 +14,7 @@ from pinn_cli.physics import hold_delay
 class DenseModel:
     """Displacement and velocity of every DOF, the force residual, and their variances under an example's noise.
 
+    The discrepancy is as rich as the features: what they cannot follow of a measured force is its sensor's noise alone.
     Weights are (K, n); parameters are a vector in the order of the problem's uncertain ones.
     """
 
@@ -27,9 +28,23 @@ class DenseModel:
         later = record.time + hold_delay(record)
         self.at_force = tuple(spline.derivative(order)(later) for order in range(3))
         self.record, self.shape = record, (network.count, record.ndof)
-        force = np.nan_to_num(self.noise.force) * np.exp(s)
-        self.variance = force**2 + self.noise.discrepancy**2
+        self.basis = np.linalg.qr(self.at_force[0])[0]
+        self.forced = record.sensors("force")
+        self.set_noise(s)
         self.values = {kind: value.numpy().copy() for kind, value in self.problem.chain.parameters.items()}
+
+    def set_noise(self, s: float) -> None:
+        """Let the force sensors' noise be exp(s) times that of the example."""
+        self.sensor = (self.noise.force[self.forced] * np.exp(s)) ** 2
+        self.variance = np.full(self.shape[1], self.noise.discrepancy**2)
+        self.variance[self.forced] += self.sensor
+
+    def unseen(self, residual: np.ndarray) -> np.ndarray:
+        """What the features cannot follow of the force residual (N, n) of the measured forces; 0 elsewhere."""
+        out = np.zeros_like(residual)
+        measured = residual[:, self.forced]
+        out[:, self.forced] = measured - self.basis @ (self.basis.T @ measured)
+        return out
 
     def parameters(self, theta: Sequence[float]) -> dict[str, np.ndarray]:
         out = {kind: value.copy() for kind, value in self.values.items()}
@@ -51,7 +66,9 @@ class DenseModel:
         kappa = p.get("kappa", np.zeros(self.shape[1]))
         carried = p["c"] * de + p["k"] * e + kappa * e**3
         residual = p["m"] * a + carried - np.append(carried[:, 1:], np.zeros((len(u), 1)), axis=1) - self.record.force
-        weighted = 2.0 * residual / self.variance
+        finer = np.zeros(self.shape[1])
+        finer[self.forced] = 1.0 / self.sensor - 1.0 / self.variance[self.forced]
+        weighted = 2.0 * (residual / self.variance + self.unseen(residual) * finer)
         total += 0.5 * float(np.sum(residual * weighted))
         by_carried = np.diff(weighted, axis=1, prepend=0.0)
         by_e, by_de = by_carried * (p["k"] + 3.0 * kappa * e**2), by_carried * p["c"]
@@ -65,10 +82,11 @@ class DenseModel:
         ]
         return total, by_weights, np.array(by_theta)
 
-    def square_of_force(self, weights: np.ndarray, theta: Sequence[float]) -> float:
-        """Sum of squares of the first DOF's force residual, N^2."""
-        residual = self.required(weights, theta) - self.record.force
-        return float(np.sum(residual[:, 0] ** 2))
+    def squares_of_force(self, weights: np.ndarray, theta: Sequence[float]) -> tuple[float, float]:
+        """Sum of squares of the measured forces' residuals that the features can follow, and of the rest, N^2."""
+        residual = (self.required(weights, theta) - self.record.force) * self.forced
+        rest = float(np.sum(self.unseen(residual) ** 2))
+        return float(np.sum(residual**2)) - rest, rest
 
     def required(self, weights: np.ndarray, theta: Sequence[float]) -> np.ndarray:
         """(N, n), the force that a motion takes."""
@@ -86,22 +104,16 @@ class DenseModel:
         return constant - float(half @ half), 2.0 * float(np.log(np.diag(factor)).sum())
 
     def log_likelihood(self, theta: Sequence[float], s: float) -> float:
-        """Of a linear chain, at force noise exp(s): of every sample and repeat, up to a constant in theta and s.
-
-        The discrepancy is as rich as the features: what they cannot see of the residual, and the scatter of repeats,
-        is the sensors' noise alone.
-        """
+        """Of a linear chain, at force noise exp(s): of every sample and repeat, up to a constant in theta and s."""
+        self.set_noise(s)
         least, determinant = self.marginal(theta)
-        forced, repeats = self.record.sensors("force"), self.record.repeats
+        forced, repeats = self.forced, self.record.repeats
         count, samples = self.shape[0], len(self.record.time)
-        residual = (self.force(theta) - self.record.force)[:, forced]
-        features = self.at_force[0]
-        unseen = np.sum((residual - features @ np.linalg.lstsq(features, residual)[0]) ** 2, axis=0)
-        least += np.sum(unseen * (1.0 / (self.noise.force[forced] * np.exp(s)) ** 2 - 1.0 / self.variance[forced]))
+        unseen = np.sum(self.unseen(self.force(theta) - self.record.force)[:, forced] ** 2, axis=0)
+        least += float(np.sum(unseen * (1.0 / self.sensor - 1.0 / self.variance[forced])))
         logarithms = count * np.log(self.variance).sum() + 2.0 * (samples - count) * forced.sum() * s
         if repeats is not None:
-            sensor = (self.noise.force[forced] * np.exp(s)) ** 2
-            logarithms += (repeats.square["force"][forced] / (repeats.count * sensor)).sum()
+            logarithms += (repeats.square["force"][forced] / (repeats.count * self.sensor)).sum()
             logarithms += 2.0 * repeats.freedom * forced.sum() * s
         return -0.5 * (least + determinant + float(logarithms))
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from small_problems import QUANTITIES, measured, small_chain
+from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features, sensor_noise
 
 
@@ -72,3 +75,24 @@ def test_weights_are_inverse_variances():
     )
     assert noise.with_discrepancy(2.0).with_spread(3.0).discrepancy == 2.0
     assert noise.with_discrepancy(2.0).with_spread(3.0).spread == 3.0
+
+
+def test_pooled_sensors_share_the_root_mean_square_of_their_levels():
+    nothing = np.full(3, np.nan)
+    response = {"displacement": np.array([3.0, np.nan, 4.0]), "velocity": nothing, "acceleration": np.ones(3)}
+    noise = NoiseModel(response, np.array([1.0, 7.0, np.nan]), 0.1, 1.0).pooled()
+    np.testing.assert_allclose(noise.response["displacement"], [np.sqrt(12.5), np.nan, np.sqrt(12.5)])
+    np.testing.assert_array_equal(noise.response["velocity"], nothing)
+    np.testing.assert_array_equal(noise.response["acceleration"], np.ones(3))
+    np.testing.assert_allclose(noise.force, [5.0, 5.0, np.nan])
+    assert noise.discrepancy == 0.1
+
+
+def test_noise_is_told_by_the_scatter_of_repeats_where_there_are_any():
+    chain = small_chain()
+    source = Simulated(excitation(chain), Simulation(12.0, 257), Noise(20.0, repeats=4))
+    record = source.measure(chain).record
+    response, force = sensor_noise(Spline().build(record), record)
+    for quantity, levels in {**response, "force": force}.items():
+        sensors = record.sensors(quantity)
+        np.testing.assert_allclose(levels[sensors], record.repeats.noise_of_mean(quantity)[sensors])

@@ -1,0 +1,64 @@
+"""What a chain does under the force of a record, between whose samples the record says what happens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_problems import measured, small_chain
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.resimulation import MOST_SUBSTEPS, TooStiffError, resimulate
+from pinn_cli.record.simulation import OverflowsError
+
+REST = np.zeros(3)
+
+
+def assert_same(found, expected, tolerance: float) -> None:
+    for quantity in RESPONSE_QUANTITIES:
+        values = getattr(expected, quantity)
+        np.testing.assert_allclose(getattr(found, quantity), values, atol=tolerance * np.abs(values).max())
+
+
+@pytest.mark.parametrize(("hold", "tolerance"), [("exact", 2e-4), ("zero_order", 1e-12)])
+@pytest.mark.parametrize("nonlinearity", ["linear", "duffing", "van_der_pol"])
+def test_the_true_chain_does_what_the_simulator_said(nonlinearity, hold, tolerance):
+    """Of a held force the samples are all there is; one that is not held is a spline through them."""
+    chain = small_chain(nonlinearity)
+    record, truth = (lambda m: (m.record, m.truth.response))(measured(chain, hold, samples=513))
+    assert_same(resimulate(chain, record, (REST, REST)), truth, tolerance)
+
+
+@pytest.mark.parametrize(("hold", "tolerance"), [("exact", 1e-3), ("zero_order", 1e-10)])
+def test_from_the_middle_on(hold, tolerance):
+    chain = small_chain()
+    measurements = measured(chain, hold, samples=513)
+    truth, first = measurements.truth.response, 200
+    found = resimulate(chain, measurements.record, (truth.displacement[first], truth.velocity[first]), first=first)
+    np.testing.assert_array_equal(found.time, truth.time[first:])
+    for quantity in RESPONSE_QUANTITIES:
+        values = getattr(truth, quantity)[first:]
+        np.testing.assert_allclose(getattr(found, quantity), values, atol=tolerance * np.abs(values).max())
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_under_another_force(hold):
+    chain = small_chain("linear")
+    record = measured(chain, hold, snr_db=20.0).record
+    twice = resimulate(chain, record, (REST, REST), 2.0 * record.force)
+    once = resimulate(chain, record, (REST, REST))
+    np.testing.assert_allclose(twice.displacement, 2.0 * once.displacement, atol=1e-12)
+    np.testing.assert_allclose(once.force, record.force, atol=1e-12)
+
+
+def test_a_chain_that_the_sampling_is_much_too_slow_for_is_refused():
+    record = measured(small_chain(), samples=129).record
+    with pytest.raises(TooStiffError, match=rf"it takes \d+ steps per sample, and {MOST_SUBSTEPS} are allowed"):
+        resimulate(small_chain(k=1e9), record, (REST, REST))
+
+
+def test_a_motion_that_does_not_stay_finite_is_told():
+    chain = small_chain("van_der_pol")
+    unstable = chain.with_parameters(mu=-50.0 * chain.parameters["mu"])
+    record = measured(chain, samples=129).record
+    with pytest.raises(OverflowsError):
+        resimulate(unstable, record, (REST + 5.0, REST))
