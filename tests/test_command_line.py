@@ -192,15 +192,3 @@ def test_nothing_slow_is_imported_before_a_run() -> None:
     slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib"]
     done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["--cfg", "job"]], ids=" ".join)
-def test_answers_within_a_second(arguments: list[str]) -> None:
-    import time
-
-    def seconds() -> float:
-        start = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "pinn_cli.main", *arguments], capture_output=True, check=True)
-        return time.perf_counter() - start
-
-    assert min(seconds() for _ in range(3)) < 1.0
