@@ -6,8 +6,7 @@ Each bound is one coordinate's own: it cuts off what lies below, and moves the o
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import erfcx
-from scipy.stats import truncnorm
+from scipy.special import erfcx, log_ndtr, ndtri_exp
 
 # Sweeps over the bounds at most, and the change of the mean, in standard deviations, below which they have settled.
 SWEEPS, SETTLED = 100, 1e-10
@@ -59,8 +58,9 @@ class TruncatedGaussian:
         spread = np.sqrt(np.array([variance for _, variance in without]) + np.square(error))
         cut = (self.lower - center) / spread
         share = np.array([tail_moments(c)[1] for c in cut])
-        left = truncnorm(cut, np.inf, center, spread)
-        return spread * np.sqrt(share), np.stack([left.ppf(probability) for probability in probabilities])
+        # In logarithms, so that a bound far out in the tail is no trouble.
+        beyond = [-ndtri_exp(np.log1p(-probability) + log_ndtr(-cut)) for probability in probabilities]
+        return spread * np.sqrt(share), center + spread * np.stack(beyond)
 
     def _without(self, i: int) -> tuple[float, float]:
         """Mean and variance of a coordinate given every bound but its own."""
