@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from pinn_cli.baseline.linear_gaussian import Filtered
-from pinn_cli.training.evidence import PRIOR_PARAMETERS
+from pinn_cli.training.evidence import updated_spread
 
 # The spread is a fixed point; a few parameters tell it to some tens of percent.
 SPREAD_TOLERANCE, SPREAD_ROUNDS = 0.01, 30
@@ -60,8 +60,7 @@ def regress_with_spread(filtered: Filtered, at: np.ndarray, spread: float, shari
     found = regress(filtered, at, spread, sharing)
     for _ in range(SPREAD_ROUNDS if sharing.any() else 0):
         moved = (at + found.change)[sharing]
-        determined = (1.0 - np.diag(found.covariance)[sharing] / spread**2).clip(min=0.0).sum()
-        before, spread = spread, float(np.sqrt((PRIOR_PARAMETERS + moved @ moved) / (PRIOR_PARAMETERS + determined)))
+        before, spread = spread, updated_spread(moved, np.diag(found.covariance)[sharing], spread)
         found = regress(filtered, at, spread, sharing)
         if abs(spread / before - 1.0) < SPREAD_TOLERANCE:
             break

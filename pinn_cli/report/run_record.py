@@ -42,7 +42,7 @@ def run_record(config: RunConfig, estimate: Estimate, seconds: Mapping[str, floa
         "threads": config.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "git_revision": git_revision(),
-        "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+        "versions": package_versions(),
         "platform": platform.platform(),
     }
 
@@ -83,6 +83,11 @@ def git_revision() -> str | None:
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def package_versions() -> dict[str, str | None]:
+    """Version of Python and of every package that a run computes with; None where one is not installed."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
 
 
 def _version(package: str) -> str | None:

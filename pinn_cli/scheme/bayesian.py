@@ -17,12 +17,11 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
-from pinn_cli.scheme.unknowns import Place, checked_positive, unknown_places
+from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, unknown_places
 from pinn_cli.system.chain import Chain
 
 log = logging.getLogger(__name__)
 
-POSITIVE = ("m", "c", "k", "kappa", "mu")
 # Gauss-Newton works under Gaussians this much wider than a parameter's scale; the likelihood that it hands on is freed
 # of them again.
 WIDTH = 100.0
@@ -72,14 +71,9 @@ class Bayesian(Scheme):
         places = unknown_places(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
         priors = with_defaults(read_priors(self.priors, prescribed), prescribed, record, self.positive)
         scales = parameter_scales(prescribed, record)
-        start = {kind: values.clone() for kind, values in prescribed.parameters.items()}
-        unknown = []
-        for place in places:
-            parameter = _unknown(place, priors[place], scales[place[0]])
-            start[parameter.kind][parameter.dof] = parameter.prescribed
-            unknown.append(parameter)
-        chain = prescribed.with_parameters(**start)
-        return Problem(chain, record, tuple(unknown), self.acceleration_through, {p: priors[p] for p in places})
+        unknown = tuple(_unknown(place, priors[place], scales[place[0]]) for place in places)
+        chain = forgetful(prescribed, unknown)
+        return Problem(chain, record, unknown, self.acceleration_through, {p: priors[p] for p in places})
 
 
 def _unknown(place: Place, prior: Prior, scale: float) -> UncertainParameter:

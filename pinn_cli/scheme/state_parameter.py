@@ -11,10 +11,8 @@ from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
-from pinn_cli.scheme.unknowns import Place, checked_positive, initial_values, unknown_places
+from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, initial_values, unknown_places
 from pinn_cli.system.chain import Chain
-
-POSITIVE = ("m", "c", "k", "kappa", "mu")
 
 
 class StateParameter(Scheme):
@@ -71,10 +69,7 @@ class StateParameter(Scheme):
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=places)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         uncertain = sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.dof))
-        start = {kind: values.clone() for kind, values in prescribed.parameters.items()}
-        for parameter in unknown:
-            start[parameter.kind][parameter.dof] = parameter.prescribed
-        return Problem(prescribed.with_parameters(**start), record, tuple(uncertain), self.acceleration_through)
+        return Problem(forgetful(prescribed, unknown), record, tuple(uncertain), self.acceleration_through)
 
     def _unknown(self, prescribed: Chain, record: Record, places: Sequence[Place]) -> list[UncertainParameter]:
         given = initial_values(prescribed, self.initial, self.positive)

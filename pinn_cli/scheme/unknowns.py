@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
 from pinn_cli.errors import InputError
 from pinn_cli.legal_values import entries, is_finite_number
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import UncertainParameter
 from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
 
 # (kind, connection counted from 0)
 Place = tuple[str, int]
+
+# Kinds that cannot be negative unless the user says otherwise.
+POSITIVE = ("m", "c", "k", "kappa", "mu")
 
 
 def all_names(chain: Chain) -> dict[str, Place]:
@@ -134,3 +138,11 @@ def checked_positive(positive: Any) -> tuple[str, ...]:
     if not is_list or not all(isinstance(kind, str) for kind in kinds):
         raise InputError("scheme.positive", positive, "a list of kinds of parameters, such as [m, c, k]")
     return tuple(kinds)
+
+
+def forgetful(prescribed: Chain, unknown: Iterable[UncertainParameter]) -> Chain:
+    """The prescribed chain with unknown parameters where they start: of a simulated record they were the truth."""
+    values = {kind: given.clone() for kind, given in prescribed.parameters.items()}
+    for parameter in unknown:
+        values[parameter.kind][parameter.dof] = parameter.prescribed
+    return prescribed.with_parameters(**values)

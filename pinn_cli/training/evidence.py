@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from torch import Tensor
@@ -71,8 +72,11 @@ class Evidence:
         self.learn_spread = learn_spread
         self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
         self.projection = self._projection(equations.physics)
-        # Where force and response are sampled at different times they differ.
-        self.observer_projection = self._projection(equations.observation)
+
+    @cached_property
+    def observer_projection(self) -> FeatureProjection:
+        """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
+        return self._projection(self.equations.observation)
 
     def train(self, noise: NoiseModel, start: Point) -> Trained | None:
         """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
@@ -96,8 +100,9 @@ class Evidence:
     def _of_what_is_seen(self, residuals: Mapping[str, Tensor], noise: NoiseModel) -> float:
         """Chi^2 and log variances of the residuals whose variance has the discrepancy in it, in the features' sight."""
         weights, total = self.equations.weights(noise), 0.0
-        for name, projection in (("physics", self.projection), ("observer", self.observer_projection)):
+        for name in ("physics", "observer"):
             if name in residuals:
+                projection = self.projection if name == "physics" else self.observer_projection
                 weight = weights[name].cpu().numpy()
                 seen, used = projection.sum_of_squares(residuals[name]), weight > 0
                 total += float((seen * weight)[used].sum() - self.equations.network.count * np.log(weight[used]).sum())
@@ -203,19 +208,13 @@ class Evidence:
         return wider if wider is not None and wider.solution.converged else trained
 
     def learned_spread(self, trained: Trained) -> float:
-        """How far the prescribed parameters are off, in common, as far as the record says.
-
-        MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of
-        parameters that the record determines and the user's own spread counting as nu parameters. Parameters that are
-        right sharpen each other; parameters that are wrong free each other.
-        """
+        """How far the prescribed parameters are off, in common; see :func:`updated_spread`."""
         believed = ~self.equations.unknown
         x = trained.solution.point.parameters[believed]
         if not self.learn_spread or len(x) == 0:
             return trained.noise.spread
-        variance = np.diag(trained.factor.corner_covariance)[believed.cpu().numpy()] / trained.noise.spread**2
-        determined = float((1.0 - variance).clip(min=0.0).sum())
-        return float(np.sqrt((PRIOR_PARAMETERS + float(x.square().sum())) / (PRIOR_PARAMETERS + determined)))
+        variance = np.diag(trained.factor.corner_covariance)[believed.cpu().numpy()]
+        return updated_spread(x.cpu().numpy(), variance, trained.noise.spread)
 
     def _settle_spread(self, trained: Trained) -> Trained:
         """Alternate spread and solution under one discrepancy until the spread stays."""
@@ -228,6 +227,22 @@ class Evidence:
                 break
             trained = again
         return trained
+
+
+def updated_spread(x: np.ndarray, variance: np.ndarray, spread: float) -> float:
+    """How far believed parameters are off, in common, as far as the record says.
+
+    MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of parameters
+    that the record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen
+    each other; parameters that are wrong free each other.
+
+    Args:
+        x: (p,), distances from the prescribed values, in the user's standard deviations.
+        variance: (p,), posterior variances, in their squares.
+        spread: Under which both were found.
+    """
+    determined = float((1.0 - variance / spread**2).clip(min=0.0).sum())
+    return float(np.sqrt((PRIOR_PARAMETERS + float(x @ x)) / (PRIOR_PARAMETERS + determined)))
 
 
 def _parabola_top(three: list[Trained]) -> tuple[float, float] | None:

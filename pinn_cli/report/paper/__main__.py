@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.report.paper.digests import package_versions
 from pinn_cli.report.paper.figure_list import PAPER_FIGURES
 from pinn_cli.report.paper.plan import planned_runs
 from pinn_cli.report.paper.runs import make_runs
+from pinn_cli.report.run_record import package_versions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

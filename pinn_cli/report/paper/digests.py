@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from functools import cache
 from importlib import resources
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from pinn_cli.report.run_record import PACKAGES
+from pinn_cli.report.run_record import package_versions
 from pinn_cli.report.writing import write_json
 
 if TYPE_CHECKING:
@@ -67,19 +65,6 @@ def tree_digest(trees: Iterable[tuple[Path, str]], left_out: Sequence[str] = ())
             # The digest of each file, not its bytes: no content can pass for a name.
             total.update(f"{name}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
     return total.hexdigest()
-
-
-@cache
-def package_versions() -> dict[str, str | None]:
-    """Version of Python and of every package that a run computes with; None where one is not installed."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 def mark_finished(directory: Path, digest: str, process_seconds: float) -> None:
