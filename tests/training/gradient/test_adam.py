@@ -19,8 +19,8 @@ from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem, UncertainParameter
-from pinn_cli.training.adam import Adam
 from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.gradient.adam import Adam
 
 DESIGNS = {
     "mlp": Mlp(2, 32, "sine"),

@@ -22,7 +22,7 @@ from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import periodogram, signal_band
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 
 # Points that follow this much of a channel's power leave out a tenth of its amplitude at most.
 BULK_OF_THE_POWER = 0.99

@@ -16,9 +16,9 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.chain import Chain
-from pinn_cli.training.adam import Adam
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.losses import Losses
+from pinn_cli.training.gradient.adam import Adam
+from pinn_cli.training.gradient.losses import Losses
 
 
 def uncertain(chain: Chain, kind: str, dof: int, relative: float) -> UncertainParameter:

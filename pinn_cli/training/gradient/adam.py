@@ -1,0 +1,102 @@
+"""First-order training: the paper's algorithm 1, full-batch Adam."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import entries, finite_number, is_finite_number, positive_number
+from pinn_cli.training.gradient.objective import Evaluation, Objective
+from pinn_cli.training.gradient.optimiser import Optimiser
+from pinn_cli.training.gradient.training import GradientTraining
+
+
+class Adam(GradientTraining):
+    """Adam on every collocation point at once, with fixed loss weights.
+
+    Args:
+        iterations, stages, physics_growth: See :class:`GradientTraining`.
+        learning_rate: Step of the network's weights.
+        parameter_learning_rate: Step of the uncertain parameters, relative to their prescribed values.
+        betas: Decay rates of Adam's two moments.
+        weight_decay: Of the network's weights.
+        weights, collocation_points, dtype, history_every: See :class:`GradientTraining`.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    name = "adam"
+
+    def __init__(
+        self,
+        iterations: int = 2000,
+        stages: int = 2,
+        physics_growth: float = 10.0,
+        learning_rate: float = 1e-3,
+        parameter_learning_rate: float = 5e-4,
+        betas: Sequence[float] = (0.99, 0.999),
+        weight_decay: float = 1e-5,
+        weights: Mapping[str, float | None] | None = None,
+        collocation_points: int | None = 512,
+        dtype: str = "float32",
+        history_every: int = 50,
+    ) -> None:
+        super().__init__(iterations, stages, physics_growth, weights, collocation_points, dtype, history_every)
+        self.learning_rate = positive_number("training.learning_rate", learning_rate)
+        self.parameter_learning_rate = positive_number("training.parameter_learning_rate", parameter_learning_rate)
+        self.betas = _betas(betas)
+        self.weight_decay = finite_number("training.weight_decay", weight_decay)
+        if self.weight_decay < 0:
+            raise InputError("training.weight_decay", weight_decay, "a finite number >= 0")
+
+    @property
+    def remedy(self) -> str:
+        """See :attr:`GradientTraining.remedy`."""
+        return f"try a training.learning_rate below {self.learning_rate:g}"
+
+    def optimiser(self, objective: Objective) -> Optimiser:
+        """See :meth:`GradientTraining.optimiser`."""
+        network = list(objective.network.parameters())
+        groups: list[dict[str, Any]] = [{"params": network, "weight_decay": self.weight_decay}]
+        if objective.parameters.count:
+            # No weight decay: their prior is a term of the loss.
+            groups.append({"params": list(objective.parameters.parameters()), "lr": self.parameter_learning_rate})
+        return FirstOrder(torch.optim.Adam(groups, lr=self.learning_rate, betas=self.betas))
+
+
+class FirstOrder(Optimiser):
+    """An optimiser of torch's kind that steps along one gradient.
+
+    Args:
+        optimiser: Over the objective's variables.
+    """
+
+    def __init__(self, optimiser: torch.optim.Optimizer) -> None:
+        self.optimiser = optimiser
+
+    def step(self, objective: Objective, evaluation: Evaluation) -> str:
+        """See :meth:`Optimiser.step`."""
+        self.optimiser.zero_grad(set_to_none=True)
+        evaluation.loss.backward()
+        self.optimiser.step()
+        objective.parameters.respect_bounds()
+        return ""
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Optimiser.state_dict`."""
+        return self.optimiser.state_dict()
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See :meth:`Optimiser.load_state_dict`."""
+        self.optimiser.load_state_dict(dict(state))
+
+
+def _betas(betas: Sequence[float]) -> tuple[float, float]:
+    given = entries(betas)
+    if len(given) != 2 or not all(is_finite_number(beta) and 0 <= beta < 1 for beta in given):
+        raise InputError("training.betas", betas, "two numbers from 0 to below 1", "[0.99, 0.999] in the paper")
+    return float(given[0]), float(given[1])

@@ -1,0 +1,35 @@
+"""Trainings that go on step by step, and so can be interrupted and taken up again."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from pinn_cli.training.estimate import RunContext
+
+
+class Stepwise(ABC):
+    """A training under way: everything that its next step depends on is in its state."""
+
+    @abstractmethod
+    def step(self) -> bool:
+        """Do one iteration; False, having done nothing, where training has ended.
+
+        Raises:
+            DivergenceError: The loss left the finite numbers.
+        """
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors, numbers, strings, and dicts and lists of them: all that is needed to go on as if never stopped."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a state of a training of the same settings and problem."""
+
+
+def train(training: Stepwise, run: RunContext) -> None:
+    """Step until the training has ended."""
+    while training.step():
+        pass
