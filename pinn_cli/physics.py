@@ -50,6 +50,17 @@ class Targets:
         """(n,) bool: the DOFs whose equation of motion is enforced."""
         return self.measured_force | self.unforced
 
+    def at(self, samples: Tensor) -> Targets:
+        """The same at some of the samples, given by their indices (P,)."""
+        return replace(
+            self,
+            observation_time=self.observation_time[samples],
+            physics_time=self.physics_time[samples],
+            response={quantity: values[samples] for quantity, values in self.response.items()},
+            force=self.force[samples],
+            observer_force=self.observer_force[samples],
+        )
+
     def grouped(self, gather: Callable[[Tensor], Tensor]) -> Targets:
         """The same with its histories rearranged, (N, n) to (..., n), as a network groups its times."""
         response = {quantity: gather(values) for quantity, values in self.response.items()}

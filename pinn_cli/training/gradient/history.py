@@ -26,13 +26,15 @@ class History:
         """Since training began, those before an interruption included."""
         return time.perf_counter() - self.started
 
-    def add(self, iteration: int, terms: Mapping[str, Tensor], weights: Mapping[str, float], last: bool) -> None:
+    def add(
+        self, iteration: int, terms: Mapping[str, Tensor | float], weights: Mapping[str, float], last: bool
+    ) -> None:
         """Note the weighted loss terms after so many iterations, if a row is due or this is the last one."""
         self.bar.update(iteration - self.bar.n)
         if iteration % self.every and not last:
             return
-        losses = {f"loss_{name}": term.item() for name, term in terms.items()}
-        factors = {f"weight_{name}": weights[name] for name in terms}
+        losses = {f"loss_{name}": float(term) for name, term in terms.items()}
+        factors = {f"weight_{name}": weight for name, weight in weights.items()}
         self.rows.append({"iteration": iteration, "seconds": self.seconds, **losses, **factors})
         self.bar.set_postfix({name.removeprefix("loss_"): f"{loss:.2g}" for name, loss in losses.items()})
 

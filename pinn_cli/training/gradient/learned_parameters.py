@@ -23,6 +23,7 @@ class LearnedParameters(nn.Module):
     unit: Tensor
     prior_std: Tensor
     lower: Tensor
+    unknown: Tensor
     kind: Tensor
     dof: Tensor
 
@@ -39,6 +40,7 @@ class LearnedParameters(nn.Module):
         self.register_buffer("unit", unit.to(dtype))
         self.register_buffer("prior_std", spread.to(dtype))
         self.register_buffer("lower", (lower / unit).to(dtype))
+        self.register_buffer("unknown", torch.tensor([p.unknown for p in self.uncertain], dtype=torch.bool))
         self.register_buffer("kind", torch.tensor([self.names.index(p.kind) for p in self.uncertain], dtype=torch.long))
         self.register_buffer("dof", torch.tensor([p.dof for p in self.uncertain], dtype=torch.long))
         self.moved = nn.Parameter(torch.zeros(self.count, dtype=dtype))
@@ -57,6 +59,10 @@ class LearnedParameters(nn.Module):
     def respect_bounds(self) -> None:
         """Put parameters that a step has taken below their least value back onto it."""
         self.moved.clamp_(min=self.lower)
+
+    def prior_deviation(self, spread: float = 1.0) -> Tensor:
+        """(p,) prior standard deviations; those of believed parameters times a common spread."""
+        return torch.where(self.unknown, self.prior_std, spread * self.prior_std)
 
     def prior(self) -> Tensor:
         """Sum of squared distances from the prescribed values, in prior standard deviations."""

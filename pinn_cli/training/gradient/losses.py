@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from torch import Tensor
 from pinn_cli.errors import InputError
 from pinn_cli.legal_values import finite_number
 from pinn_cli.network.base import Network, States
-from pinn_cli.physics import Targets, hold_delay, observation_residuals, physics_residual, targets
+from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import periodogram, signal_band
@@ -95,7 +95,7 @@ class Losses:
         self.chain, self.through = problem.chain, problem.acceleration_through
         self.simultaneous = hold_delay(record) == 0
         everything = targets(record, problem.chain, device, dtype)
-        self.target = _subset(everything, torch.as_tensor(_samples(record, points), device=device))
+        self.target = everything.at(torch.as_tensor(_samples(record, points), device=device))
         amplitudes = motion_amplitudes(record)
         self.scales = {
             quantity: _largest(getattr(record, quantity)) or amplitudes[quantity] for quantity in RESPONSE_QUANTITIES
@@ -158,17 +158,6 @@ def _highest_frequency(record: Record) -> float:
             power = np.cumsum(power[frequency <= signal_band(channel, record.step)])
             highest = max(highest, float(frequency[np.searchsorted(power, BULK_OF_THE_POWER * power[-1])]))
     return highest
-
-
-def _subset(target: Targets, samples: Tensor) -> Targets:
-    return replace(
-        target,
-        observation_time=target.observation_time[samples],
-        physics_time=target.physics_time[samples],
-        response={quantity: values[samples] for quantity, values in target.response.items()},
-        force=target.force[samples],
-        observer_force=target.observer_force[samples],
-    )
 
 
 def _largest(measured: np.ndarray) -> float:

@@ -56,8 +56,10 @@ class Objective:
 
     def __call__(self) -> Evaluation:
         """The loss where network and parameters are now; it need not be finite."""
-        weights = self.weights.by_term(self.physics_factor)
-        terms = {name: weights[name] * term for name, term in self.losses.terms(self.network, self.parameters).items()}
+        unweighted = self.losses.terms(self.network, self.parameters)
+        every = self.weights.by_term(self.physics_factor)
+        weights = {name: every[name] for name in unweighted}
+        terms = {name: weights[name] * term for name, term in unweighted.items()}
         return Evaluation(torch.stack(list(terms.values())).sum(), terms, weights)
 
 

@@ -1,0 +1,91 @@
+"""What an MLP gets for the time: the scaled time itself, or Fourier features of it."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import record_band
+
+EmbeddingName = Literal["none", "fourier"]
+# Above 1, so that nothing need be periodic over the record.
+PERIOD_MARGIN = 1.25
+
+
+class Embedding(nn.Module, ABC):
+    """Inputs of the first layer as functions of the scaled time s, which runs from 0 to 1 over the record.
+
+    Attributes:
+        count: Number of inputs.
+    """
+
+    count: int
+
+    @abstractmethod
+    def jet(self, scaled: Tensor, order: int) -> tuple[Tensor, ...]:
+        """Inputs and their derivatives by s up to ``order`` (0, 1 or 2) at times (N,), each (N, count)."""
+
+
+class ScaledTime(Embedding):
+    """The scaled time itself."""
+
+    count = 1
+
+    def jet(self, scaled: Tensor, order: int) -> tuple[Tensor, ...]:
+        """See :meth:`Embedding.jet`."""
+        s = scaled[:, None]
+        return (s, torch.ones_like(s), torch.zeros_like(s))[: order + 1]
+
+
+class FourierFeatures(Embedding):
+    """cos and sin of 2 pi j s / PERIOD_MARGIN, j = 1..harmonics, less of those of high frequency.
+
+    Feature j has the amplitude 1 / (1 + (j / corner)^2), which is how a displacement falls off whose acceleration is
+    even over the band. Without it a small loss may hide accelerations that are wrong between the points. The squares of
+    all amplitudes add up to one.
+
+    Args:
+        harmonics: Frequencies.
+        corner: Where the amplitudes begin to fall, in harmonics.
+        dtype: Of the features.
+    """
+
+    omega: Tensor
+    amplitude: Tensor
+
+    def __init__(self, harmonics: int, corner: float, dtype: torch.dtype) -> None:
+        super().__init__()
+        self.count = 2 * harmonics
+        j = torch.arange(1, harmonics + 1, dtype=torch.float64)
+        amplitude = 1.0 / (1.0 + (j / corner).square())
+        self.register_buffer("omega", (2.0 * math.pi / PERIOD_MARGIN * j).to(dtype))
+        self.register_buffer("amplitude", (amplitude / amplitude.square().sum().sqrt()).to(dtype))
+
+    def jet(self, scaled: Tensor, order: int) -> tuple[Tensor, ...]:
+        """See :meth:`Embedding.jet`."""
+        phase = scaled[:, None] * self.omega
+        cosine, sine = self.amplitude * torch.cos(phase), self.amplitude * torch.sin(phase)
+        # d/ds turns cos into -omega sin, and sin into omega cos.
+        value = torch.cat((cosine, sine), -1)
+        rate = torch.cat((-self.omega * sine, self.omega * cosine), -1)
+        return (value, rate, -self.omega.repeat(2).square() * value)[: order + 1]
+
+
+def embedding(name: EmbeddingName, record: Record, dtype: torch.dtype) -> Embedding:
+    """The embedding of a record: its features go up to the record's band and fall off from where its motion does.
+
+    That is the frequency of the sinusoid whose displacement and acceleration are as large as the record's.
+    """
+    if name == "none":
+        return ScaledTime()
+    amplitudes = motion_amplitudes(record)
+    natural = math.sqrt(amplitudes["acceleration"] / amplitudes["displacement"]) / (2.0 * math.pi)
+    period = PERIOD_MARGIN * record.duration
+    harmonics = max(4, math.ceil(record_band(record) * period))
+    return FourierFeatures(min(harmonics, len(record.time) // 2), natural * period, dtype)

@@ -1,0 +1,114 @@
+"""All residuals of a network as rows of one vector, each over its standard deviation.
+
+A row is one kind of residual of one DOF at all P points: R rows, R P residuals, row after row. The rows of observations
+look at the motion when the sensors were read, the others at the points where physics is enforced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pinn_cli.network.base import States
+from pinn_cli.physics import Tangent, Targets, observation_masks, observation_residuals, physics_residual, tangent
+from pinn_cli.system.chain import Chain
+from pinn_cli.training.noise_model import NoiseModel
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualRows:
+    """Which residuals there are, and what they are divided by.
+
+    Attributes:
+        chain: The prescribed model.
+        target: What the motion is compared with, at P points.
+        through: Of the accelerations, see :class:`pinn_cli.scheme.problem.Problem`.
+        separate: Whether velocity is an output of its own, so that continuity is a residual too.
+    """
+
+    chain: Chain
+    target: Targets
+    through: str
+    separate: bool
+
+    def observed(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
+        """Estimated minus measured response over its noise, (R_o, P)."""
+        residuals = observation_residuals(states, self.target, self.chain, parameters, self.through)
+        mass = self.chain.parameters["m"].detach().cpu().numpy()
+        rows = []
+        for name, mask in observation_masks(self.target, self.through).items():
+            weight = torch.as_tensor(noise.observation_weight(name, mass)).to(states.displacement)
+            rows.append((residuals[name] * weight.sqrt())[..., mask].T)
+        return torch.cat(rows)
+
+    def enforced(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
+        """Forces out of balance over what model and load cells leave open, then continuity, (R_p, P)."""
+        std = torch.as_tensor(noise.physics_variance).to(states.displacement).sqrt()
+        force = physics_residual(states, self.target, self.chain, parameters) / std
+        rows = [force[..., self.target.equation].T]
+        if states.continuity is not None:
+            rows.append(states.continuity.T / noise.continuity)
+        return torch.cat(rows)
+
+    @property
+    def observed_count(self) -> int:
+        """R_o."""
+        return sum(int(mask.sum()) for mask in observation_masks(self.target, self.through).values())
+
+    @property
+    def force_count(self) -> int:
+        """How many of the enforced rows are equations of motion; the others are continuity."""
+        return int(self.target.equation.sum())
+
+    @property
+    def enforced_count(self) -> int:
+        """R_p."""
+        return self.force_count + (len(self.target.equation) if self.separate else 0)
+
+    @property
+    def points(self) -> int:
+        """P."""
+        return len(self.target.physics_time)
+
+    def by_parameter(
+        self, columns: tuple[tuple[str, int], ...], observed: States, enforced: States,
+        parameters: Mapping[str, Tensor], noise: NoiseModel,
+    ) -> Tensor:  # fmt: skip
+        """Derivatives of all residuals by parameters (kind, DOF from 0) of the chain, (R P, p)."""
+        out = observed.displacement.new_zeros(self.observed_count + self.enforced_count, self.points, len(columns))
+        equation = self.target.equation
+        std = torch.as_tensor(noise.physics_variance).to(out).sqrt()
+        force = self._force_by_parameter(columns, enforced, parameters) / std[:, None]
+        first = self.observed_count
+        out[first : first + self.force_count] = force[:, equation].transpose(0, 1)
+        masks = observation_masks(self.target, self.through)
+        if "observer" in masks:
+            mass = self.chain.parameters["m"].detach()
+            weight = torch.as_tensor(noise.observation_weight("observer", mass.cpu().numpy())).to(out).sqrt()
+            # The observer equation is (f - r) / m: the force that the motion takes, but for m times acceleration.
+            motion = observed._replace(acceleration=self._observer(observed, parameters))
+            rows = -self._force_by_parameter(columns, motion, parameters) * (weight / parameters["m"])[:, None]
+            before = sum(int(mask.sum()) for name, mask in masks.items() if name != "observer")
+            out[before:first] = rows[:, masks["observer"]].transpose(0, 1)
+        return out.reshape(-1, len(columns))
+
+    def _observer(self, states: States, parameters: Mapping[str, Tensor]) -> Tensor:
+        return self.chain.acceleration(states.displacement, states.velocity, self.target.observer_force, parameters)
+
+    def _force_by_parameter(
+        self, columns: tuple[tuple[str, int], ...], states: States, parameters: Mapping[str, Tensor]
+    ) -> Tensor:
+        """(P, n, p), of the force that the motion takes: m a + r_i - r_(i+1)."""
+        linear: Tangent = tangent(self.chain, parameters, states.displacement, states.velocity)
+        out = states.displacement.new_zeros(*states.displacement.shape, len(columns))
+        for column, (kind, dof) in enumerate(columns):
+            if kind == "m":
+                out[:, dof, column] = states.acceleration[:, dof]
+                continue
+            out[:, dof, column] = linear.by_parameter[kind][:, dof]
+            if dof:
+                out[:, dof - 1, column] = -linear.by_parameter[kind][:, dof]
+        return out

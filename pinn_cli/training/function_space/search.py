@@ -1,0 +1,222 @@
+"""Levenberg-Marquardt over all weights and parameters, with noise levels that follow the residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.training.evidence import updated_spread
+from pinn_cli.training.function_space.kernel import Layers, layers
+from pinn_cli.training.function_space.linearisation import Linearisation, Step
+from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.gradient.history import History
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.stepwise import Stepwise
+
+# Shares of a step that are tried before the damping is raised: a step costs a factor, a share next to nothing.
+SHARES = (1.0, 0.5, 0.25)
+# Factors on the damping where no share helps, and where the whole step did; tries in one iteration.
+MORE_DAMPING, LESS_DAMPING, TRIES = 10.0, 0.1, 8
+# Relative decrease of the loss in one iteration below which noise levels follow the residuals.
+SETTLED_ENOUGH = 0.7
+# Most that a level may fall or rise at once: the linearisation reaches no further.
+LARGEST_FALL, LARGEST_RISE = 0.1, 4.0
+# A discrepancy below this fraction of the force is rounding.
+FINEST_DISCREPANCY = 1e-6
+
+
+@dataclass
+class Levels:
+    """What the loss is weighed with.
+
+    Attributes:
+        noise: Standard deviations of all residuals.
+        precision: Of the weights about those that training began with.
+    """
+
+    noise: NoiseModel
+    precision: float
+
+
+class Loss(NamedTuple):
+    """Sums of squares over their variances, all of which add up to the loss."""
+
+    observation: float
+    forces: float
+    continuity: float
+    weights: float
+    prior: float
+
+    @property
+    def total(self) -> float:
+        """Their sum."""
+        return sum(self)
+
+
+class FunctionSpaceSearch(Stepwise):
+    """The training under way.
+
+    Args:
+        network: At the weights that its prior is about.
+        parameters: At their prescribed values.
+        rows: Which residuals.
+        levels: Where noise and precision begin; a large discrepancy makes the physics soft.
+        largest: The force that acts, N.
+        iterations: At most.
+        tolerance: Relative decrease of the loss, and change of the discrepancy, below which training has converged.
+        learn_spread: Whether the believed parameters' common spread follows them.
+        history: Takes a row per iteration.
+    """
+
+    def __init__(
+        self,
+        network: MlpNetwork,
+        parameters: LearnedParameters,
+        rows: ResidualRows,
+        levels: Levels,
+        largest: float,
+        iterations: int,
+        tolerance: float,
+        learn_spread: bool,
+        history: History,
+    ) -> None:
+        self.network, self.parameters, self.rows, self.levels, self.largest = network, parameters, rows, levels, largest
+        self.iterations, self.tolerance, self.learn_spread, self.history = iterations, tolerance, learn_spread, history
+        self.start: Layers = [(w.clone(), b.clone()) for w, b in layers(network)]
+        self.damping, self.iteration, self.stop_reason = 0.0, 0, ""
+
+    def step(self) -> bool:
+        """See :meth:`Stepwise.step`."""
+        if self.iteration == 0:
+            self._note(self.loss())
+        if self.stop_reason:
+            return False
+        before = self.loss()
+        linear = Linearisation(self.network, self.parameters, self.rows, self.levels.noise)
+        factor = self._improve(linear, before)
+        self.iteration += 1
+        after = self.loss()
+        if factor is None:
+            self.stop_reason = "no step improves it"
+        elif after.total > (1.0 - SETTLED_ENOUGH) * before.total:
+            self._settle(linear, factor, before, after)
+        if self.iteration == self.iterations and not self.stop_reason:
+            self.stop_reason = "iteration limit"
+        self._note(after)
+        return True
+
+    @torch.no_grad()
+    def loss(self) -> Loss:
+        """Where network, parameters and levels are now."""
+        values, noise = self.parameters(), self.levels.noise
+        observed = self.rows.observed(self.network(self.rows.target.observation_time), values, noise)
+        enforced = self.rows.enforced(self.network(self.rows.target.physics_time), values, noise)
+        forces, continuity = enforced.tensor_split([self.rows.force_count])
+        moved = sum(float((w - v).square().sum()) for w, v in zip(self._flat(), self._flat(self.start), strict=True))
+        seen, balance, continuous = (float(x.square().sum()) for x in (observed, forces, continuity))
+        prior = float(self._standardised().square().sum())
+        return Loss(seen, balance, continuous, self.levels.precision * moved, prior)
+
+    def _flat(self, position: Layers | None = None) -> list[Tensor]:
+        return [tensor for layer in position or layers(self.network) for tensor in layer]
+
+    def _standardised(self) -> Tensor:
+        """(p,), distances of the parameters from their prescribed values in prior standard deviations."""
+        parameters = self.parameters
+        return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.levels.noise.spread)
+
+    def _improve(self, linear: Linearisation, before: Loss) -> Tensor | None:
+        """Take the first step that lowers the loss; its factor, or None where there is none."""
+        here = [(w.clone(), b.clone()) for w, b in layers(self.network)]
+        to_start = [(w0 - w, b0 - b) for (w0, b0), (w, b) in zip(self.start, here, strict=True)]
+        x, moved = self._standardised(), self.parameters.moved.detach().clone()
+        for _ in range(TRIES):
+            step = linear.step(to_start, x, self.levels.precision, self.damping)
+            for share in SHARES:
+                self._move(here, moved, step, share)
+                if self.loss().total < before.total:
+                    self.damping = self._lower(self.damping) if share == 1.0 else self.damping
+                    return step.factor
+            self.damping = max(MORE_DAMPING * self.damping, self.levels.precision)
+        self._move(here, moved, step, 0.0)
+        return None
+
+    def _lower(self, damping: float) -> float:
+        """Less, and none at all once it is a small part of the prior's precision."""
+        return LESS_DAMPING * damping if damping > self.levels.precision else 0.0
+
+    @torch.no_grad()
+    def _move(self, here: Layers, moved: Tensor, step: Step, share: float) -> None:
+        for target, (w, b), (dw, db) in zip(layers(self.network), here, step.weights, strict=True):
+            target[0].copy_(w + share * dw)
+            target[1].copy_(b + share * db)
+        parameters = self.parameters
+        proposed = step.parameters * parameters.prior_deviation(self.levels.noise.spread) / parameters.unit
+        parameters.moved.copy_(moved + share * (proposed - moved))
+        parameters.respect_bounds()
+
+    def _settle(self, linear: Linearisation, factor: Tensor, before: Loss, after: Loss) -> None:
+        """Have the levels follow (MacKay 1992), and end once neither they nor the loss move any more."""
+        kept = linear.kept(factor, self.iteration)
+        first = self.rows.observed_count * self.rows.points
+        forces = kept[first : first + self.rows.force_count * self.rows.points].sum()
+        excess = after.forces / max(float(forces), 1.0)
+        unknowns = len(kept) - float(kept.sum())
+        previous = self.levels.noise
+        self.levels.noise = self._following(previous, linear, factor, excess)
+        self.levels.precision *= float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
+        change = abs(np.log(self.levels.noise.discrepancy / previous.discrepancy))
+        if change < self.tolerance and after.total > (1.0 - self.tolerance) * before.total:
+            self.stop_reason = "converged"
+
+    def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:
+        """Discrepancy and spread as the residuals and the parameters ask for.
+
+        A discrepancy that is too large is squared down rather than rooted: the residuals shrink with it.
+        """
+        change = excess if excess < 1.0 else np.sqrt(excess)
+        level = noise.discrepancy * float(np.clip(change, LARGEST_FALL, LARGEST_RISE))
+        following = noise.with_discrepancy(max(level, FINEST_DISCREPANCY * self.largest))
+        believed = ~self.parameters.unknown
+        if not self.learn_spread or not bool(believed.any()):
+            return following
+        x = (noise.spread * self._standardised())[believed].cpu().numpy()
+        variance = noise.spread**2 * linear.parameter_variance(factor)[believed].cpu().numpy()
+        return following.with_spread(updated_spread(x, variance, noise.spread))
+
+    def _note(self, loss: Loss) -> None:
+        noise = self.levels.noise
+        weights = {q: float(1.0 / np.nanmean(s) ** 2) for q, s in noise.response.items() if np.isfinite(s).any()}
+        weights |= {"unforced": 1.0 / noise.discrepancy**2, "weights": self.levels.precision}
+        self.history.add(self.iteration, loss._asdict(), weights, last=True)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Stepwise.state_dict`; what training began with is the settings' and the seed's."""
+        noise = self.levels.noise
+        return {
+            "iteration": self.iteration,
+            "stop_reason": self.stop_reason,
+            "damping": self.damping,
+            "precision": self.levels.precision,
+            "discrepancy": noise.discrepancy,
+            "spread": noise.spread,
+            "network": self.network.state_dict(),
+            "parameters": self.parameters.state_dict(),
+            "history": self.history.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See :meth:`Stepwise.load_state_dict`."""
+        self.iteration, self.stop_reason = state["iteration"], state["stop_reason"]
+        self.damping, self.levels.precision = state["damping"], state["precision"]
+        self.levels.noise = self.levels.noise.with_discrepancy(state["discrepancy"]).with_spread(state["spread"])
+        self.network.load_state_dict(state["network"])
+        self.parameters.load_state_dict(state["parameters"])
+        self.history.load_state_dict(state["history"])

@@ -1,0 +1,148 @@
+"""The recommended way to train a multilayer perceptron: Gauss-Newton in function space, with inferred weights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import is_finite_number, whole_number
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.physics import estimated_response, targets
+from pinn_cli.record.record import Response
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.base import Training
+from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
+from pinn_cli.training.function_space.collocation import collocate, noise_model
+from pinn_cli.training.function_space.linearisation import Linearisation
+from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
+from pinn_cli.training.gradient.history import History
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.scales import scales
+from pinn_cli.training.stepwise import train
+
+# Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
+SOFT = 0.1
+# Precision of the weights at which training begins; it follows the weights by factors of ten at most.
+FIRST_PRECISION = 100.0
+# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
+# force scale implies.
+CONTINUITY_TOLERANCE = 1e-4
+# Of the central 90 % interval of a normal distribution.
+NINETY_PERCENT = 1.6448536269514722
+
+
+class QuasiNewton(Training):
+    """Levenberg-Marquardt over all weights and physical parameters, with noise levels inferred from the record.
+
+    The curvature is the Gauss-Newton matrix of all residuals, solved in the space of the residuals (see
+    :mod:`pinn_cli.training.function_space`), so that its cost hardly depends on the number of weights.
+
+    Args:
+        iterations: Steps at most.
+        tolerance: Relative decrease of the loss, and relative change of the discrepancy, below which it has converged.
+        learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
+        collocation_points: Points at which sensors and equations of motion are compared; None: as many as the record
+            has independent values, but no more than ``most_residuals`` in all.
+        most_residuals: Its square is the memory, its cube the time of a step.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    def __init__(
+        self,
+        iterations: int = 40,
+        tolerance: float = 0.2,
+        learn_spread: bool = True,
+        collocation_points: int | None = None,
+        most_residuals: int = 10000,
+    ) -> None:
+        self.iterations = whole_number("training.iterations", iterations, least=1)
+        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
+            raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
+        if not isinstance(learn_spread, bool):
+            raise InputError("training.learn_spread", learn_spread, "true or false")
+        if collocation_points is not None:
+            whole_number("training.collocation_points", collocation_points, least=2)
+        self.tolerance, self.learn_spread = tolerance, learn_spread
+        self.collocation_points = collocation_points
+        self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
+
+    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+        """See :meth:`Training.solve`."""
+        if problem.priors is not None:
+            raise InputError("training", "quasi_newton", "gauss_newton with scheme=bayesian", "it gives no likelihood")
+        network = design.build(problem.record, torch.float64)
+        if not isinstance(network, MlpNetwork):
+            hint = f"the residuals of network={design.name} are nearly linear in its weights"
+            raise InputError("training", "quasi_newton", "gauss_newton for this network", hint)
+        network.reset(run.seed)
+        network.to(run.device)
+        parameters = LearnedParameters(problem, torch.float64).to(run.device)
+        history = History("quasi-newton", run.progress, self.iterations, 1)
+        search = self._search(problem, network, parameters, history, run)
+        try:
+            train(search, run)
+        finally:
+            history.close()
+        response = _response(problem, search, run)
+        unknown = Response.unknown(problem.record.time, problem.record.ndof)
+        estimates, correlation = _parameters(search)
+        return Estimate(response, unknown, estimates, history.table(), _summary(search), correlation)
+
+    def _search(
+        self, problem: Problem, network: MlpNetwork, parameters: LearnedParameters, history: History, run: RunContext
+    ) -> FunctionSpaceSearch:
+        force, velocity = scales(problem)
+        collocation = collocate(problem, self.collocation_points, self.most_residuals, run.device)
+        rows = ResidualRows(
+            problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised"
+        )
+        levels = Levels(noise_model(collocation, SOFT * force, CONTINUITY_TOLERANCE * velocity), FIRST_PRECISION)
+        return FunctionSpaceSearch(
+            network, parameters, rows, levels, force, self.iterations, self.tolerance, self.learn_spread, history
+        )
+
+
+@torch.no_grad()
+def _response(problem: Problem, search: FunctionSpaceSearch, run: RunContext) -> Response:
+    every = targets(problem.record, problem.chain, run.device)
+    at_observation, at_physics = (search.network(t) for t in (every.observation_time, every.physics_time))
+    return estimated_response(problem.record, problem.chain, search.parameters(), at_observation, at_physics)
+
+
+def _parameters(search: FunctionSpaceSearch) -> tuple[list[ParameterEstimate], np.ndarray | None]:
+    """Estimates with the standard deviations of the Gaussian at the solution, weights integrated out."""
+    parameters = search.parameters
+    estimates = parameters.estimates()
+    if not estimates:
+        return estimates, None
+    linear = Linearisation(search.network, parameters, search.rows, search.levels.noise)
+    covariance = torch.linalg.inv(linear.parameter_precision(search.levels.precision))
+    unit = covariance.diagonal().sqrt()
+    std = (unit * parameters.prior_deviation(search.levels.noise.spread)).cpu().tolist()
+    found = [
+        replace(e, std=s, lower_90=e.estimate - NINETY_PERCENT * s, upper_90=e.estimate + NINETY_PERCENT * s)
+        for e, s in zip(estimates, std, strict=True)
+    ]
+    return found, (covariance / torch.outer(unit, unit)).cpu().numpy()
+
+
+def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
+    noise = search.levels.noise
+    return {
+        "iterations": search.iteration,
+        "stop_reason": search.stop_reason,
+        "loss": search.loss().total,
+        "network_weights": sum(weight.numel() for weight in search.network.parameters()),
+        "collocation_points": search.rows.points,
+        "sigma_discrepancy": noise.discrepancy,
+        "parameter_spread": noise.spread,
+        "weight_precision": search.levels.precision,
+    }
