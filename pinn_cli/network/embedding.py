@@ -6,10 +6,11 @@ import math
 from abc import ABC, abstractmethod
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.amplitudes import slowest_motion
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
 
@@ -78,14 +79,21 @@ class FourierFeatures(Embedding):
 
 
 def embedding(name: EmbeddingName, record: Record, dtype: torch.dtype) -> Embedding:
-    """The embedding of a record: its features go up to the record's band and fall off from where its motion does.
-
-    That is the frequency of the sinusoid whose displacement and acceleration are as large as the record's.
-    """
+    """The embedding of a record: its features go up to the record's band and fall off from where its motion does."""
     if name == "none":
         return ScaledTime()
-    amplitudes = motion_amplitudes(record)
-    natural = math.sqrt(amplitudes["acceleration"] / amplitudes["displacement"]) / (2.0 * math.pi)
     period = PERIOD_MARGIN * record.duration
-    harmonics = max(4, math.ceil(record_band(record) * period))
-    return FourierFeatures(min(harmonics, len(record.time) // 2), natural * period, dtype)
+    harmonics = min(max(4, math.ceil(record_band(record) * period)), len(record.time) // 2)
+    ratio = slowest_motion(record) * (period / (2.0 * math.pi)) ** 2
+    return FourierFeatures(harmonics, _corner(harmonics, ratio), dtype)
+
+
+def _corner(harmonics: int, ratio: float) -> float:
+    """The corner at which features of random phase have this ratio of rms acceleration to displacement.
+
+    The ratio counts time in periods over 2 pi, so that harmonic j alone has j^2; it rises with the corner.
+    """
+    j = np.arange(1.0, harmonics + 1.0)
+    corners = np.geomspace(1e-2, 10.0 * harmonics, 400)
+    power = (1.0 + (j / corners[:, None]) ** 2) ** -2.0
+    return float(np.interp(ratio**2, power @ j**4 / power.sum(1), corners))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
@@ -30,6 +32,22 @@ def motion_amplitudes(record: Record) -> dict[str, float]:
         channels = getattr(record, name)[:, record.sensors(name)]
         amplitudes[quantity] = max(_rms(channel, record.step, band, order - source) for channel in channels.T) or 1.0
     return amplitudes
+
+
+def slowest_motion(record: Record) -> float:
+    """Least ratio of rms acceleration to rms displacement over the measured channels, 1/s^2.
+
+    Motion far from a force is slower than near it, so of what was measured the slowest channel comes nearest to what
+    was not.
+    """
+    band = record_band(record)
+    ratios = []
+    for order, name in enumerate(RESPONSE_QUANTITIES):
+        for channel in getattr(record, name)[:, record.sensors(name)].T:
+            displacement, acceleration = (_rms(channel, record.step, band, q - order) for q in (0, 2))
+            if displacement > 0:
+                ratios.append(acceleration / displacement)
+    return min(ratios, default=(math.pi * band) ** 2)
 
 
 def _rms(channel: np.ndarray, step: float, band: float, derivatives: int) -> float:

@@ -9,6 +9,7 @@ import torch
 
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import Response
+from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
@@ -39,27 +40,19 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
 
 
 def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
-    """Posterior mean of the force that acts where a sensor measures it: what the motion takes, less model error.
-
-    The residual between the two is discrepancy plus sensor noise, so the mean is the average of the motion's force and
-    of the sensor's (as far as the features follow it), weighted by the other's variance. Without model error that is
-    the motion's force; with a model that is far off it is the filtered measurement. Elsewhere the force stays what the
-    motion takes: on an unforced DOF it shows where the model is wrong.
-    """
+    """The force that acts, with its standard deviation."""
     equations, noise = evidence.equations, trained.noise
     forced = equations.problem.record.sensors("force")
     if not forced.any():
         return response, std
-    measured = equations.problem.record.force[:, forced]
-    filtered = measured - evidence.projection.residual(torch.as_tensor(measured).to(equations.target.force))
-    sensor, model = noise.force[forced] ** 2, noise.discrepancy**2
-    share = model / (model + sensor)
+    measured = equations.problem.record.force
+    filtered = measured - evidence.projection.residual(torch.as_tensor(np.nan_to_num(measured)))
+    share = sensor_share(noise)[forced]
     # Both variances count N samples for the K values that the features can tell apart.
     seen = equations.network.count / len(measured)
-    force, force_std = response.force.copy(), std.force.copy()
-    force[:, forced] += share * (filtered - force[:, forced])
-    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * sensor)
-    return replace(response, force=force), replace(std, force=force_std)
+    force_std = std.force.copy()
+    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * noise.force[forced] ** 2)
+    return acting_force(response, filtered, noise), replace(std, force=force_std)
 
 
 def _listed(sigma: np.ndarray) -> list[float | None]:

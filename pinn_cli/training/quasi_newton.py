@@ -15,9 +15,10 @@ from pinn_cli.network.mlp import MlpNetwork
 from pinn_cli.physics import estimated_response, targets
 from pinn_cli.record.record import Response
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
-from pinn_cli.training.function_space.collocation import collocate, noise_model
+from pinn_cli.training.function_space.collocation import Collocation, collocate, noise_model
 from pinn_cli.training.function_space.linearisation import Linearisation
 from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
@@ -45,7 +46,7 @@ class QuasiNewton(Training):
 
     Args:
         iterations: Steps at most.
-        tolerance: Relative decrease of the loss, and relative change of the discrepancy, below which it has converged.
+        tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         collocation_points: Points at which sensors and equations of motion are compared; None: as many as the record
             has independent values, but no more than ``most_residuals`` in all.
@@ -58,7 +59,7 @@ class QuasiNewton(Training):
     def __init__(
         self,
         iterations: int = 40,
-        tolerance: float = 0.2,
+        tolerance: float = 0.02,
         learn_spread: bool = True,
         collocation_points: int | None = None,
         most_residuals: int = 10000,
@@ -86,21 +87,26 @@ class QuasiNewton(Training):
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
         history = History("quasi-newton", run.progress, self.iterations, 1)
-        search = self._search(problem, network, parameters, history, run)
+        collocation = collocate(problem, self.collocation_points, self.most_residuals, run.device)
+        search = self._search(problem, collocation, network, parameters, history)
         try:
             train(search, run)
         finally:
             history.close()
-        response = _response(problem, search, run)
+        response = acting_force(_response(problem, search, run), collocation.filtered_force, search.levels.noise)
         unknown = Response.unknown(problem.record.time, problem.record.ndof)
         estimates, correlation = _parameters(search)
         return Estimate(response, unknown, estimates, history.table(), _summary(search), correlation)
 
     def _search(
-        self, problem: Problem, network: MlpNetwork, parameters: LearnedParameters, history: History, run: RunContext
+        self,
+        problem: Problem,
+        collocation: Collocation,
+        network: MlpNetwork,
+        parameters: LearnedParameters,
+        history: History,
     ) -> FunctionSpaceSearch:
         force, velocity = scales(problem)
-        collocation = collocate(problem, self.collocation_points, self.most_residuals, run.device)
         rows = ResidualRows(
             problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised"
         )

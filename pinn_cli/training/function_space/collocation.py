@@ -35,11 +35,13 @@ class Collocation:
         target: Its histories are (P, n).
         response: Quantity to the standard deviation of its noise at the points, (n,), NaN where there is no sensor.
         force: The same of the force sensors.
+        filtered_force: (N, n), the measured forces at every sample, low-passed.
     """
 
     target: Targets
     response: dict[str, np.ndarray]
     force: np.ndarray
+    filtered_force: np.ndarray
 
 
 def collocate(problem: Problem, points: int | None, most_rows: int, device: str) -> Collocation:
@@ -64,7 +66,7 @@ def collocate(problem: Problem, points: int | None, most_rows: int, device: str)
         target = _low_passed(target, network)
         kept = math.sqrt(network.count / len(record.time))
         response, force = {q: kept * sigma for q, sigma in response.items()}, kept * force
-    return Collocation(target.at(samples.to(device)), response, force)
+    return Collocation(target.at(samples.to(device)), response, force, target.force.cpu().numpy())
 
 
 def _points(problem: Problem, points: int | None, most_rows: int, features: int) -> int:

@@ -28,6 +28,9 @@ MORE_DAMPING, LESS_DAMPING, TRIES = 10.0, 0.1, 8
 SETTLED_ENOUGH = 0.7
 # Most that a level may fall or rise at once: the linearisation reaches no further.
 LARGEST_FALL, LARGEST_RISE = 0.1, 4.0
+# Relative change of the discrepancy below which it has settled. Without model error it may fall for ever; then this
+# many whole steps without a gain are enough, and half as many where it has.
+LEVEL_TOLERANCE, PATIENCE = 0.2, 3
 # A discrepancy below this fraction of the force is rounding.
 FINEST_DISCREPANCY = 1e-6
 
@@ -70,7 +73,7 @@ class FunctionSpaceSearch(Stepwise):
         levels: Where noise and precision begin; a large discrepancy makes the physics soft.
         largest: The force that acts, N.
         iterations: At most.
-        tolerance: Relative decrease of the loss, and change of the discrepancy, below which training has converged.
+        tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
         learn_spread: Whether the believed parameters' common spread follows them.
         history: Takes a row per iteration.
     """
@@ -90,7 +93,7 @@ class FunctionSpaceSearch(Stepwise):
         self.network, self.parameters, self.rows, self.levels, self.largest = network, parameters, rows, levels, largest
         self.iterations, self.tolerance, self.learn_spread, self.history = iterations, tolerance, learn_spread, history
         self.start: Layers = [(w.clone(), b.clone()) for w, b in layers(network)]
-        self.damping, self.iteration, self.stop_reason = 0.0, 0, ""
+        self.damping, self.iteration, self.idle, self.settled, self.stop_reason = 0.0, 0, 0.0, False, ""
 
     def step(self) -> bool:
         """See :meth:`Stepwise.step`."""
@@ -100,13 +103,14 @@ class FunctionSpaceSearch(Stepwise):
             return False
         before = self.loss()
         linear = Linearisation(self.network, self.parameters, self.rows, self.levels.noise)
-        factor = self._improve(linear, before)
+        factor, whole = self._improve(linear, before)
         self.iteration += 1
         after = self.loss()
         if factor is None:
             self.stop_reason = "no step improves it"
         elif after.total > (1.0 - SETTLED_ENOUGH) * before.total:
-            self._settle(linear, factor, before, after)
+            self._settle(linear, factor, after)
+            self._judge(after.total > (1.0 - self.tolerance) * before.total, whole)
         if self.iteration == self.iterations and not self.stop_reason:
             self.stop_reason = "iteration limit"
         self._note(after)
@@ -132,8 +136,12 @@ class FunctionSpaceSearch(Stepwise):
         parameters = self.parameters
         return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.levels.noise.spread)
 
-    def _improve(self, linear: Linearisation, before: Loss) -> Tensor | None:
-        """Take the first step that lowers the loss; its factor, or None where there is none."""
+    def _improve(self, linear: Linearisation, before: Loss) -> tuple[Tensor | None, bool]:
+        """Take the first step that lowers the loss.
+
+        Returns:
+            Its factor, None where there is none, and whether it was a whole one.
+        """
         here = [(w.clone(), b.clone()) for w, b in layers(self.network)]
         to_start = [(w0 - w, b0 - b) for (w0, b0), (w, b) in zip(self.start, here, strict=True)]
         x, moved = self._standardised(), self.parameters.moved.detach().clone()
@@ -142,11 +150,12 @@ class FunctionSpaceSearch(Stepwise):
             for share in SHARES:
                 self._move(here, moved, step, share)
                 if self.loss().total < before.total:
-                    self.damping = self._lower(self.damping) if share == 1.0 else self.damping
-                    return step.factor
+                    whole = share == 1.0
+                    self.damping = self._lower(self.damping) if whole else self.damping
+                    return step.factor, whole
             self.damping = max(MORE_DAMPING * self.damping, self.levels.precision)
         self._move(here, moved, step, 0.0)
-        return None
+        return None, False
 
     def _lower(self, damping: float) -> float:
         """Less, and none at all once it is a small part of the prior's precision."""
@@ -162,18 +171,22 @@ class FunctionSpaceSearch(Stepwise):
         parameters.moved.copy_(moved + share * (proposed - moved))
         parameters.respect_bounds()
 
-    def _settle(self, linear: Linearisation, factor: Tensor, before: Loss, after: Loss) -> None:
-        """Have the levels follow (MacKay 1992), and end once neither they nor the loss move any more."""
+    def _settle(self, linear: Linearisation, factor: Tensor, after: Loss) -> None:
+        """Have the levels follow residuals, weights and parameters (MacKay 1992)."""
         kept = linear.kept(factor, self.iteration)
         first = self.rows.observed_count * self.rows.points
         forces = kept[first : first + self.rows.force_count * self.rows.points].sum()
         excess = after.forces / max(float(forces), 1.0)
         unknowns = len(kept) - float(kept.sum())
-        previous = self.levels.noise
-        self.levels.noise = self._following(previous, linear, factor, excess)
+        before = self.levels.noise
+        self.levels.noise = self._following(before, linear, factor, excess)
         self.levels.precision *= float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
-        change = abs(np.log(self.levels.noise.discrepancy / previous.discrepancy))
-        if change < self.tolerance and after.total > (1.0 - self.tolerance) * before.total:
+        self.settled = abs(np.log(self.levels.noise.discrepancy / before.discrepancy)) < LEVEL_TOLERANCE
+
+    def _judge(self, gained_nothing: bool, whole: bool) -> None:
+        """End once neither the loss nor the levels move any more; a short step that gained little counts for half."""
+        self.idle = self.idle + (1.0 if whole else 0.5) if gained_nothing else 0.0
+        if self.idle >= PATIENCE or (self.idle >= PATIENCE / 2 and self.settled):
             self.stop_reason = "converged"
 
     def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:
@@ -202,6 +215,7 @@ class FunctionSpaceSearch(Stepwise):
         noise = self.levels.noise
         return {
             "iteration": self.iteration,
+            "idle": self.idle,
             "stop_reason": self.stop_reason,
             "damping": self.damping,
             "precision": self.levels.precision,
@@ -214,7 +228,7 @@ class FunctionSpaceSearch(Stepwise):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Stepwise.load_state_dict`."""
-        self.iteration, self.stop_reason = state["iteration"], state["stop_reason"]
+        self.iteration, self.idle, self.stop_reason = state["iteration"], state["idle"], state["stop_reason"]
         self.damping, self.levels.precision = state["damping"], state["precision"]
         self.levels.noise = self.levels.noise.with_discrepancy(state["discrepancy"]).with_spread(state["spread"])
         self.network.load_state_dict(state["network"])
