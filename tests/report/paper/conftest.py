@@ -98,7 +98,7 @@ def runner(make_case: Callable) -> FakeRunner:
 @pytest.fixture(scope="session")
 def paper(make_case: Callable, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A whole outputs/paper from made-up runs; digests and the linear chain's response have tests of their own."""
-    from pinn_cli.report.paper.__main__ import make_paper
+    from pinn_cli.report.paper.making import make_paper
 
     output = tmp_path_factory.mktemp("outputs") / "paper"
     with pytest.MonkeyPatch.context() as patch:

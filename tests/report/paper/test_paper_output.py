@@ -13,9 +13,10 @@ import pandas as pd
 import pytest
 
 from pinn_cli.report.case_runs import CaseFailedError
-from pinn_cli.report.paper.__main__ import main, make_figures, make_paper
+from pinn_cli.report.paper.__main__ import main
 from pinn_cli.report.paper.figure_list import PAPER_FIGURES
 from pinn_cli.report.paper.figures import draw, draw_figures, equivalent_linear
+from pinn_cli.report.paper.making import make_figures, make_paper
 from pinn_cli.report.paper.saved_run import read_posterior, read_response, read_true_parameters
 from pinn_cli.report.paper.sheet import Row, Sheet, number, written
 from pinn_cli.report.paper.shortfalls import fitness_reason, parameter_reason
@@ -224,7 +225,7 @@ def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinn_cli.report.paper.__main__.make_runs", interrupted)
+    monkeypatch.setattr("pinn_cli.report.paper.making.make_runs", interrupted)
     assert main(["figures", "--output", str(tmp_path)]) == 130
     assert "goes on" in capsys.readouterr().err
 
