@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -13,6 +14,8 @@ from pinn_cli.report.study.job import JobResult
 if TYPE_CHECKING:
     from pinn_cli.report.study.job import Job
 
+# Read once: a study asks for them hundreds of times.
+_fitness, _parameters = cache(published.fitness), cache(published.parameters)
 SECONDS = {"record": 0.5, "estimate": 1.0, "baseline": 1.0, "total": 2.5}
 
 
@@ -43,7 +46,7 @@ class FakeSolver:
         return JobResult(fitness, parameters, SECONDS, strength)
 
     def _scored(self, job: Job, case: str, estimator: str, lag: float) -> tuple[pd.DataFrame, pd.DataFrame]:
-        cells = published.fitness()
+        cells = _fitness()
         cells = cells.loc[cells["case"] == case, ["group", "quantity", "fitness_percent"]]
         if cells.empty:
             quantities = ["displacement", "velocity", "acceleration", "force"]
@@ -51,7 +54,7 @@ class FakeSolver:
         ranged = cells["fitness_percent"] + 0.2 - 0.1 * job.seed - lag
         labels = {"case": case, "estimator": estimator, "seed": job.seed, "model_error": case.partition("_")[0]}
         fitness = cells.assign(**labels, range_fitness_percent=ranged, fitness_percent=ranged - 5.0)
-        given = published.parameters()
+        given = _parameters()
         given = given.loc[given["case"] == case, ["parameter", "true"]]
         estimate = given["true"] * (1.01 + lag)
         error = 100.0 * (estimate / given["true"] - 1.0)

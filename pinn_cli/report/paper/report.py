@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.paper import sheet_files
+from pinn_cli.report.paper.picture import picture
 from pinn_cli.report.paper.plan import SMOOTHER
 from pinn_cli.report.paper.report_text import INTRODUCTION, STYLE, fidelity
 from pinn_cli.report.paper.shortfalls import counted, shortfalls
@@ -102,14 +102,12 @@ def _summary(content: ReportContent) -> str:
 
 
 def _figure(figure: PaperFigure, images: Mapping[int, Path]) -> str:
+    caption = f"<b>Figure {figure.number}: {escape(figure.title)}.</b> {escape(figure.caption)}"
     place = images.get(figure.number)
     if place is None:
-        picture = f"<p>Not drawn: the run {escape(figure.run)} is missing.</p>"
-    else:
-        data = base64.b64encode(place.read_bytes()).decode("ascii")
-        picture = f'<img alt="{escape(figure.title)}" src="data:image/png;base64,{data}">'
-    caption = f"<b>Figure {figure.number}: {escape(figure.title)}.</b> {escape(figure.caption)}"
-    return f'<figure id="{figure.name}">\n{picture}\n<figcaption>{caption}</figcaption>\n</figure>'
+        missing = f"<p>Not drawn: the run {escape(figure.run)} is missing.</p>"
+        return f'<figure id="{figure.name}">\n{missing}\n<figcaption>{caption}</figcaption>\n</figure>'
+    return picture(figure.name, place, figure.title, caption)
 
 
 def _fidelity(content: ReportContent) -> str:
@@ -142,10 +140,8 @@ def _without_smoother(runs: Sequence[FinishedRun]) -> str:
     ]
     if not cases:
         return ""
-    return (
-        f"<p><b>No smoother.</b> The Kalman smoother found no estimate of {escape(', '.join(cases))}: its covariances "
-        "did not stay positive definite from where the unknown parameters start.</p>"
-    )
+    listed = escape(", ".join(cases))
+    return f"<p><b>No smoother.</b> The Kalman smoother found no estimate of {listed}: the log of the run says why.</p>"
 
 
 def _runs(content: ReportContent) -> str:

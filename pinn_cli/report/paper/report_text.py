@@ -96,6 +96,7 @@ td.worse, span.worse { background: #fbe9df; }
 td span { display: inline-block; width: 1em; margin-left: .15em; font-size: .65em; }
 p.worse { background: #fbe9df; padding: .3rem .5rem; }
 @media (max-width: 45rem) {
+  figure .scroll > img { max-width: none; width: 44rem; }
   tbody th[scope=row], thead th.head { white-space: normal; min-width: 5rem; max-width: 8rem; }
   th, td { padding: .15rem .25rem; }
 }
@@ -109,8 +110,12 @@ p.worse { background: #fbe9df; padding: .3rem .5rem; }
   tr.secondary > * { font-size: 6.5pt; }
   th, td { padding: .1rem .25rem; }
   tr { break-inside: avoid; }
-  figure:not(.table) { break-inside: avoid; }
-  img { max-height: 165mm; width: auto; }
+  p, ul, figcaption { max-width: none; }
+  h2, h3, figure.table figcaption, figure.table tr.begins, figure.table tr.begins ~ tr { break-after: avoid; }
+  figure.table tr:has(+ tr.begins) { break-after: auto; }
+  figure:not(.table), figcaption { break-inside: avoid; }
+  figcaption { font-size: .85rem; }
+  img { max-height: 140mm; width: auto; }
   td.better, td.worse, span.better, span.worse { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 }
 """

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.paper import sheet_files
+from pinn_cli.report.paper.picture import picture
 from pinn_cli.report.paper.plan import SMOOTHER
 from pinn_cli.report.study.noise_seeds import PINN
 from pinn_cli.report.study.nonlinearity_figure import CAPTION, TITLE
@@ -43,20 +43,17 @@ def _reached(study: SeedStudy) -> str:
         if len(cells):
             good = int((cells["range_fitness_mean"].round(2) >= cells["published"].round(2)).sum())
             counts.append(f"{title} mean range fitness is at least the published value in {good} of {len(cells)} cells")
-    return f"<p>{'; '.join(counts).capitalize()}.</p>"
+    text = "; ".join(counts)
+    return f"<p>{text[:1].upper()}{text[1:]}.</p>"
 
 
-def nonlinearity_section(study: NonlinearityStudy, picture: Path | None) -> str:
+def nonlinearity_section(study: NonlinearityStudy, image: Path | None) -> str:
     """The figure with its caption, and what it took."""
-    if study.empty or picture is None:
+    if study.empty or image is None:
         return "<p>Not there, or out of date: <code>make nonlinearity</code> makes it.</p>"
-    data = base64.b64encode(picture.read_bytes()).decode("ascii")
     seeds = int(study.summary["seeds"].max())
     caption = f"<b>{escape(TITLE)}.</b> {escape(CAPTION.format(seeds=seeds))}"
-    return (
-        f'<figure id="nonlinearity-figure">\n<img alt="{escape(TITLE)}" src="data:image/png;base64,{data}">\n'
-        f"<figcaption>{caption}</figcaption>\n</figure>\n{_taken(study.results, 'make nonlinearity')}"
-    )
+    return f"{picture('nonlinearity-figure', image, TITLE, caption)}\n{_taken(study.results, 'make nonlinearity')}"
 
 
 def _taken(results: Results, command: str) -> str:

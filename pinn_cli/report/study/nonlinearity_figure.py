@@ -40,6 +40,8 @@ def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
     Args:
         summary: Of `pinn_cli.report.study.nonlinearity.NonlinearityStudy`; cells that it lacks are left empty.
     """
+    positive = summary.loc[summary["strength"] > 0.0, "strength"]
+    edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
     models = [name for name in _TITLES if name in set(summary["model_error"])]
     with style.look():
         figure = Figure(figsize=(style.PAGE_WIDTH, 8.4))
@@ -58,7 +60,7 @@ def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
                 if row == 1 and column == len(models) - 1:
                     _colour_bar(figure, axes, image)
             below = figure.add_subplot(grid[3, column])
-            _against_strength(below, of_model[of_model["quantity"] == "displacement"], legend=column == 0)
+            _against_strength(below, of_model[of_model["quantity"] == "displacement"], edge, legend=column == 0)
             # The maps' own labels need the room between them and the curves.
             place = below.get_position()
             below.set_position((place.x0, place.y0 - 0.008, place.width, place.height - 0.035))
@@ -119,11 +121,9 @@ def _colour_bar(figure: Figure, axes: Axes, image: AxesImage) -> None:
     bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
 
 
-def _against_strength(axes: Axes, cells: pd.DataFrame, legend: bool) -> None:
+def _against_strength(axes: Axes, cells: pd.DataFrame, edge: float, legend: bool) -> None:
     looks = ((PINN, "ours", "o", style.BLUE, style.BLUE, 3.4), (SMOOTHER.name, SMOOTHER.title, "s", "none",
              style.VERMILLION, 4.4))  # fmt: skip
-    positive = cells.loc[cells["strength"] > 0.0, "strength"]
-    edge = 0.3 * float(positive.min()) if len(positive) else 1e-6
     for estimator, title, marker, face, colour, size in looks:
         of = cells[cells["estimator"] == estimator]
         place = of["strength"].where(of["strength"] > 0.0, edge)
@@ -131,11 +131,17 @@ def _against_strength(axes: Axes, cells: pd.DataFrame, legend: bool) -> None:
             place, 100.0 - of["fitness_percent"], marker, markersize=size, markerfacecolor=face, markeredgecolor=colour,
             markeredgewidth=0.7, linestyle="none", label=title,
         )  # fmt: skip
-    axes.set(xscale="log", yscale="log", ylim=(0.03, 2000.0), xlabel=r"strength $\kappa\,\langle e^2\rangle/k$")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=(0.5 * edge, 20.0),
+        ylim=(0.02, 2000.0),
+        xlabel=r"strength $\kappa\,\langle e^2\rangle/k$",
+    )
     axes.axhline(100.0, color=style.GREY, linewidth=0.6, linestyle=":")
     axes.grid(True, which="major")
     axes.set_axisbelow(True)
     if legend:
-        axes.legend(loc="upper left", handletextpad=0.2, borderaxespad=0.2)
+        axes.legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
         axes.text(0.98, 100.0, "no better than the mean", transform=axes.get_yaxis_transform(), ha="right", va="bottom",
                   fontsize=6, color=style.GREY)  # fmt: skip

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -55,7 +56,7 @@ class Checked(HTMLParser):
 def test_report_is_well_formed_and_loads_nothing(paper):
     text = (paper / "report.html").read_text(encoding="utf-8")
     checked = Checked(text)
-    assert checked.count["img"] == len(PAPER_FIGURES) == 14
+    assert checked.count["img"] == len(PAPER_FIGURES) + 1 == 15
     assert all(place.startswith("data:image/png;base64,") for place in checked.loaded)
     assert len(checked.ids) == len(set(checked.ids))
     assert {link.removeprefix("#") for link in checked.links} <= set(checked.ids)
@@ -230,6 +231,13 @@ def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
     assert "goes on" in capsys.readouterr().err
 
 
+def browse(folder: Path, *arguments: str) -> str:
+    """What headless Chromium writes to its standard output."""
+    quiet = ("--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}")
+    command = [str(BROWSER), *quiet, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+
+
 @pytest.mark.skipif(BROWSER is None, reason="no headless Chromium on PATH")
 @pytest.mark.parametrize("width", [400, 1280])
 def test_a_browser_renders_the_report(paper, tmp_path, width):
@@ -241,11 +249,19 @@ def test_a_browser_renders_the_report(paper, tmp_path, width):
         "document.title = `images ${seen} overflow ${page.scrollWidth - page.clientWidth}`; });</script></body>"
     )
     probe.write_text((paper / "report.html").read_text(encoding="utf-8").replace("</body>", script), encoding="utf-8")
-    command = [
-        str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
-        f"--window-size={width},900", "--virtual-time-budget=5000", "--dump-dom", probe.as_uri(),
-    ]  # fmt: skip
-    page = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    page = browse(tmp_path, f"--window-size={width},900", "--virtual-time-budget=5000", "--dump-dom", probe.as_uri())
     title = re.search(r"<title>(.*?)</title>", page)
     assert title is not None
-    assert title[1] == "images 14 overflow 0"
+    assert title[1] == "images 15 overflow 0"
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no headless Chromium on PATH")
+def test_a_browser_prints_the_report(paper, tmp_path):
+    """On landscape A4, every figure with its caption on one page: fewer pages than figures would mean lost ones."""
+    place = tmp_path / "report.pdf"
+    browse(tmp_path, f"--print-to-pdf={place}", "--no-pdf-header-footer", (paper / "report.html").as_uri())
+    content = place.read_bytes()
+    assert content.startswith(b"%PDF")
+    pages = re.findall(rb"/MediaBox\s*\[\s*0\s+0\s+([\d.]+)\s+([\d.]+)\s*\]", content)
+    assert len(PAPER_FIGURES) < len(pages) < 60
+    assert all(float(width) > float(height) for width, height in pages)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
-
 import pandas as pd
-import pytest
 from fake_solver import FakeSolver
 
-from pinn_cli.report.paper.making import make_all, make_nonlinearity, make_paper, make_seeds
+from pinn_cli.report.paper.making import make_all, make_seeds
 from pinn_cli.report.paper.shortfalls import _over_seeds
 
 
@@ -25,22 +22,24 @@ def test_other_draws_tell_luck_from_fault():
     assert "not reached" in _over_seeds(errors, {"case": "c"}, "mean", -0.5)
 
 
-@pytest.mark.usefixtures("nothing_drawn")
-def test_the_report_grows_with_the_studies(tmp_path, runner, capsys, monkeypatch):
-    monkeypatch.setattr("pinn_cli.report.study.results._settings_digest", "".join)
-    solver = FakeSolver()
-    assert make_seeds(tmp_path, solver) == 0
-    assert "waits for runs" in capsys.readouterr().out
-    assert not (tmp_path / "report.html").exists()
-    assert make_paper(tmp_path, runner) == 0
-    assert make_nonlinearity(tmp_path, solver) == 0
-    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+def test_the_report_shows_both_studies(paper):
+    text = (paper / "report.html").read_text(encoding="utf-8")
     assert 'id="seeds_table2"' in text
     assert 'id="nonlinearity-figure"' in text
-    assert "120 records, each estimated by both, in 300 s" in text
-    assert "nan" not in re.sub(r"base64,[^\"]*", "", text)
-    assert len(runner.calls) == 30
-    assert (tmp_path / "seeds" / "seeds_table2.tex").exists()
+    assert text.count("120 records, each estimated by both, in 300 s") == 2
+    assert "Over 10 other draws our mean error is 1.00 %" in text
+    assert (paper / "seeds" / "seeds_table2.tex").exists()
+    assert (paper / "nonlinearity" / "nonlinearity.pdf").exists()
+
+
+def test_a_study_alone_leaves_the_report_to_the_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pinn_cli.report.study.results._settings_digest", "".join)
+    monkeypatch.setattr("pinn_cli.report.study.noise_seeds.SEEDS", 1)
+    solver = FakeSolver()
+    solver.refused = {"sr_6dof_linear_seed0"}
+    assert make_seeds(tmp_path, solver) == 1
+    assert "waits for runs" in capsys.readouterr().out
+    assert not (tmp_path / "report.html").exists()
 
 
 def test_all_makes_the_three(tmp_path, monkeypatch):
