@@ -27,7 +27,8 @@ CAPTION = (
     "the Kalman smoother's in small ones below (a dash: no estimate); the colour is our error. Columns: a model that "
     "is right, one that leaves the cubic spring out, and one whose parameters are 5 to 10 % off. Below, the same "
     "errors of the displacement against how strong the nonlinearity is: the largest κ ⟨e²⟩ / k of a connection, e "
-    "being its elongation; chains with κ = 0 stand at the left edge."
+    "being its elongation; chains with κ = 0 stand at the left edge. Where a first search from rest ends with a large "
+    "misfit, ours begins once more from the motion of the prescribed chain; the smoother begins at rest only."
 )
 _TITLES = {"none": "right model", "linear": "linear model", "perturbed": "wrong values"}
 _SMALLEST, _LARGEST = 0.03, 100.0  # errors in percent, the ends of the colours
