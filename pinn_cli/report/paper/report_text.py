@@ -115,7 +115,7 @@ p.worse { background: #fbe9df; padding: .3rem .5rem; }
   figure.table tr:has(+ tr.begins) { break-after: auto; }
   figure:not(.table), figcaption { break-inside: avoid; }
   figcaption { font-size: .85rem; }
-  img { max-height: 140mm; width: auto; }
+  img { max-height: 130mm; width: auto; }
   td.better, td.worse, span.better, span.worse { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 }
 """
