@@ -9,10 +9,11 @@ INSTALLED := $(VENV)/.installed
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format bench calibration table1 table2 table3 table4 table5 table6 paper figures clean
+.PHONY: help venv run test test-all lint format bench calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+	against-smoother clean
 
 help: ## list the targets
-	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@printf '\nOverrides go into ARGS: make run ARGS="system.ndof=20 noise.snr_db=20"; `$(BIN)/pinn-run --help` lists them.\n'
 
 venv: $(INSTALLED) ## install the package and its tools into .venv, in the exact versions of constraints.txt
@@ -71,6 +72,18 @@ paper: venv ## outputs/paper: every run that is missing, Tables 1 to 6, Figures 
 
 figures: venv ## outputs/paper/figures: Figures 1 to 14, with the runs that they need
 	$(BIN)/python -m pinn_cli.report.paper figures $(ARGS)
+
+seeds: venv ## outputs/paper/seeds: the cases of Tables 2 and 5 over 10 noise seeds, mean and spread, network and smoother
+	$(BIN)/python -m pinn_cli.report.paper seeds $(ARGS)
+
+nonlinearity: venv ## outputs/paper/nonlinearity: fitness against kappa and force, with and without model error, one figure
+	$(BIN)/python -m pinn_cli.report.paper nonlinearity $(ARGS)
+
+paper-all: venv ## paper, seeds and nonlinearity, all in outputs/paper/report.html
+	$(BIN)/python -m pinn_cli.report.paper all $(ARGS)
+
+against-smoother: venv ## our error against a Kalman smoother whose process noise is tuned with the truth (long)
+	$(BIN)/python -m benchmarks.against_smoother $(ARGS)
 
 clean: ## remove the environment, builds, caches and every result in outputs/
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
 import pandas as pd
 
 from pinn_cli.baseline.base import Baseline
@@ -58,16 +59,15 @@ class KalmanSmoother(Baseline):
         smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
         try:
             last = self._last_pass(smoother, Levels(response, force, smoother.space.force_scale))
-        except FloatingPointError as error:
+            summary = {
+                "iterations": len(smoother.history),
+                "stop_reason": "converged" if last.step < self.tolerance else "iteration limit",
+                "log_evidence": last.regression.log_evidence,
+            }
+            return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
+        except (FloatingPointError, np.linalg.LinAlgError) as error:
             log.warning("baseline=kalman_smoother: no estimate, %s", error)
             return None
-        converged = last.step < self.tolerance
-        summary = {
-            "iterations": len(smoother.history),
-            "stop_reason": "converged" if converged else "iteration limit",
-            "log_evidence": last.regression.log_evidence,
-        }
-        return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
 
     def _last_pass(self, smoother: IteratedSmoother, levels: Levels) -> Pass:
         """The solution under the given process noise, or under the one that is found."""

@@ -94,7 +94,10 @@ class LinearGaussian:
             _, by_spread, failed = dposv(joint[:m, :m], shared.T)
             if failed:
                 raise FloatingPointError(f"the innovation at sample {k} has no positive definite covariance")
-            np.subtract(joint[m:, m:], shared @ by_spread, out=after)
+            unseen = joint[m:, m:] - shared @ by_spread
+            # Observations damp errors of a covariance only where it is symmetric: the skew part of the rounding would
+            # grow as the model itself does, without bound under negative damping, which a wrong parameter may be.
+            np.multiply(unseen + unseen.T, 0.5, out=after)
             solved.append(by_spread)
         gain = np.stack(solved).transpose(0, 2, 1)
         return covariance[:-1], joints[:, :m, :m], gain

@@ -17,6 +17,7 @@ from pinn_cli.errors import InputError
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -142,6 +143,19 @@ def test_a_given_process_noise_is_kept() -> None:
 def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:
     levels = Levels({}, np.array([3.0, np.nan]), 4.0)
     np.testing.assert_allclose(levels.disturbance_variance, [25.0, 16.0])
+
+
+def test_every_parameter_may_be_unknown() -> None:
+    """On the way from the record's own scale to the truth, damping turns negative: the smoother must get through."""
+    true = small_chain("duffing")
+    record = measured(true, snr_db=30.0, duration=120.0, samples=2049).record
+    problem = Bayesian().problem(true, Bayesian().observe(record))
+    estimate = solved(problem)
+    for parameter in estimate.parameters:
+        truth = float(true.parameters[parameter.name.partition("_")[0]][int(parameter.name[-1]) - 1])
+        assert abs(parameter.estimate - truth) < 4.0 * parameter.std
+        assert parameter.std < 0.1 * truth
+    assert estimate.summary["stop_reason"] == "converged"
 
 
 def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(

@@ -183,3 +183,18 @@ def test_impossible_noise_is_an_error() -> None:
     model = random_model()
     with pytest.raises(FloatingPointError, match="sample 0"):
         replace(model, noise=-1e3 * np.eye(5)).filter()
+
+
+def test_a_model_that_grows_keeps_its_covariances() -> None:
+    """Negative damping, which a wrong parameter may be: the skew part of rounding must not grow with the motion."""
+    steps, step = 6000, np.array([[1.0, 0.1], [-0.1, 1.02]])
+    state = np.tile(np.vstack((np.eye(2), step)), (steps, 1, 1))
+    disturbance = np.tile(np.array([[0.0], [0.0], [0.0], [0.1]]), (steps, 1, 1))
+    model = LinearGaussian(
+        np.zeros((steps, 2)), np.zeros((steps, 4)), state, disturbance, np.zeros((steps, 4, 0)), np.ones(1),
+        np.diag([1e-4, 1e-4, 0.0, 0.0]), np.zeros((2, 1)), np.eye(2),
+    )  # fmt: skip
+    covariance = model.filter().covariance
+    np.testing.assert_array_equal(covariance, covariance.transpose(0, 2, 1))
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    np.testing.assert_allclose(covariance[-1], covariance[1000], rtol=1e-6)

@@ -26,6 +26,7 @@ READERS = (
     "report/comparison.py",
     "report/parameter_comparison.py",
     "report/published.py",
+    "report/study",
     "report/tables.py",
 )
 

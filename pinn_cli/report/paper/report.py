@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.paper import sheet_files
+from pinn_cli.report.paper.picture import picture
 from pinn_cli.report.paper.plan import SMOOTHER
-from pinn_cli.report.paper.report_text import FIDELITY, INTRODUCTION, STYLE
+from pinn_cli.report.paper.report_text import INTRODUCTION, STYLE, fidelity
 from pinn_cli.report.paper.shortfalls import counted, shortfalls
+from pinn_cli.report.paper.study_sections import nonlinearity_section, seeds_section
 from pinn_cli.report.writing import write_text
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from pinn_cli.report.paper.figure_list import PaperFigure
     from pinn_cli.report.paper.runs import FinishedRun
     from pinn_cli.report.paper.tables import PaperTable
+    from pinn_cli.report.study.noise_seeds import SeedStudy
+    from pinn_cli.report.study.nonlinearity import NonlinearityStudy
 
 TITLE = "The paper's tables and figures, published and recomputed"
 
@@ -35,6 +38,9 @@ class ReportContent:
         figures: In order.
         images: Number of a figure to its PNG file; a figure without one is said to be missing.
         versions: Of Python and the packages.
+        seeds: Both estimators over the noise seeds; empty where that has not been made.
+        nonlinearity: Both over the strength of the nonlinearity; likewise.
+        nonlinearity_image: Its PNG file.
     """
 
     runs: Sequence[FinishedRun]
@@ -43,6 +49,9 @@ class ReportContent:
     figures: Sequence[PaperFigure]
     images: Mapping[int, Path]
     versions: Mapping[str, str | None]
+    seeds: SeedStudy
+    nonlinearity: NonlinearityStudy
+    nonlinearity_image: Path | None
 
 
 def write_report(content: ReportContent, path: Path) -> Path:
@@ -55,9 +64,14 @@ def report_html(content: ReportContent) -> str:
     sections = (
         ("tables", "Tables", "\n".join(sheet_files.html(table.sheet) for table in content.tables)),
         ("figures", "Figures", "\n".join(_figure(figure, content.images) for figure in content.figures)),
+        ("seeds", "Over noise seeds", seeds_section(content.seeds)),
+        (
+            "nonlinearity", "How nonlinear the system may be",
+            nonlinearity_section(content.nonlinearity, content.nonlinearity_image),
+        ),
         ("fidelity", "What could not be matched, and why", _fidelity(content)),
         ("runs", "What was run", _runs(content)),
-    )
+    )  # fmt: skip
     links = " · ".join(f'<a href="#{name}">{title}</a>' for name, title, _ in sections)
     body = "\n".join(f'<section id="{name}">\n<h2>{title}</h2>\n{text}\n</section>' for name, title, text in sections)
     return (
@@ -88,19 +102,17 @@ def _summary(content: ReportContent) -> str:
 
 
 def _figure(figure: PaperFigure, images: Mapping[int, Path]) -> str:
+    caption = f"<b>Figure {figure.number}: {escape(figure.title)}.</b> {escape(figure.caption)}"
     place = images.get(figure.number)
     if place is None:
-        picture = f"<p>Not drawn: the run {escape(figure.run)} is missing.</p>"
-    else:
-        data = base64.b64encode(place.read_bytes()).decode("ascii")
-        picture = f'<img alt="{escape(figure.title)}" src="data:image/png;base64,{data}">'
-    caption = f"<b>Figure {figure.number}: {escape(figure.title)}.</b> {escape(figure.caption)}"
-    return f'<figure id="{figure.name}">\n{picture}\n<figcaption>{caption}</figcaption>\n</figure>'
+        missing = f"<p>Not drawn: the run {escape(figure.run)} is missing.</p>"
+        return f'<figure id="{figure.name}">\n{missing}\n<figcaption>{caption}</figcaption>\n</figure>'
+    return picture(figure.name, place, figure.title, caption)
 
 
 def _fidelity(content: ReportContent) -> str:
-    words = f"{FIDELITY}\n{_without_smoother(content.runs)}"
-    found = shortfalls(content.tables)
+    words = f"{fidelity(content.tables)}\n{_without_smoother(content.runs)}"
+    found = shortfalls(content.tables, content.seeds)
     if not found:
         return f"{words}\n<p>No value of ours is worse than the published one.</p>"
     rows = "\n".join(
@@ -128,10 +140,8 @@ def _without_smoother(runs: Sequence[FinishedRun]) -> str:
     ]
     if not cases:
         return ""
-    return (
-        f"<p><b>No smoother.</b> The Kalman smoother found no estimate of {escape(', '.join(cases))}: its covariances "
-        "did not stay positive definite from where the unknown parameters start.</p>"
-    )
+    listed = escape(", ".join(cases))
+    return f"<p><b>No smoother.</b> The Kalman smoother found no estimate of {listed}: the log of the run says why.</p>"
 
 
 def _runs(content: ReportContent) -> str:
@@ -156,6 +166,7 @@ def _runs(content: ReportContent) -> str:
 def _run_row(run: FinishedRun) -> str:
     seconds = run.record["seconds"]
     stages = [
+        # A dash where nothing was done, which takes no time worth a digit.
         f"{seconds[name]:.1f}" if seconds.get(name, 0.0) >= 0.05 else "-"
         for name in ("estimate", "posterior", "baseline")
     ]
@@ -164,8 +175,3 @@ def _run_row(run: FinishedRun) -> str:
     cells = "".join(f"<td>{text}</td>" for text in (*stages, f"{run.process_seconds:.1f}"))
     heads = f'<th scope="row">{escape(run.planned.case)}</th><th scope="row">{escape(variant.title)}{settings}</th>'
     return f"<tr>{heads}{cells}</tr>"
-
-
-def _seconds(value: float) -> str:
-    """A dash where nothing was done, which takes no time worth a digit."""
-    return f"{value:.1f}" if value >= 0.05 else "-"

@@ -82,6 +82,22 @@ def make_runs(
     return finished, failures
 
 
+def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRun]:
+    """Those that are there and up to date; nothing is run."""
+    found = []
+    for run in planned:
+        place = directory / run.name
+        known = finished_run(place, run_digest(overrides_of(run.case, run.variant)))
+        if known is not None:
+            found.append(_read_run(run, place, float(known["process_seconds"])))
+    return found
+
+
+def _read_run(run: PlannedRun, directory: Path, process_seconds: float) -> FinishedRun:
+    record = json.loads((directory / "run.json").read_text(encoding="utf-8"))
+    return FinishedRun(run, directory, record, process_seconds)
+
+
 def _make_run(run: PlannedRun, directory: Path, runner: Runner, progress: str) -> FinishedRun:
     digest = run_digest(overrides_of(run.case, run.variant))
     known = finished_run(directory, digest)
@@ -95,5 +111,4 @@ def _make_run(run: PlannedRun, directory: Path, runner: Runner, progress: str) -
         print(f"{progress}: {done.process_seconds:.1f} s", flush=True)
     else:
         print(f"{progress}: up to date", flush=True)
-    record = json.loads((directory / "run.json").read_text(encoding="utf-8"))
-    return FinishedRun(run, directory, record, float(known["process_seconds"]))
+    return _read_run(run, directory, float(known["process_seconds"]))

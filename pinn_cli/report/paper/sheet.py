@@ -24,7 +24,7 @@ _GREEK = {"kappa": "κ", "mu": "μ"}
 _LATEX = str.maketrans(
     {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
      "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "κ": r"$\kappa$", "μ": r"$\mu$",
-     "–": "--", "²": "$^2$", "³": "$^3$", "‖": r"$\|$", "·": r"$\cdot$"}
+     "–": "--", "±": r"$\pm$", "²": "$^2$", "³": "$^3$", "‖": r"$\|$", "·": r"$\cdot$"}
 )  # fmt: skip
 # Letters with a combining accent are two characters, which a translation by character cannot see.
 _ACCENTED = {"x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$"}

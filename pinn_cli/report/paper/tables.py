@@ -75,7 +75,12 @@ def _case_tables(estimates: list[CaseRun]) -> list[PaperTable]:
 def write_tables(tables: Sequence[PaperTable], directory: Path) -> None:
     """Write ``table1.csv``, ``.md`` and ``.tex`` to ``table6``; each is there whole or not at all."""
     for table in tables:
-        name = table.sheet.name
-        write_table(table.comparison, directory / f"{name}.csv")
-        write_text(sheet_files.markdown(table.sheet), directory / f"{name}.md")
-        write_text(sheet_files.latex(table.sheet), directory / f"{name}.tex")
+        write_table(table.comparison, directory / f"{table.sheet.name}.csv")
+    write_sheets([table.sheet for table in tables], directory)
+
+
+def write_sheets(sheets: Sequence[Sheet], directory: Path) -> None:
+    """Write each as ``<name>.md`` and ``<name>.tex``."""
+    for sheet in sheets:
+        write_text(sheet_files.markdown(sheet), directory / f"{sheet.name}.md")
+        write_text(sheet_files.latex(sheet), directory / f"{sheet.name}.tex")

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from fake_posteriors import LABELS, UNITS, make_findings, make_record, make_samples
+from fake_solver import FakeSolver
 
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report import published
@@ -97,15 +98,18 @@ def runner(make_case: Callable) -> FakeRunner:
 
 @pytest.fixture(scope="session")
 def paper(make_case: Callable, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole outputs/paper from made-up runs; digests and the linear chain's response have tests of their own."""
-    from pinn_cli.report.paper.__main__ import make_paper
+    """A whole outputs/paper from made-up runs and studies; digests and the linear chain have tests of their own."""
+    from pinn_cli.report.paper.making import make_nonlinearity, make_paper, make_seeds
 
     output = tmp_path_factory.mktemp("outputs") / "paper"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("pinn_cli.report.paper.runs.run_digest", ",".join)
         linear = make_case(ndof=3, samples=60).truth.response
         patch.setattr("pinn_cli.report.paper.figures.equivalent_linear", lambda _: linear)
+        patch.setattr("pinn_cli.report.study.results._settings_digest", "".join)
         assert make_paper(output, FakeRunner(make_case)) == 0
+        assert make_seeds(output, FakeSolver()) == 0
+        assert make_nonlinearity(output, FakeSolver()) == 0
     return output
 
 

@@ -7,15 +7,17 @@ import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from pinn_cli.report.case_runs import CaseFailedError
-from pinn_cli.report.paper.__main__ import main, make_figures, make_paper
+from pinn_cli.report.paper.__main__ import main
 from pinn_cli.report.paper.figure_list import PAPER_FIGURES
 from pinn_cli.report.paper.figures import draw, draw_figures, equivalent_linear
+from pinn_cli.report.paper.making import make_figures, make_paper
 from pinn_cli.report.paper.saved_run import read_posterior, read_response, read_true_parameters
 from pinn_cli.report.paper.sheet import Row, Sheet, number, written
 from pinn_cli.report.paper.shortfalls import fitness_reason, parameter_reason
@@ -54,7 +56,7 @@ class Checked(HTMLParser):
 def test_report_is_well_formed_and_loads_nothing(paper):
     text = (paper / "report.html").read_text(encoding="utf-8")
     checked = Checked(text)
-    assert checked.count["img"] == len(PAPER_FIGURES) == 14
+    assert checked.count["img"] == len(PAPER_FIGURES) + 1 == 15
     assert all(place.startswith("data:image/png;base64,") for place in checked.loaded)
     assert len(checked.ids) == len(set(checked.ids))
     assert {link.removeprefix("#") for link in checked.links} <= set(checked.ids)
@@ -224,9 +226,16 @@ def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinn_cli.report.paper.__main__.make_runs", interrupted)
+    monkeypatch.setattr("pinn_cli.report.paper.making.make_runs", interrupted)
     assert main(["figures", "--output", str(tmp_path)]) == 130
     assert "goes on" in capsys.readouterr().err
+
+
+def browse(folder: Path, *arguments: str) -> str:
+    """What headless Chromium writes to its standard output."""
+    quiet = ("--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}")
+    command = [str(BROWSER), *quiet, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no headless Chromium on PATH")
@@ -240,11 +249,19 @@ def test_a_browser_renders_the_report(paper, tmp_path, width):
         "document.title = `images ${seen} overflow ${page.scrollWidth - page.clientWidth}`; });</script></body>"
     )
     probe.write_text((paper / "report.html").read_text(encoding="utf-8").replace("</body>", script), encoding="utf-8")
-    command = [
-        str(BROWSER), "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
-        f"--window-size={width},900", "--virtual-time-budget=5000", "--dump-dom", probe.as_uri(),
-    ]  # fmt: skip
-    page = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    page = browse(tmp_path, f"--window-size={width},900", "--virtual-time-budget=5000", "--dump-dom", probe.as_uri())
     title = re.search(r"<title>(.*?)</title>", page)
     assert title is not None
-    assert title[1] == "images 14 overflow 0"
+    assert title[1] == "images 15 overflow 0"
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no headless Chromium on PATH")
+def test_a_browser_prints_the_report(paper, tmp_path):
+    """On landscape A4, every figure with its caption on one page: fewer pages than figures would mean lost ones."""
+    place = tmp_path / "report.pdf"
+    browse(tmp_path, f"--print-to-pdf={place}", "--no-pdf-header-footer", (paper / "report.html").as_uri())
+    content = place.read_bytes()
+    assert content.startswith(b"%PDF")
+    pages = re.findall(rb"/MediaBox\s*\[\s*0\s+0\s+([\d.]+)\s+([\d.]+)\s*\]", content)
+    assert len(PAPER_FIGURES) < len(pages) < 60
+    assert all(float(width) > float(height) for width, height in pages)
