@@ -1,4 +1,8 @@
-"""Gauss-Newton training of a network with a linear readout, with the loss weights inferred from the record."""
+"""Gauss-Newton training, with the loss weights inferred from the record.
+
+A network with a linear readout is solved for its readout, one whose features are learned for all its weights, see
+:class:`pinn_cli.training.quasi_newton.QuasiNewton`.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +26,7 @@ from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
+from pinn_cli.training.quasi_newton import QuasiNewton
 from pinn_cli.training.scales import scales
 from pinn_cli.training.simulated_start import simulated_start
 
@@ -71,9 +76,7 @@ class GaussNewton(Training):
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
         network = (design.refined() if problem.identifies else design).build(problem.record)
         if not isinstance(network, LinearReadout):
-            raise InputError(
-                "training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout"
-            )
+            return self._over_all_weights(problem, design, run)
         history = History(run.progress)
         equations = NormalEquations(network, problem, run.device)
         evidence = Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
@@ -84,6 +87,17 @@ class GaussNewton(Training):
         if problem.priors is None:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(evidence, trained))
+
+    def _over_all_weights(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+        """Of a network whose features are learned too, in the space of its residuals."""
+        if problem.priors is not None:
+            hint = "an MLP gives no likelihood of its parameters"
+            raise InputError("network", design.name, "spline or fourier with scheme=bayesian", hint)
+        for setting, value, default in (("weights", self.weights, {}), ("pooled", self.pooled, False)):
+            if value != default:
+                hint = f"network={design.name} has no linear readout"
+                raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
+        return QuasiNewton(learn_spread=self.learn_spread).solve(problem, design, run)
 
     def _train(self, evidence: Evidence, problem: Problem, network: LinearReadout) -> Trained:
         force, velocity = scales(problem)

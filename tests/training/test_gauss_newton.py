@@ -140,9 +140,17 @@ def test_fixed_weights():
     assert fitness_percent(estimate.response.acceleration, truth.acceleration)[0] > 80.0
 
 
-def test_a_network_without_linear_readout_is_an_input_error():
-    with pytest.raises(InputError, match=r"training=gauss_newton: must be adam.*network=mlp has no linear readout"):
-        recovered(design=Mlp(2, 8, "sine"))
+def test_a_network_without_linear_readout_is_trained_over_all_its_weights():
+    design = Mlp(1, 12, "sine", "exact", "fourier")
+    estimate = recovered(design=design)
+    assert estimate.summary["network_weights"] > 100
+    assert fitness_percent(estimate.response.displacement, example().truth.response.displacement)[0] > 90.0
+
+
+def test_fixed_weights_of_a_network_without_linear_readout_are_an_input_error():
+    weights = {"observation": 1.0, "continuity": 10.0, "physics": 100.0}
+    with pytest.raises(InputError, match=r"training.weights=.*network=mlp has no linear readout"):
+        recovered(design=Mlp(2, 8, "sine"), weights=weights)
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ class ResidualRows:
             rows = -self._force_by_parameter(columns, motion, parameters) * (weight / parameters["m"])[:, None]
             before = sum(int(mask.sum()) for name, mask in masks.items() if name != "observer")
             out[before:first] = rows[:, masks["observer"]].transpose(0, 1)
-        return out.reshape(-1, len(columns))
+        return out.flatten(0, 1)
 
     def _observer(self, states: States, parameters: Mapping[str, Tensor]) -> Tensor:
         return self.chain.acceleration(states.displacement, states.velocity, self.target.observer_force, parameters)

@@ -44,7 +44,7 @@ class Dense:
                 weight.mul_(1.5)
         self.parameters = LearnedParameters(problem, torch.float64)
         self.parameters.moved.data += 0.05
-        collocation = collocate(problem, 32, 10000, "cpu")
+        collocation = collocate(problem, 48, 10000, "cpu")
         self.noise = noise_model(collocation, 0.05, 0.01).with_spread(0.8)
         self.rows = ResidualRows(chain, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
@@ -131,8 +131,8 @@ def test_a_step_solves_the_damped_least_squares():
     )
     target = torch.cat((by_parameter @ x - dense.linear.residual, precision**0.5 * to_start, none(w), none(p)))
     expected = torch.linalg.lstsq(matrix, target[:, None]).solution[:, 0]
-    torch.testing.assert_close(dense.flat(step.weights), expected[:w], rtol=1e-6, atol=1e-9)
-    torch.testing.assert_close(step.parameters, expected[w:], rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(dense.flat(step.weights), expected[:w], rtol=1e-5, atol=1e-7)
+    torch.testing.assert_close(step.parameters, expected[w:], rtol=1e-5, atol=1e-7)
 
 
 def test_what_is_kept_of_the_residuals_is_the_inverses_diagonal():

@@ -1,0 +1,180 @@
+"""Training an MLP in function space, on records that take a step well under a second."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from calls import Compose
+from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
+
+from pinn_cli.config import RunConfig
+from pinn_cli.errors import InputError
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.training import stepwise
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.function_space.search import FunctionSpaceSearch
+from pinn_cli.training.quasi_newton import QuasiNewton
+
+SMALL = Mlp(1, 12, "sine", "exact", "fourier")
+
+
+def uncertain(chain, share: float = 0.05) -> tuple[UncertainParameter, ...]:
+    values = {kind: float(chain.parameters[kind][1]) for kind in ("c", "k", "kappa")}
+    return tuple(UncertainParameter(kind, 1, value, share * value) for kind, value in values.items())
+
+
+def problem(hold: str = "exact", snr_db: float = 40.0, seed: int = 0, **settings) -> Problem:
+    chain = small_chain()
+    return Problem(chain, accelerations(measured(chain, hold, snr_db=snr_db, seed=seed).record), **settings)
+
+
+def truth(hold: str = "exact"):
+    return measured(small_chain(), hold).truth.response
+
+
+def solved(given: Problem, design: Mlp = SMALL, seed: int = 0, **settings) -> Estimate:
+    return QuasiNewton(**settings).solve(given, design, RunContext(seed=seed))
+
+
+@pytest.mark.parametrize("hold", ["exact", "zero_order"])
+def test_it_recovers_the_motion(hold):
+    estimate = solved(problem(hold))
+    for quantity in QUANTITIES:
+        error = relative_error(getattr(estimate.response, quantity), getattr(truth(hold), quantity))
+        assert error < 0.03, quantity
+    assert estimate.summary["stop_reason"] == "converged"
+    assert estimate.history["iteration"].tolist() == list(range(len(estimate.history)))
+
+
+@pytest.mark.parametrize("through", ["observer", "both"])
+def test_accelerations_through_the_observer(through):
+    estimate = solved(problem(acceleration_through=through))
+    assert relative_error(estimate.response.velocity, truth().velocity) < 0.03
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        Mlp(1, 12, "tanh", "exact", "fourier"),
+        Mlp(1, 16, "sine", "penalised", "fourier"),
+        Mlp(2, 12, "silu", "exact", "fourier"),
+        Mlp(2, 24, "sine", "exact"),
+    ],
+    ids=["tanh", "penalised", "two layers of silu", "without embedding"],
+)
+def test_other_networks(design):
+    assert relative_error(solved(problem(), design).response.displacement, truth().displacement) < 0.05
+
+
+def test_another_seed_finds_the_same_motion():
+    first, second = (solved(problem(), seed=seed).response for seed in (0, 1))
+    assert relative_error(first.displacement, second.displacement) < 0.01
+    assert not np.array_equal(first.displacement, second.displacement)
+
+
+def test_the_same_seed_gives_the_same_numbers():
+    first, second = (solved(problem(), iterations=3).response for _ in range(2))
+    np.testing.assert_array_equal(first.acceleration, second.acceleration)
+
+
+def test_it_does_not_know_the_unit_of_time():
+    slow = problem()
+    fast = Problem(small_chain(speed=50.0), sped_up(slow.record, 50.0))
+    expected = solved(slow, iterations=4).response.displacement
+    np.testing.assert_allclose(solved(fast, iterations=4).response.displacement, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_uncertain_parameters_are_learned_with_their_standard_deviations():
+    chain = small_chain()
+    wrong = replace(chain, parameters={**chain.parameters, "k": chain.parameters["k"] * torch.tensor([1.0, 1.06, 1.0])})
+    given = Problem(wrong, problem().record, uncertain(wrong, 0.1))
+    estimate = solved(given)
+    k = next(p for p in estimate.parameters if p.name == "k_2")
+    assert abs(k.estimate - 15.0) < 0.1
+    assert abs(k.estimate - 15.0) < 5.0 * k.std
+    assert 0.0 < k.std < 0.3
+    assert k.lower_90 < k.estimate < k.upper_90
+    assert estimate.correlation is not None
+    np.testing.assert_allclose(np.diag(estimate.correlation), 1.0)
+
+
+def test_an_unknown_parameter_is_identified():
+    chain = small_chain()
+    start = UncertainParameter("k", 1, 5.0, 150.0, scale=5.0, unknown=True, positive=True)
+    prescribed = replace(chain, parameters={**chain.parameters, "k": torch.tensor([15.0, 5.0, 15.0]).double()})
+    found = solved(Problem(prescribed, problem().record, (start,))).parameters[0]
+    assert found.estimate == pytest.approx(15.0, rel=0.01)
+
+
+def test_noise_levels_follow_the_record():
+    quiet, loud = (solved(problem(snr_db=snr)).summary for snr in (50.0, 20.0))
+    assert quiet["sigma_discrepancy"] < 0.02
+    assert loud["stop_reason"] == quiet["stop_reason"] == "converged"
+
+
+def test_a_training_that_was_stopped_goes_on_with_the_same_numbers(monkeypatch):
+    """Every state on the way is taken from one training and given to a fresh one."""
+    whole = solved(problem(uncertain=uncertain(small_chain())), iterations=6)
+    states: list[dict[str, Any]] = []
+
+    def stop_after_two(training: FunctionSpaceSearch, run: RunContext) -> None:
+        for _ in range(2):
+            training.step()
+        states.append(training.state_dict())
+
+    def go_on(training: FunctionSpaceSearch, run: RunContext) -> None:
+        training.load_state_dict(states[0])
+        stepwise.train(training, run)
+
+    for replacement in (stop_after_two, go_on):
+        monkeypatch.setattr("pinn_cli.training.quasi_newton.train", replacement)
+        estimate = solved(problem(uncertain=uncertain(small_chain())), iterations=6)
+    np.testing.assert_array_equal(estimate.response.displacement, whole.response.displacement)
+    assert [p.estimate for p in estimate.parameters] == [p.estimate for p in whole.parameters]
+    columns = [name for name in whole.history if name != "seconds"]
+    np.testing.assert_array_equal(estimate.history[columns], whole.history[columns])
+
+
+def test_the_iteration_limit_is_kept():
+    estimate = solved(problem(), iterations=2)
+    assert estimate.summary["stop_reason"] == "iteration limit"
+    assert estimate.summary["iterations"] == 2
+
+
+def test_the_force_that_acts_is_between_the_motions_and_the_measured_one():
+    chain = small_chain("linear")
+    estimate = solved(Problem(chain, problem(snr_db=50.0).record))
+    force = truth().force
+    assert relative_error(estimate.response.force[:, 0], force[:, 0]) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"iterations": 0}, "training.iterations=0"),
+        ({"tolerance": 1.5}, "training.tolerance=1.5"),
+        ({"learn_spread": "yes"}, "training.learn_spread=yes"),
+        ({"collocation_points": 1}, "training.collocation_points=1"),
+        ({"most_residuals": 3}, "training.most_residuals=3"),
+    ],
+)
+def test_settings_outside_their_range(setting, message):
+    with pytest.raises(InputError, match=message):
+        QuasiNewton(**setting)
+
+
+def test_a_network_with_linear_readout_is_an_input_error():
+    with pytest.raises(InputError, match=r"training=quasi_newton: must be gauss_newton for this network"):
+        solved(problem(), Spline())  # type: ignore[arg-type]
+
+
+def test_it_is_what_the_configuration_says(composed: Compose):
+    config = RunConfig.read(composed("network=mlp", "training=quasi_newton"))
+    assert isinstance(config.training, QuasiNewton)
+    assert vars(config.training) == vars(QuasiNewton())
