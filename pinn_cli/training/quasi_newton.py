@@ -19,7 +19,7 @@ from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.function_space.collocation import Collocation, collocate, noise_model
-from pinn_cli.training.function_space.linearisation import Linearisation
+from pinn_cli.training.function_space.posterior import FunctionSpacePosterior
 from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
 from pinn_cli.training.gradient.history import History
@@ -94,9 +94,11 @@ class QuasiNewton(Training):
         finally:
             history.close()
         response = acting_force(_response(problem, search, run), collocation.filtered_force, search.levels.noise)
-        unknown = Response.unknown(problem.record.time, problem.record.ndof)
-        estimates, correlation = _parameters(search)
-        return Estimate(response, unknown, estimates, history.table(), _summary(search), correlation)
+        posterior = FunctionSpacePosterior(search)
+        every = targets(problem.record, problem.chain, run.device)
+        std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
+        estimates, correlation = _parameters(search, posterior)
+        return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
 
     def _search(
         self,
@@ -123,21 +125,21 @@ def _response(problem: Problem, search: FunctionSpaceSearch, run: RunContext) ->
     return estimated_response(problem.record, problem.chain, search.parameters(), at_observation, at_physics)
 
 
-def _parameters(search: FunctionSpaceSearch) -> tuple[list[ParameterEstimate], np.ndarray | None]:
+def _parameters(
+    search: FunctionSpaceSearch, posterior: FunctionSpacePosterior
+) -> tuple[list[ParameterEstimate], np.ndarray | None]:
     """Estimates with the standard deviations of the Gaussian at the solution, weights integrated out."""
     parameters = search.parameters
     estimates = parameters.estimates()
     if not estimates:
         return estimates, None
-    linear = Linearisation(search.network, parameters, search.rows, search.levels.noise)
-    covariance = torch.linalg.inv(linear.parameter_precision(search.levels.precision))
-    unit = covariance.diagonal().sqrt()
+    unit = posterior.covariance.diagonal().sqrt()
     std = (unit * parameters.prior_deviation(search.levels.noise.spread)).cpu().tolist()
     found = [
         replace(e, std=s, lower_90=e.estimate - NINETY_PERCENT * s, upper_90=e.estimate + NINETY_PERCENT * s)
         for e, s in zip(estimates, std, strict=True)
     ]
-    return found, (covariance / torch.outer(unit, unit)).cpu().numpy()
+    return found, (posterior.covariance / torch.outer(unit, unit)).cpu().numpy()
 
 
 def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:

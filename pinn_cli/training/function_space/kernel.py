@@ -111,7 +111,7 @@ def kernel(blocks: list[Block]) -> Tensor:
     for i, (here, rows) in enumerate(zip(blocks, places, strict=True)):
         _symmetric_part(here, out[rows, rows])
         for there, columns in zip(blocks[:i], places[:i], strict=True):
-            out[rows, columns] = _products(here, there, lambda q, p: 1.0)
+            out[rows, columns] = cross_kernel(here, there)
             out[columns, rows] = out[rows, columns].T
     return out
 
@@ -138,6 +138,21 @@ def _products(here: Block, there: Block, factor: Callable[[int, int], float]) ->
                     product = left[q].flatten(0, 1) @ right[p].flatten(0, 1).T
                     total.addcmul_(product.view(total.shape), gram[None, :, None, :], value=factor(q, p))
     return total.view(here.size, there.size)
+
+
+def cross_kernel(here: Block, there: Block) -> Tensor:
+    """J_here J_there', (M_here, M_there)."""
+    return _products(here, there, lambda q, p: 1.0)
+
+
+def prior_variance(block: Block) -> Tensor:
+    """The diagonal of the kernel of a block with itself, (R, P)."""
+    total = block.sensitivity[0].new_zeros(block.sensitivity[0].shape[1:3])
+    for a, d in zip(block.inputs, block.sensitivity, strict=True):
+        gram = torch.einsum("qpi,spi->qsp", a, a)
+        gram[0, 0] += 1.0
+        total += torch.einsum("qrpo,srpo,qsp->rp", d, d, gram)
+    return total
 
 
 def pulled_back(block: Block, values: Tensor) -> Layers:

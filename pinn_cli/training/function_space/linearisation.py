@@ -114,13 +114,6 @@ class Linearisation:
         solved = torch.cholesky_solve(self.by_parameter, factor)
         return 1.0 - (self.by_parameter * solved).sum(0)
 
-    def parameter_precision(self, precision: float) -> Tensor:
-        """(p, p), of the parameters in prior standard deviations, weights integrated out; at the cost of a step."""
-        system = self.kernel / precision
-        system.diagonal().add_(1.0)
-        solved = torch.cholesky_solve(self.by_parameter, torch.linalg.cholesky(system))
-        return torch.eye(solved.shape[1]).to(solved) + self.by_parameter.T @ solved
-
     def _split(self, values: Tensor) -> list[Tensor]:
         pieces = values.split([block.size for block in self.blocks])
         return [piece.view(block.rows, -1) for block, piece in zip(self.blocks, pieces, strict=True)]

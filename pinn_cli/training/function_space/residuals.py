@@ -81,7 +81,7 @@ class ResidualRows:
         out = observed.displacement.new_zeros(self.observed_count + self.enforced_count, self.points, len(columns))
         equation = self.target.equation
         std = torch.as_tensor(noise.physics_variance).to(out).sqrt()
-        force = self._force_by_parameter(columns, enforced, parameters) / std[:, None]
+        force = self.force_by_parameter(columns, enforced, parameters) / std[:, None]
         first = self.observed_count
         out[first : first + self.force_count] = force[:, equation].transpose(0, 1)
         masks = observation_masks(self.target, self.through)
@@ -90,7 +90,7 @@ class ResidualRows:
             weight = torch.as_tensor(noise.observation_weight("observer", mass.cpu().numpy())).to(out).sqrt()
             # The observer equation is (f - r) / m: the force that the motion takes, but for m times acceleration.
             motion = observed._replace(acceleration=self._observer(observed, parameters))
-            rows = -self._force_by_parameter(columns, motion, parameters) * (weight / parameters["m"])[:, None]
+            rows = -self.force_by_parameter(columns, motion, parameters) * (weight / parameters["m"])[:, None]
             before = sum(int(mask.sum()) for name, mask in masks.items() if name != "observer")
             out[before:first] = rows[:, masks["observer"]].transpose(0, 1)
         return out.flatten(0, 1)
@@ -98,7 +98,7 @@ class ResidualRows:
     def _observer(self, states: States, parameters: Mapping[str, Tensor]) -> Tensor:
         return self.chain.acceleration(states.displacement, states.velocity, self.target.observer_force, parameters)
 
-    def _force_by_parameter(
+    def force_by_parameter(
         self, columns: tuple[tuple[str, int], ...], states: States, parameters: Mapping[str, Tensor]
     ) -> Tensor:
         """(P, n, p), of the force that the motion takes: m a + r_i - r_(i+1)."""

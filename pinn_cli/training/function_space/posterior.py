@@ -1,0 +1,87 @@
+"""The Gaussian at the solution: how far parameters and motion are known, from one more linearisation.
+
+In function space the network is a Gaussian process whose kernel is that of its linearisation over the precision of its
+weights, seen through residuals of unit variance, with the chain's parameters as regression coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.base import States
+from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
+from pinn_cli.training.function_space.linearisation import Linearisation
+from pinn_cli.training.function_space.search import FunctionSpaceSearch
+
+# Times at which standard deviations are computed; between them they change slowly.
+TIMES = 96
+
+
+class FunctionSpacePosterior:
+    """Of a training that has ended.
+
+    Args:
+        search: At its solution.
+
+    Attributes:
+        covariance: (p, p), of the uncertain parameters, in prior standard deviations, the motion integrated out.
+    """
+
+    def __init__(self, search: FunctionSpaceSearch) -> None:
+        self.search, self.precision = search, search.levels.precision
+        self.linear = Linearisation(search.network, search.parameters, search.rows, search.levels.noise)
+        system = self.linear.kernel / self.precision
+        system.diagonal().add_(1.0)
+        self.factor = torch.linalg.cholesky(system)
+        by_parameter = self.linear.by_parameter
+        solved = torch.cholesky_solve(by_parameter, self.factor)
+        self.covariance = torch.linalg.inv(torch.eye(solved.shape[1]).to(solved) + by_parameter.T @ solved)
+
+    def std(self, observation_time: Tensor, physics_time: Tensor, time: np.ndarray) -> Response:
+        """Standard deviations of every quantity, (N, n).
+
+        Args:
+            observation_time: (N,), when motions are asked for, s.
+            physics_time: (N,), when forces are.
+            time: (N,), the record's.
+        """
+        samples = torch.linspace(0, len(time) - 1, min(TIMES, len(time))).round().long()
+        chain, parameters = self.search.rows.chain, self._values()
+
+        def motion(states: States) -> Tensor:
+            return torch.cat((states.displacement.T, states.velocity.T, states.acceleration.T))
+
+        def force(states: States) -> Tensor:
+            return chain.external_force(states.displacement, states.velocity, states.acceleration, parameters).T
+
+        network = self.search.network
+        moved, _, _ = linearised(network, observation_time[samples], motion)
+        acting, _, states = linearised(network, physics_time[samples], force)
+        columns = tuple((p.kind, p.dof) for p in self.search.parameters.uncertain)
+        unit = self.search.parameters.prior_deviation(self.search.levels.noise.spread)
+        by_parameter = self.search.rows.force_by_parameter(columns, states, parameters) * unit
+        of_motion = self._variance(moved, torch.zeros(moved.size, len(columns)).to(by_parameter))
+        of_force = self._variance(acting, by_parameter.transpose(0, 1).flatten(0, 1))
+        rows = torch.cat((of_motion, of_force)).clamp(min=0.0).sqrt().cpu().numpy()
+        every = np.array([np.interp(time, time[samples.numpy()], row) for row in rows]).reshape(
+            len(QUANTITIES), -1, len(time)
+        )
+        return Response(time, *(quantity.T for quantity in every))
+
+    def _variance(self, block: Block, by_parameter: Tensor) -> Tensor:
+        """(R, P): with the parameters known, and what not knowing them adds."""
+        across = torch.cat([cross_kernel(block, known) for known in self.linear.blocks], 1) / self.precision
+        half = torch.linalg.solve_triangular(self.factor, across.T, upper=False)
+        known = prior_variance(block).flatten() / self.precision - half.square().sum(0)
+        explained = torch.linalg.solve_triangular(self.factor, self.linear.by_parameter, upper=False)
+        sensitivity = by_parameter - half.T @ explained
+        unknown = ((sensitivity @ self.covariance) * sensitivity).sum(1)
+        return (known + unknown).view(block.rows, -1)
+
+    def _values(self) -> Mapping[str, Tensor]:
+        return {name: value.detach() for name, value in self.search.parameters().items()}
