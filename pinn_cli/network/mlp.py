@@ -22,9 +22,9 @@ from pinn_cli.record.spectrum import record_band
 class MlpNetwork(RandomStart, Network):
     """``depth`` hidden layers of ``width`` from time in [0, 1] to outputs in units of the record's amplitudes.
 
-    Derivatives are carried forward through the layers (Taylor mode): value, first and second derivative stand on top
-    of each other in one tensor, so a layer is one matrix product whatever the number of outputs, where a reverse pass
-    per output costs 2 ndof passes (paper, algorithm 1).
+    Derivatives are carried forward through the layers (Taylor mode): a layer is one matrix product for the value and
+    one for each derivative, whatever the number of outputs, where a reverse pass per output costs 2 ndof passes
+    (paper, algorithm 1).
 
     Args:
         ndof: Number of DOFs.
@@ -86,8 +86,9 @@ class MlpNetwork(RandomStart, Network):
         jet = (scaled, torch.ones_like(scaled), torch.zeros_like(scaled))[: order + 1]
         last = len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            value, *rates = functional.linear(torch.stack(jet), weight).unbind()
-            jet = (value + bias, *rates)
+            # A product for each derivative: on top of each other they would have to be copied together and apart.
+            value, *rates = jet
+            jet = (functional.linear(value, weight, bias), *(functional.linear(rate, weight) for rate in rates))
             jet = jet if layer == last else propagate(activation, jet)
         return tuple(self.amplitude / self.span**q * derivative for q, derivative in enumerate(jet))
 

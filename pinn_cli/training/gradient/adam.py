@@ -65,7 +65,8 @@ class Adam(GradientTraining):
         if objective.parameters.count:
             # No weight decay: their prior is a term of the loss.
             groups.append({"params": list(objective.parameters.parameters()), "lr": self.parameter_learning_rate})
-        return FirstOrder(torch.optim.Adam(groups, lr=self.learning_rate, betas=self.betas))
+        # Fused: a third of the time of a loop over the tensors, which small networks notice.
+        return FirstOrder(torch.optim.Adam(groups, lr=self.learning_rate, betas=self.betas, fused=True))
 
 
 class FirstOrder(Optimiser):
