@@ -94,7 +94,7 @@ class MlpNetwork(RandomStart, Network):
 
 
 class Mlp(NetworkDesign):
-    """The paper's network; it is trained by first-order methods.
+    """The paper's network; it is trained by gradients.
 
     Args:
         depth: Hidden layers.
