@@ -88,8 +88,8 @@ def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
 def test_it_finds_the_motion_where_all_is_measured(name):
     chain = small_chain("linear", ndof=1)
     measurements = measured(chain, snr_db=50.0)
-    settings = {"learning_rate": 1e-2} if name == "soap" else {"warm_up": 0}
-    training = TRAININGS[name](iterations=200, stages=1, collocation_points=None, **settings)
+    settings = {"iterations": 400, "learning_rate": 1e-2} if name == "soap" else {"iterations": 150, "warm_up": 0}
+    training = TRAININGS[name](stages=1, collocation_points=None, **settings)
     estimate = training.solve(Problem(chain, measurements.record), Fourier(), RunContext())
     for quantity in (*QUANTITIES, "force"):
         truth = getattr(measurements.truth.response, quantity)
@@ -140,7 +140,7 @@ def test_a_positive_parameter_is_never_below_zero(name, monkeypatch):
 
 @pytest.mark.parametrize("name", CURVED)
 def test_an_unknown_parameter_moves_to_the_truth(name):
-    training = TRAININGS[name](iterations=200, warm_up=0, collocation_points=None)
+    training = TRAININGS[name](iterations=100, warm_up=0, collocation_points=None)
     estimate = training.solve(one_mass_unknown(5.0), Fourier(), RunContext())
     assert estimate.parameters[0].estimate == pytest.approx(15.0, rel=0.03)
     assert estimate.summary["stop_reason"] in (GRADIENT_VANISHED, NOTHING_LOWER, "iteration limit")
@@ -175,11 +175,10 @@ def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Comp
     assert vars(configured.training) == vars(TRAININGS[name]())
 
 
-@pytest.mark.parametrize("name", CURVED)
-def test_a_run_of_the_program(pinn_run: PinnRun, name):
+def test_a_run_of_the_program(pinn_run: PinnRun):
     network = ("network=mlp", "network.width=8", "network.depth=1", "network.activation=sine")
     few = ("training.iterations=8", "training.warm_up=4", "training.weights=equalised")
-    outcome = pinn_run(*SMALL, *network, f"training={name}", *few)
+    outcome = pinn_run(*SMALL, *network, "training=ssbroyden", *few)
     assert outcome.status == 0, outcome.err
     record = json.loads((outcome.directory / "run.json").read_text())
     assert record["training"]["iterations"] == 8
