@@ -72,7 +72,10 @@ class GaussNewton(Training):
         network = (design.refined() if problem.identifies else design).build(problem.record)
         if not isinstance(network, LinearReadout):
             raise InputError(
-                "training", "gauss_newton", "adam for this network", f"network={design.name} has no linear readout"
+                "training",
+                "gauss_newton",
+                "adam, lbfgs, soap or ssbroyden",
+                f"network={design.name} has no linear readout",
             )
         history = History(run.progress)
         equations = NormalEquations(network, problem, run.device)

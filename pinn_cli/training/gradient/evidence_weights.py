@@ -19,7 +19,7 @@ from pinn_cli.training.noise_model import sensor_noise
 
 # Of the force that acts, its root mean square: what the model is taken to leave out before anything is known, and at
 # least: a network is not asked to follow the equations of motion more closely than that.
-FIRST_DISCREPANCY, LEAST_DISCREPANCY = 0.1, 1e-3
+FIRST_DISCREPANCY, LEAST_DISCREPANCY = 0.01, 1e-3
 
 
 class EvidenceWeights(Weights):
@@ -27,10 +27,11 @@ class EvidenceWeights(Weights):
 
     Sensors have the white noise that a spline over the record's band cannot follow. What the model leaves out is a
     force on every DOF, with 2 T f independent values per DOF in a record of duration T and band f. Its level begins at
-    a tenth of the force; where a later stage begins it is MacKay's ||r||^2 / (N - gamma) of the equations of motion
-    without a measured force. A gradient method has no Hessian, so gamma, the values that the network has used up, is
-    guessed: as many per DOF as the record can hold, shared alike by all observations and equations. The level never
-    grows. Continuity weighs as much as the equations of motion do, and ``physics_growth`` has no part.
+    a hundredth of the force: at a tenth, networks linger where soft physics lets them. Where a later stage begins it is
+    MacKay's ||r||^2 / (N - gamma) of the equations of motion without a measured force. A gradient method has no
+    Hessian, so gamma, the values that the network has used up, is guessed: as many per DOF as the record can hold,
+    shared alike by all observations and equations. Continuity weighs as much as the equations of motion do, and
+    ``physics_growth`` has no part.
 
     Attributes:
         discrepancy: Standard deviation of the force that the model leaves out, over the scale of the physics residual.
@@ -78,8 +79,7 @@ class EvidenceWeights(Weights):
         name = "unforced" if bool(target.unforced.any()) else "forced"
         dofs = int((target.unforced if name == "unforced" else target.equation).sum())
         mean_square = float(terms[name]) / max(dofs, 1)
-        # Before a network is trained, its residuals are its own and not the model's.
-        self.discrepancy = min(max(math.sqrt(mean_square / left), LEAST_DISCREPANCY * self.force_rms), self.discrepancy)
+        self.discrepancy = max(math.sqrt(mean_square / left), LEAST_DISCREPANCY * self.force_rms)
         self._weigh()
 
     def _weigh(self) -> None:

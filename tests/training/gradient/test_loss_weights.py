@@ -83,12 +83,16 @@ def test_evidence_weights_are_the_ratios_of_the_noise():
 def test_evidence_learns_the_discrepancy_where_a_stage_begins():
     given = objective(EvidenceWeights())
     given.begin_stage(0, 1.0)
-    first = given.weights.discrepancy
-    with torch.no_grad():
-        given.network.weights[-1].mul_(1e-2)
-        given.network.biases[-1].mul_(1e-2)
-    given.begin_stage(1, 1.0)
-    assert given.weights.discrepancy < first
+    levels = []
+    for _ in range(2):
+        given.begin_stage(1, 1.0)
+        levels.append(given.weights.discrepancy)
+        with torch.no_grad():
+            given.network.weights[-1].mul_(0.1)
+            given.network.biases[-1].mul_(0.1)
+    # A motion of a tenth leaves out a tenth of the force of the DOFs that none acts on, but for the cubic part.
+    assert levels[1] == pytest.approx(0.1 * levels[0], rel=0.2)
+    assert given().weights["unforced"] == pytest.approx(given.weights.observation / levels[1] ** 2, rel=0.9)
 
 
 @pytest.mark.parametrize("kind", ["equalised", "evidence"])
