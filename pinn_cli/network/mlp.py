@@ -21,8 +21,8 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
 
 # Readout weights of an embedded network, over one by the square root of the width. Hidden units that need move only a
-# little stay where they are nearly linear, so that Gauss-Newton steps reach far: with 4 it takes twice as many.
-EMBEDDED_READOUT = 16.0
+# little stay where they are nearly linear, so that Gauss-Newton steps reach far: with 16 it takes twice as many.
+EMBEDDED_READOUT = 200.0
 # Spread of the first weights of an embedded network, whose inputs have one as the sum of their mean squares.
 EMBEDDED_INPUT = 0.01
 
@@ -30,9 +30,9 @@ EMBEDDED_INPUT = 0.01
 class MlpNetwork(RandomStart, Network):
     """``depth`` hidden layers of ``width`` from an embedding of time to outputs in units of the record's amplitudes.
 
-    Derivatives are carried forward through the layers (Taylor mode): value, first and second derivative stand on top
-    of each other in one tensor, so a layer is one matrix product whatever the number of outputs, where a reverse pass
-    per output costs 2 ndof passes (paper, algorithm 1).
+    Derivatives are carried forward through the layers (Taylor mode): a layer is one matrix product for the value and
+    one for each derivative, whatever the number of outputs, where a reverse pass per output costs 2 ndof passes
+    (paper, algorithm 1).
 
     Args:
         ndof: Number of DOFs.
@@ -118,8 +118,9 @@ class MlpNetwork(RandomStart, Network):
         jet = self.input_jet(time, order)
         last = len(self.weights) - 1
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            value, *rates = functional.linear(torch.stack(jet), weight).unbind()
-            jet = (value + bias, *rates)
+            # A product for each derivative: on top of each other they would have to be copied together and apart.
+            value, *rates = jet
+            jet = (functional.linear(value, weight, bias), *(functional.linear(rate, weight) for rate in rates))
             jet = jet if layer == last else propagate(activation, jet)
         return tuple(self.amplitude / self.span**q * derivative for q, derivative in enumerate(jet))
 

@@ -28,7 +28,7 @@ from pinn_cli.training.scales import scales
 from pinn_cli.training.stepwise import train
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
-SOFT = 0.03
+SOFT = 0.1
 # Precision of the weights at which training begins; it follows the weights by factors of ten at most.
 FIRST_PRECISION = 100.0
 # How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the

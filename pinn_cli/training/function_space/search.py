@@ -29,10 +29,10 @@ SETTLED_ENOUGH = 0.7
 # Most that a level may fall or rise at once: the linearisation reaches no further.
 LARGEST_FALL, LARGEST_RISE = 0.1, 4.0
 # Relative change of the discrepancy below which it has settled. Without model error it may fall for ever; then this
-# many whole steps without a gain are enough, and half as many where it has.
-LEVEL_TOLERANCE, PATIENCE = 0.2, 3
-# A discrepancy below this fraction of the force is rounding.
-FINEST_DISCREPANCY = 1e-6
+# many whole steps without a gain are enough, and one less where it has.
+LEVEL_TOLERANCE, PATIENCE = 0.2, 4
+# A discrepancy below this fraction of the force is below what the best load cells tell.
+FINEST_DISCREPANCY = 3e-4
 
 
 @dataclass
@@ -186,7 +186,7 @@ class FunctionSpaceSearch(Stepwise):
     def _judge(self, gained_nothing: bool, whole: bool) -> None:
         """End once neither the loss nor the levels move any more; a short step that gained little counts for half."""
         self.idle = self.idle + (1.0 if whole else 0.5) if gained_nothing else 0.0
-        if self.idle >= PATIENCE or (self.idle >= PATIENCE / 2 and self.settled):
+        if self.idle >= PATIENCE or (self.idle >= PATIENCE - 1 and self.settled):
             self.stop_reason = "converged"
 
     def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 import torch
@@ -15,7 +16,7 @@ from pinn_cli.training.gradient.training import GradientTraining
 
 
 class Adam(GradientTraining):
-    """Adam on every collocation point at once, with fixed loss weights.
+    """Adam on every collocation point at once, with one loss.
 
     Args:
         iterations, stages, physics_growth: See :class:`GradientTraining`.
@@ -40,7 +41,7 @@ class Adam(GradientTraining):
         parameter_learning_rate: float = 5e-4,
         betas: Sequence[float] = (0.99, 0.999),
         weight_decay: float = 1e-5,
-        weights: Mapping[str, float | None] | None = None,
+        weights: Mapping[str, float | None] | str | None = None,
         collocation_points: int | None = 512,
         dtype: str = "float32",
         history_every: int = 50,
@@ -48,7 +49,7 @@ class Adam(GradientTraining):
         super().__init__(iterations, stages, physics_growth, weights, collocation_points, dtype, history_every)
         self.learning_rate = positive_number("training.learning_rate", learning_rate)
         self.parameter_learning_rate = positive_number("training.parameter_learning_rate", parameter_learning_rate)
-        self.betas = _betas(betas)
+        self.betas = checked_betas(betas)
         self.weight_decay = finite_number("training.weight_decay", weight_decay)
         if self.weight_decay < 0:
             raise InputError("training.weight_decay", weight_decay, "a finite number >= 0")
@@ -65,7 +66,8 @@ class Adam(GradientTraining):
         if objective.parameters.count:
             # No weight decay: their prior is a term of the loss.
             groups.append({"params": list(objective.parameters.parameters()), "lr": self.parameter_learning_rate})
-        return FirstOrder(torch.optim.Adam(groups, lr=self.learning_rate, betas=self.betas))
+        # Fused: a third of the time of a loop over the tensors, which small networks notice.
+        return FirstOrder(torch.optim.Adam(groups, lr=self.learning_rate, betas=self.betas, fused=True))
 
 
 class FirstOrder(Optimiser):
@@ -92,10 +94,16 @@ class FirstOrder(Optimiser):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Optimiser.load_state_dict`."""
-        self.optimiser.load_state_dict(dict(state))
+        # torch would go on in the given tensors.
+        self.optimiser.load_state_dict(deepcopy(dict(state)))
 
 
-def _betas(betas: Sequence[float]) -> tuple[float, float]:
+def checked_betas(betas: Sequence[float]) -> tuple[float, float]:
+    """The decay rates of two moments.
+
+    Raises:
+        InputError: Not two numbers from 0 to below 1.
+    """
     given = entries(betas)
     if len(given) != 2 or not all(is_finite_number(beta) and 0 <= beta < 1 for beta in given):
         raise InputError("training.betas", betas, "two numbers from 0 to below 1", "[0.99, 0.999] in the paper")

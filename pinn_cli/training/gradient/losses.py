@@ -7,15 +7,12 @@ kind. A weight lambda says that the noise of a residual is its scale over sqrt(l
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import finite_number
 from pinn_cli.network.base import Network, States
 from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
 from pinn_cli.record.amplitudes import motion_amplitudes
@@ -26,55 +23,6 @@ from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 
 # Points that follow this much of a channel's power leave out a tenth of its amplitude at most.
 BULK_OF_THE_POWER = 0.99
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """Weights lambda of the loss terms.
-
-    Attributes:
-        observation, continuity: As in the paper.
-        physics: Of the equations of motion of the DOFs whose force is measured, and of the others by default.
-        unforced: Of the equations of motion of the DOFs that are known to carry no force; None: as ``physics``.
-
-    Raises:
-        InputError: A weight that is negative or not finite.
-    """
-
-    observation: float = 1.0
-    continuity: float = 10.0
-    physics: float = 100.0
-    unforced: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if value is not None and finite_number(f"training.weights.{name}", value) < 0:
-                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
-
-    @classmethod
-    def read(cls, weights: Mapping[str, float | None]) -> LossWeights:
-        """From a mapping; what it leaves out has the paper's value.
-
-        Raises:
-            InputError: A name that is no weight, or a value that is none.
-        """
-        for name, value in weights.items():
-            if name not in cls.__dataclass_fields__:
-                raise InputError(f"training.weights.{name}", value, f"one of {', '.join(cls.__dataclass_fields__)}")
-            if value is None and name != "unforced":
-                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
-        return cls(**weights)  # type: ignore[arg-type]
-
-    def by_term(self, physics_factor: float) -> dict[str, float]:
-        """Weight of every term of :meth:`Losses.terms`, those of the equations of motion times a factor."""
-        unforced = self.physics if self.unforced is None else self.unforced
-        return {
-            "observation": self.observation,
-            "continuity": self.continuity,
-            "forced": physics_factor * self.physics,
-            "unforced": physics_factor * unforced,
-            "prior": 1.0,
-        }
 
 
 class Losses:
@@ -92,6 +40,7 @@ class Losses:
 
     def __init__(self, problem: Problem, points: int | None, device: str, dtype: torch.dtype) -> None:
         record = problem.record
+        self.problem = problem
         self.chain, self.through = problem.chain, problem.acceleration_through
         self.simultaneous = hold_delay(record) == 0
         everything = targets(record, problem.chain, device, dtype)

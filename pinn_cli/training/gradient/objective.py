@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from pinn_cli.errors import DivergenceError
 from pinn_cli.network.base import Network
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.gradient.losses import Losses, LossWeights
+from pinn_cli.training.gradient.loss_weights import Weights
+from pinn_cli.training.gradient.losses import Losses
 
 # Residuals are over the largest measured value, so this loss is some million times what any start gives.
 DIVERGED = 1e12
@@ -25,11 +26,13 @@ class Evaluation:
         loss: The sum of the weighted terms, a scalar with a graph behind it.
         terms: Weighted loss terms by name.
         weights: By name of term.
+        gradient: (variables,), as one vector; None where nobody has asked for it yet.
     """
 
     loss: Tensor
     terms: dict[str, Tensor]
     weights: dict[str, float]
+    gradient: Tensor | None = None
 
 
 class Objective:
@@ -45,9 +48,15 @@ class Objective:
         physics_factor: On the weights of the equations of motion; a training may raise it as it goes on.
     """
 
-    def __init__(self, losses: Losses, network: Network, parameters: LearnedParameters, weights: LossWeights) -> None:
+    def __init__(self, losses: Losses, network: Network, parameters: LearnedParameters, weights: Weights) -> None:
         self.losses, self.network, self.parameters, self.weights = losses, network, parameters, weights
         self.physics_factor = 1.0
+        self._known: Evaluation | None = None
+
+    def begin_stage(self, stage: int, physics_factor: float) -> None:
+        """Weigh the terms as the stage (counted from 0) does."""
+        self.physics_factor = physics_factor
+        self.weights.begin_stage(self, stage)
 
     @property
     def variables(self) -> list[nn.Parameter]:
@@ -56,10 +65,19 @@ class Objective:
 
     def __call__(self) -> Evaluation:
         """The loss where network and parameters are now; it need not be finite."""
-        unweighted = self.losses.terms(self.network, self.parameters)
-        every = self.weights.by_term(self.physics_factor)
-        weights = {name: every[name] for name in unweighted}
-        terms = {name: weights[name] * term for name, term in unweighted.items()}
+        known, self._known = self._known, None
+        if known is not None and known.weights == self.weights.by_term(self.physics_factor):
+            return known
+        return self.evaluate()
+
+    def remember(self, evaluation: Evaluation) -> None:
+        """Spare the next call its work: who has just been where the variables are left knows the loss there."""
+        self._known = evaluation
+
+    def evaluate(self) -> Evaluation:
+        """The loss, worked out."""
+        weights = self.weights.by_term(self.physics_factor)
+        terms = {name: weights[name] * term for name, term in self.losses.terms(self.network, self.parameters).items()}
         return Evaluation(torch.stack(list(terms.values())).sum(), terms, weights)
 
 

@@ -8,6 +8,10 @@ from typing import Any
 
 from pinn_cli.training.gradient.objective import Evaluation, Objective
 
+# Reasons to stop, for run.json.
+NOTHING_LOWER = "line search found nothing lower"
+GRADIENT_VANISHED = "gradient vanished"
+
 
 class Optimiser(ABC):
     """Moves the variables of an objective downhill, one iteration at a time."""

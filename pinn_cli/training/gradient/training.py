@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -22,10 +23,11 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gradient.descent import Descent
 from pinn_cli.training.gradient.history import History
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.gradient.losses import Losses, LossWeights
+from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import Optimiser
 from pinn_cli.training.gradient.readout_scaling import scale_readout
+from pinn_cli.training.gradient.weight_settings import read_weights
 from pinn_cli.training.stepwise import train
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
@@ -38,7 +40,7 @@ class GradientTraining(Training):
         iterations: Steps in each stage.
         stages: Stages; the optimiser keeps its memory from one to the next.
         physics_growth: Factor on the weights of the equations of motion from stage to stage.
-        weights: See :class:`pinn_cli.training.gradient.losses.LossWeights`.
+        weights: See :func:`pinn_cli.training.gradient.weight_settings.read_weights`.
         collocation_points: See :class:`pinn_cli.training.gradient.losses.Losses`.
         dtype: ``float32`` or ``float64``.
         history_every: Iterations from one row of the history to the next.
@@ -54,7 +56,7 @@ class GradientTraining(Training):
         iterations: int,
         stages: int,
         physics_growth: float,
-        weights: Mapping[str, float | None] | None,
+        weights: Mapping[str, float | None] | str | None,
         collocation_points: int | None,
         dtype: str,
         history_every: int,
@@ -62,7 +64,7 @@ class GradientTraining(Training):
         self.iterations = whole_number("training.iterations", iterations, least=1)
         self.stages = whole_number("training.stages", stages, least=1)
         self.physics_growth = positive_number("training.physics_growth", physics_growth)
-        self.weights = LossWeights.read({} if weights is None else weights)
+        self.weights = read_weights(weights)
         self.collocation_points = collocation_points
         if collocation_points is not None:
             whole_number("training.collocation_points", collocation_points, least=2)
@@ -87,7 +89,9 @@ class GradientTraining(Training):
         shifted = replace(problem, record=record)
         losses = Losses(shifted, self.collocation_points, run.device, self.dtype)
         parameters = LearnedParameters(shifted, self.dtype).to(run.device)
-        objective = Objective(losses, self._network(shifted, design, run), parameters, self.weights)
+        # What one run finds is no business of the next.
+        weights = deepcopy(self.weights)
+        objective = Objective(losses, self.network(shifted, design, run), parameters, weights)
         history = History(self.name, run.progress, self.iterations * self.stages, self.history_every)
         descent = Descent(
             objective, self.optimiser(objective), history, self.iterations, self.stages, self.physics_growth,
@@ -101,7 +105,8 @@ class GradientTraining(Training):
         unknown = Response.unknown(problem.record.time, problem.record.ndof)
         return Estimate(response, unknown, parameters.estimates(), history.table(), self._summary(descent))
 
-    def _network(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Network:
+    def network(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Network:
+        """The network that is trained: at its random start, and in units of the record's amplitudes."""
         network = design.build(problem.record, self.dtype)
         if isinstance(network, RandomStart):
             network.reset(run.seed)

@@ -1,0 +1,97 @@
+"""Weights of the loss terms: what all kinds share, and the fixed ones."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import finite_number
+
+if TYPE_CHECKING:
+    from pinn_cli.training.gradient.objective import Objective
+
+
+class Weights(ABC):
+    """Weights lambda of the loss terms; a kind that finds its own does so where a stage begins."""
+
+    @abstractmethod
+    def by_term(self, physics_factor: float) -> dict[str, float]:
+        """Weight of every term of :meth:`Losses.terms`.
+
+        Args:
+            physics_factor: That of the stage, for the equations of motion.
+        """
+
+    @abstractmethod
+    def begin_stage(self, objective: Objective, stage: int) -> None:
+        """Find the weights of the stage (counted from 0), with the objective where it begins."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """What was found."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there."""
+
+
+@dataclass(frozen=True)
+class LossWeights(Weights):
+    """Fixed weights lambda of the loss terms.
+
+    Attributes:
+        observation, continuity: As in the paper.
+        physics: Of the equations of motion of the DOFs whose force is measured, and of the others by default.
+        unforced: Of the equations of motion of the DOFs that are known to carry no force; None: as ``physics``.
+
+    Raises:
+        InputError: A weight that is negative or not finite.
+    """
+
+    observation: float = 1.0
+    continuity: float = 10.0
+    physics: float = 100.0
+    unforced: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value is not None and finite_number(f"training.weights.{name}", value) < 0:
+                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
+
+    @classmethod
+    def read(cls, weights: Mapping[str, float | None]) -> LossWeights:
+        """From a mapping; what it leaves out has the paper's value.
+
+        Raises:
+            InputError: A name that is no weight, or a value that is none.
+        """
+        for name, value in weights.items():
+            if name not in cls.__dataclass_fields__:
+                raise InputError(f"training.weights.{name}", value, f"one of {', '.join(cls.__dataclass_fields__)}")
+            if value is None and name != "unforced":
+                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
+        return cls(**weights)  # type: ignore[arg-type]
+
+    def by_term(self, physics_factor: float) -> dict[str, float]:
+        """Weight of every term of :meth:`Losses.terms`, those of the equations of motion times a factor."""
+        unforced = self.physics if self.unforced is None else self.unforced
+        return {
+            "observation": self.observation,
+            "continuity": self.continuity,
+            "forced": physics_factor * self.physics,
+            "unforced": physics_factor * unforced,
+            "prior": 1.0,
+        }
+
+    def begin_stage(self, objective: Objective, stage: int) -> None:
+        """See :meth:`Weights.begin_stage`; there is nothing to find."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Weights.state_dict`."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See :meth:`Weights.load_state_dict`."""

@@ -1,0 +1,62 @@
+"""Objectives without a network, for tests of optimisers alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import torch
+from torch import Tensor, nn
+
+from pinn_cli.training.gradient.objective import Evaluation, Objective
+from pinn_cli.training.gradient.optimiser import Optimiser
+
+
+class PlainObjective(Objective):
+    """A function of one vector, whose last entries may have lower bounds."""
+
+    def __init__(self, function: Callable[[Tensor], Tensor], start: Tensor, lower: tuple[float, ...] = ()) -> None:
+        self.function, self.x, self._known, self.physics_factor = function, nn.Parameter(start.clone()), None, 1.0
+        self.weights = SimpleNamespace(by_term=lambda _: {"loss": 1.0})
+        bounds = torch.tensor(lower, dtype=start.dtype)
+        self.parameters = SimpleNamespace(count=len(lower), lower=bounds, respect_bounds=self.respect_bounds)
+        self.visited: list[Tensor] = []
+
+    def respect_bounds(self) -> None:
+        with torch.no_grad():
+            inside = torch.full_like(self.x, -math.inf)
+            if self.parameters.count:
+                inside[-self.parameters.count :] = self.parameters.lower
+            self.x.copy_(torch.maximum(self.x, inside))
+
+    @property
+    def variables(self) -> list[nn.Parameter]:
+        return [self.x]
+
+    def evaluate(self) -> Evaluation:
+        self.visited.append(self.x.detach().clone())
+        loss = self.function(self.x)
+        return Evaluation(loss, {"loss": loss}, {"loss": 1.0})
+
+
+def minimise(optimiser: Optimiser, objective: PlainObjective, most: int) -> tuple[int, str]:
+    """Iterations done and the reason to stop."""
+    for iteration in range(most):
+        reason = optimiser.step(objective, objective())
+        if reason:
+            return iteration, reason
+    return most, ""
+
+
+def rosenbrock(x: Tensor) -> Tensor:
+    return (100.0 * (x[1:] - x[:-1] ** 2) ** 2 + (1.0 - x[:-1]) ** 2).sum()
+
+
+def quadratic(count: int, condition: float) -> tuple[Callable[[Tensor], Tensor], Tensor]:
+    """A function with eigenvalues from 1 to ``condition``, and where it is least."""
+    generator = torch.Generator().manual_seed(1)
+    q, _ = torch.linalg.qr(torch.randn(count, count, generator=generator, dtype=torch.float64))
+    matrix = q @ torch.diag(torch.logspace(0.0, math.log10(condition), count, dtype=torch.float64)) @ q.T
+    bottom = torch.randn(count, generator=generator, dtype=torch.float64)
+    return lambda x: 0.5 * (x - bottom) @ matrix @ (x - bottom), bottom

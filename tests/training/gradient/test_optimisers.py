@@ -1,0 +1,185 @@
+"""Every optimiser on a small problem: it solves it, within bounds, and goes on from its state without a trace."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from calls import SMALL, Compose, PinnRun
+from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
+
+from pinn_cli.config import RunConfig
+from pinn_cli.errors import InputError
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.gradient.adam import Adam
+from pinn_cli.training.gradient.descent import Descent
+from pinn_cli.training.gradient.history import History
+from pinn_cli.training.gradient.lbfgs import Lbfgs
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER
+from pinn_cli.training.gradient.soap import Soap
+from pinn_cli.training.gradient.ssbroyden import SsBroyden
+from pinn_cli.training.gradient.training import GradientTraining
+from pinn_cli.training.gradient.weight_settings import read_weights
+
+TRAININGS = {"adam": Adam, "lbfgs": Lbfgs, "soap": Soap, "ssbroyden": SsBroyden}
+CURVED = ("lbfgs", "ssbroyden")
+NETWORK = Mlp(1, 12, "sine", "exact")
+
+
+def small_problem() -> Problem:
+    chain = small_chain()
+    stiffness = UncertainParameter("k", 1, 15.0, 1.5)
+    return Problem(chain, accelerations(measured(chain, snr_db=40.0).record), (stiffness,))
+
+
+def descent(training: GradientTraining, problem: Problem, seed: int) -> Descent:
+    """What the training steps through."""
+    losses = Losses(problem, training.collocation_points, "cpu", training.dtype)
+    network = NETWORK.build(problem.record, training.dtype)
+    network.reset(seed)
+    parameters, weights = LearnedParameters(problem, training.dtype), read_weights(training_weights(training))
+    objective = Objective(losses, network, parameters, weights)
+    history = History(training.name, False, training.iterations * training.stages, training.history_every)
+    return Descent(
+        objective, training.optimiser(objective), history, training.iterations, training.stages,
+        training.physics_growth, training.name, training.remedy,
+    )  # fmt: skip
+
+
+def training_weights(training: GradientTraining) -> str | None:
+    """What a training with such weights was given."""
+    kind = type(training.weights).__name__
+    return {"EqualisedWeights": "equalised", "EvidenceWeights": "evidence"}.get(kind)
+
+
+@pytest.mark.parametrize("weights", [None, "equalised", "evidence"])
+@pytest.mark.parametrize("name", TRAININGS)
+def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
+    warm_up = {} if name == "adam" else {"warm_up": 3}
+    settings = {"iterations": 12, "stages": 2, "collocation_points": 64, "history_every": 5, **warm_up}
+    training, problem = TRAININGS[name](weights=weights, **settings), small_problem()
+    whole = descent(training, problem, seed=1)
+    for _ in range(8):
+        whole.step()
+    torch.save(whole.state_dict(), tmp_path / "state.pt")
+    resumed = descent(training, problem, seed=2)
+    resumed.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
+    steps = 0
+    while whole.step():
+        steps += 1
+        assert resumed.step()
+        assert all(map(torch.equal, whole.objective.variables, resumed.objective.variables)), steps
+    assert not resumed.step()
+    assert steps == 16
+    rows = [history.table().drop(columns="seconds") for history in (whole.history, resumed.history)]
+    assert rows[0].equals(rows[1])
+
+
+@pytest.mark.parametrize("name", ["lbfgs", "soap", "ssbroyden"])
+def test_it_finds_the_motion_where_all_is_measured(name):
+    chain = small_chain("linear", ndof=1)
+    measurements = measured(chain, snr_db=50.0)
+    settings = {"iterations": 400, "learning_rate": 1e-2} if name == "soap" else {"iterations": 150, "warm_up": 0}
+    training = TRAININGS[name](stages=1, collocation_points=None, **settings)
+    estimate = training.solve(Problem(chain, measurements.record), Fourier(), RunContext())
+    for quantity in (*QUANTITIES, "force"):
+        truth = getattr(measurements.truth.response, quantity)
+        assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_curvature_gets_lower_than_adam_in_as_many_iterations(name):
+    losses = {}
+    for each in ("adam", name):
+        settings = {} if each == "adam" else {"warm_up": 50}
+        training = TRAININGS[each](iterations=300, stages=1, collocation_points=128, **settings)
+        losses[each] = training.solve(small_problem(), NETWORK, RunContext()).summary["loss"]
+    assert losses[name] < 0.6 * losses["adam"]
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_a_row_of_the_history_is_never_higher_than_the_one_before(name):
+    training = TRAININGS[name](iterations=60, warm_up=0, collocation_points=128, history_every=1)
+    history = training.solve(small_problem(), NETWORK, RunContext()).history
+    loss = history.filter(like="loss_").sum(axis=1).to_numpy()
+    assert (np.diff(loss) <= 1e-12 * loss[:-1]).all()
+    assert history["iteration"].tolist() == list(range(61))
+
+
+def one_mass_unknown(start: float) -> Problem:
+    """A linear one-mass chain with every sensor whose stiffness is unknown and cannot be negative."""
+    chain = small_chain("linear", ndof=1)
+    every = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True), "parameter_uncertainty": 0.0}
+    scheme = StateParameter(**every, unknown="k_1", initial={"k_1": start}, positive=["k"])
+    return scheme.problem(chain, scheme.observe(measured(chain, snr_db=40.0).record))
+
+
+@pytest.mark.parametrize("name", TRAININGS)
+def test_a_positive_parameter_is_never_below_zero(name, monkeypatch):
+    seen, terms = [], Losses.terms
+
+    def watched(self: Losses, network, parameters) -> dict[str, torch.Tensor]:
+        seen.append(float(parameters()["k"].detach()[0]))
+        return terms(self, network, parameters)
+
+    monkeypatch.setattr(Losses, "terms", watched)
+    settings = {"warm_up": 0} if name in CURVED else {"parameter_learning_rate": 1.0}
+    training = TRAININGS[name](iterations=40, stages=1, collocation_points=None, **settings)
+    training.solve(one_mass_unknown(0.05), Fourier(), RunContext())
+    assert min(seen) >= -1e-8  # a start of 0.05 has that rounding in float32
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_an_unknown_parameter_moves_to_the_truth(name):
+    training = TRAININGS[name](iterations=100, warm_up=0, collocation_points=None)
+    estimate = training.solve(one_mass_unknown(5.0), Fourier(), RunContext())
+    assert estimate.parameters[0].estimate == pytest.approx(15.0, rel=0.03)
+    assert estimate.summary["stop_reason"] in (GRADIENT_VANISHED, NOTHING_LOWER, "iteration limit")
+
+
+def test_a_network_whose_inverse_hessian_would_not_fit_is_refused():
+    with pytest.raises(InputError, match=r"training=ssbroyden: must be lbfgs or soap for a network of \d+ weights"):
+        SsBroyden().solve(small_problem(), Mlp(), RunContext())
+
+
+@pytest.mark.parametrize(
+    ("training", "settings", "named"),
+    [
+        (Lbfgs, {"memory": 0}, "training.memory=0"),
+        (Lbfgs, {"warm_up": -1}, "training.warm_up=-1"),
+        (SsBroyden, {"most_weights": 0}, "training.most_weights=0"),
+        (SsBroyden, {"tolerance": -1.0}, "training.tolerance=-1.0"),
+        (Soap, {"precondition_every": 0}, "training.precondition_every=0"),
+        (Soap, {"weights": "inferred"}, "training.weights=inferred"),
+        (Soap, {"betas": [0.9, 1.0]}, "training.betas=[0.9, 1.0]"),
+    ],
+)
+def test_impossible_settings_are_named(training, settings, named):
+    with pytest.raises(InputError) as error:
+        training(**settings)
+    assert str(error.value).startswith(named)
+
+
+@pytest.mark.parametrize("name", TRAININGS)
+def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Compose, name):
+    configured = RunConfig.read(composed("network=mlp", f"training={name}", *SMALL))
+    assert vars(configured.training) == vars(TRAININGS[name]())
+
+
+def test_a_run_of_the_program(pinn_run: PinnRun):
+    network = ("network=mlp", "network.width=8", "network.depth=1", "network.activation=sine")
+    few = ("training.iterations=8", "training.warm_up=4", "training.weights=equalised")
+    outcome = pinn_run(*SMALL, *network, "training=ssbroyden", *few)
+    assert outcome.status == 0, outcome.err
+    record = json.loads((outcome.directory / "run.json").read_text())
+    assert record["training"]["iterations"] == 8
+    assert record["training"]["stop_reason"] == "iteration limit"
