@@ -258,9 +258,14 @@ def test_a_signal_is_heeded_between_two_steps(number, status, tmp_path, undistur
 
 def test_elsewhere_a_signal_stops_at_once_and_handlers_are_put_back():
     before = [signal.getsignal(number) for number in interruption.SIGNALS]
-    with pytest.raises(Interruption), watched():
-        os.kill(os.getpid(), signal.SIGTERM)
-        pytest.fail("went on")
+
+    def stopped() -> None:
+        with watched():
+            os.kill(os.getpid(), signal.SIGTERM)
+            pytest.fail("went on")
+
+    with pytest.raises(Interruption):
+        stopped()
     assert [signal.getsignal(number) for number in interruption.SIGNALS] == before
 
 
