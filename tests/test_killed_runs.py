@@ -18,8 +18,8 @@ from pinn_cli.main import run
 from pinn_cli.report import run_report
 
 KILLS = 24
-# Some seconds of training: long enough for a random moment to lie in it, with a checkpoint every few steps.
-LONGER = (*ADAM, "training.iterations=300", "training.checkpoint_every_s=0.05")
+# Long enough for a random moment to lie in it, with a checkpoint every few steps.
+LONGER = (*ADAM, "training.iterations=120", "training.checkpoint_every_s=0.03")
 
 
 def start(*arguments: str) -> int:
