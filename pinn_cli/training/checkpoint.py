@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import logging
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,8 +14,8 @@ from pinn_cli.training.checkpoint_files import LAST, CheckpointFiles, sealed
 from pinn_cli.training.random_states import random_states, set_random_states
 
 FORMAT = 1
-
-log = logging.getLogger(__name__)
+# What may come of a file whose seal is right but whose content is none of ours.
+FORGED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
 
 
 class Resumable(Protocol):
@@ -83,11 +82,15 @@ class Checkpoints:
             return False
         if content.get("format") != FORMAT:
             raise OtherRunError([f"checkpoint format={FORMAT} (was {content.get('format')})"])
-        changes = self.identity.changes_from(Identity.read(content["identity"]))
+        try:
+            identity, kept, states = Identity.read(content["identity"]), list(content["trainings"]), content["random"]
+        except FORGED as error:
+            raise OtherRunError([f"a checkpoint that pinn-run did not write ({error!r})"]) from error
+        changes = self.identity.changes_from(identity)
         if changes:
             raise OtherRunError(changes)
         self.files.tidy()
-        self._kept, self._random = content["trainings"], content["random"]
+        self._kept, self._random = kept, states
         return True
 
     def begin(self, training: Resumable) -> bool:
@@ -100,18 +103,17 @@ class Checkpoints:
         number = len(self._ended)
         if number >= len(self._kept):
             return False
-        kept = self._kept[number]
         try:
-            training.load_state_dict(kept["state"])
-        except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
-            place, told = self.directory / LAST, str(error).partition("\n")[0]
-            hint = f"{told}; remove checkpoint*.pt to start over"
-            raise InputError("resume", place, "a checkpoint of this training", hint) from error
-        if number == len(self._kept) - 1:
-            set_random_states(self._random)
-        if kept["ended"]:
-            self._ended.append(kept["state"])
-        return bool(kept["ended"])
+            state, ended = (self._kept[number][name] for name in ("state", "ended"))
+            training.load_state_dict(state)
+            if number == len(self._kept) - 1:
+                set_random_states(self._random)
+        except FORGED as error:
+            hint = f"{error!r}; remove checkpoint*.pt to start over"
+            raise InputError("resume", self.directory / LAST, "a checkpoint of this training", hint) from error
+        if ended:
+            self._ended.append(state)
+        return bool(ended)
 
     def due(self) -> bool:
         """Whether it is time for the next one."""

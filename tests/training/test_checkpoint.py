@@ -305,10 +305,24 @@ def test_a_checkpoint_of_another_run_is_refused_and_the_differences_are_named(tm
     assert (tmp_path / LAST).read_bytes() == before
 
 
-def test_a_forged_state_is_an_error_of_the_input(tmp_path):
+GOOD_STATE = {"sum": torch.zeros(3), "done": 1}
+
+
+@pytest.mark.parametrize(
+    "trainings",
+    [[{"ended": False, "state": {"sum": 1}}], [{"ended": False}], [3], [{"ended": False, "state": GOOD_STATE}]],
+    ids=["another state", "no state", "a number", "no generators"],
+)
+def test_a_forged_state_is_an_error_of_the_input(trainings, tmp_path):
     kept = checkpoints(tmp_path)
-    forged = {"trainings": [{"ended": False, "state": {"sum": 1}}], "random": {}}
-    kept.write(sealed({"format": 1, "identity": IDENTITY.content, **forged}))
+    kept.write(sealed({"format": 1, "identity": IDENTITY.content, "trainings": trainings, "random": {}}))
     kept.take_up()
     with pytest.raises(InputError, match="resume=.*checkpoint.pt: must be a checkpoint of this training"):
         walk(RandomWalk(), kept)
+
+
+@pytest.mark.parametrize("forged", [{"format": 2}, {}, {"format": 1}, {"format": 1, "identity": 3}])
+def test_sealed_content_that_is_no_checkpoint_is_another_runs(forged, tmp_path):
+    checkpoints(tmp_path).write(sealed(forged))
+    with pytest.raises(OtherRunError):
+        checkpoints(tmp_path).take_up()
