@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -40,28 +41,37 @@ def start(*arguments: str) -> int:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
-    """The run undisturbed, and how long it takes, s."""
-    directory = tmp_path_factory.mktemp("undisturbed") / "whole"
-    began = time.perf_counter()
-    run_in_a_child(directory, *LONGER)
-    return directory, time.perf_counter() - began
+    """The run undisturbed, and how long it trains, s."""
+    directory = run_in_a_child(tmp_path_factory.mktemp("undisturbed") / "whole", *LONGER)
+    return directory, float(json.loads((directory / "run.json").read_text())["seconds"]["estimate"])
+
+
+def await_training(log: Path, told: int) -> None:
+    """Until the log says so many times that the stage before it has ended, or for a minute."""
+    until = time.perf_counter() + 60.0
+    while time.perf_counter() < until and (log.read_text() if log.exists() else "").count("problem:") < told:
+        time.sleep(0.005)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(KILLS))
 def test_killed_at_random_moments(number: int, whole: tuple[Path, float], tmp_path: Path, monkeypatch) -> None:
-    """One kill each, at a moment of its own in an equal part of the run; every third is killed again on its way."""
+    """One kill each, in an equal part of the training and what follows; some are killed again, at any moment."""
     directory, seconds = whole
     monkeypatch.chdir(tmp_path)
     moments = random.Random(number)
     arguments = (*LONGER, "hydra.run.dir=run", "resume=auto")
-    for _ in range(2 if number % 3 == 0 else 1):
+    child = start(*arguments)
+    await_training(tmp_path / "run" / "pinn-run.log", 1)
+    time.sleep(1.1 * seconds * (number + moments.random()) / KILLS)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    if number % 4 == 0:
         child = start(*arguments)
-        time.sleep(seconds * (number + moments.random()) / KILLS)
+        time.sleep(5.0 * moments.random())
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-    named = (tmp_path / "run" / ".hydra" / "config.yaml").is_file() and moments.random() < 0.5
-    child = start(*(("resume=run",) if named else arguments))
+    child = start(*(("resume=run",) if number % 2 else arguments))
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     assert_same_numbers(directory, tmp_path / "run")
     assert not list((tmp_path / "run").rglob(".*.partial*"))
