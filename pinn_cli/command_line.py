@@ -4,7 +4,8 @@
     1  a defect of the program: its traceback
     2  input that no run can use: one line that says which setting, why and what to do
     3  a run that diverged: one line that says where
-    130  interrupted
+    130  interrupted by Ctrl-C (SIGINT); pinn-run resume=DIRECTORY goes on
+    143  the same by SIGTERM
     141  nobody reads the output any more
 
 `HYDRA_FULL_ERROR=1` adds the traceback to 2 and 3.
@@ -30,7 +31,9 @@ from omegaconf import DictConfig
 from pinn_cli import run_directories
 from pinn_cli.command_options import read_options
 from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.interruption import Interruption, watched
 from pinn_cli.override_errors import explain
+from pinn_cli.resume import StoredRun, resume_command
 
 log = logging.getLogger(__name__)
 
@@ -52,18 +55,21 @@ class Jobs:
         self.started = False
         self.status = 0
         self.unusable: list[Path] = []
+        self.stored: StoredRun | None = None
+        self.directory: Path | None = None
         self._process = os.getpid()
 
     def __call__(self, config: DictConfig) -> None:
         """Run one job; see the class."""
         self.started = True
+        self.directory = Path(HydraConfig.get().runtime.output_dir)
         try:
-            self.task(config)
+            self.task(config if self.stored is None else self.stored.configuration(config))
         except (InputError, DivergenceError) as error:
             if os.getpid() != self._process:  # a launcher's worker: only Hydra can carry the failure back
                 raise
             if isinstance(error, InputError):
-                self.unusable.append(Path(HydraConfig.get().runtime.output_dir))
+                self.unusable.append(self.directory)
             log.info("%s", error)
             self.report(error)
 
@@ -90,13 +96,15 @@ def execute(task: Task) -> int:
     refused = False
     try:
         options = read_options(sys.argv)
-        if options.help:
-            _print_help(jobs)
-        else:
-            _run_hydra(jobs)
-    except KeyboardInterrupt:
-        print("pinn-run: interrupted", file=sys.stderr)
-        return STATUS_INTERRUPTED
+        with watched():
+            if options.help:
+                _print_help(jobs)
+            elif not _has_finished(jobs, options):
+                _run_hydra(jobs)
+    except KeyboardInterrupt as stop:
+        goes_on = f"; to go on: {resume_command(jobs.directory)}" if jobs.directory else ""
+        print(f"pinn-run: interrupted{goes_on}", file=sys.stderr)
+        return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
@@ -110,6 +118,19 @@ def execute(task: Task) -> int:
         if refused or jobs.unusable:
             run_directories.discard(jobs.unusable)
     return jobs.status
+
+
+def _has_finished(jobs: Jobs, options: Namespace) -> bool:
+    """Have a run that is named by `resume=DIRECTORY` go on, unless it has all its results: that is said in one line."""
+    jobs.stored = StoredRun.asked_for(options)
+    if jobs.stored is None:
+        return False
+    if jobs.stored.finished():
+        print(f"finished before, nothing to do\n{jobs.stored.directory}")
+        return True
+    sys.argv[1:] = jobs.stored.arguments
+    jobs.stored.enter()
+    return False
 
 
 def _print_help(jobs: Jobs) -> None:

@@ -11,13 +11,14 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import whole_number
+from pinn_cli.identity import Identity
+from pinn_cli.legal_values import positive_number, whole_number
 from pinn_cli.override_errors import likely
 from pinn_cli.targets import build, check_targets, construct
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.training.base import Training
 
-VALUES = ("case", "seed", "device", "threads")
+VALUES = ("case", "seed", "device", "threads", "resume")
 NODES = (
     "system",
     "excitation",
@@ -45,6 +46,9 @@ NODES = (
     "posterior",
     "baseline",
 )
+
+# Where the file of a training, a user's own perhaps, does not say.
+CHECKPOINT_EVERY_S = 30.0
 
 # Read by the linear algebra libraries when they are first loaded, which is after this module.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -82,6 +86,9 @@ class RunConfig:
         training: How the problem is solved.
         posterior: How the distribution of the parameters is found, with scheme=bayesian.
         baseline: What the network is compared with.
+        identity: Which run this is, for its checkpoints and results.
+        resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
+        checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
     """
 
     case: str
@@ -96,6 +103,9 @@ class RunConfig:
     training: Training
     posterior: Posterior
     baseline: Baseline
+    identity: Identity
+    resume: str | None
+    checkpoint_every_s: float | None
 
     @classmethod
     def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
@@ -111,14 +121,17 @@ class RunConfig:
         config = _resolved(config)
         _check_names(config)
         check_targets(config)
+        identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
         case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
         chain = _chain(config.system)
         source = _source(config, chain, model_error, seed, base)
-        estimation = (build(config[name], name) for name in ("scheme", "network", "training", "posterior", "baseline"))
-        return cls(case, seed, device, threads, chain, model_error, source, *estimation)
+        names = ("scheme", "network", "training", "posterior", "baseline")
+        estimation = {name: build(config[name], name) for name in names}
+        again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
+        return cls(case, seed, device, threads, chain, model_error, source, **estimation, **again)
 
     @property
     def truth_label(self) -> str:
@@ -190,6 +203,18 @@ def _device(config: DictConfig) -> str:
     if not isinstance(config.device, str) or not re.fullmatch(r"cpu|cuda(:\d+)?", config.device):
         raise InputError("device", config.device, "cpu, cuda or cuda:N")
     return config.device
+
+
+def _resume(config: DictConfig) -> str | None:
+    if config.resume is not None and not isinstance(config.resume, str):
+        raise InputError("resume", config.resume, "null, auto, or the directory of a run")
+    return config.resume
+
+
+def _checkpoint_every_s(config: DictConfig) -> float | None:
+    """Taken out of the training's settings: it is the run that keeps checkpoints, whatever the training."""
+    given = config.training.pop("checkpoint_every_s", CHECKPOINT_EVERY_S)
+    return None if given is None else positive_number("training.checkpoint_every_s", given)
 
 
 def _limit_threads(threads: int) -> None:

@@ -10,19 +10,25 @@ from omegaconf import DictConfig
 
 from pinn_cli.command_line import execute
 from pinn_cli.config import RunConfig
+from pinn_cli.resume import asked_to_resume, is_finished
 from pinn_cli.stages import Stages
 
 
 def run(composed: DictConfig) -> None:
-    """Run one job: what it leaves behind lies in Hydra's run directory, whose path is the last line printed."""
+    """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed."""
     runtime = HydraConfig.get().runtime
     directory, stages = Path(runtime.output_dir), Stages()
     with stages("config"):
         config = RunConfig.read(composed, base=Path(runtime.cwd))
+        resuming = asked_to_resume(config, directory)
+    if resuming and is_finished(directory, config.identity):
+        print(f"finished before, nothing to do\n{directory}")
+        return
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.posterior.find import find_posterior
         from pinn_cli.report.run_report import Results, write_report
         from pinn_cli.training.estimate import RunContext
+        from pinn_cli.training.run_checkpoints import open_checkpoints
     with stages("system"):
         true, prescribed = config.model_error.chains(config.chain)
     with stages("record"):
@@ -31,7 +37,8 @@ def run(composed: DictConfig) -> None:
     with stages("problem"):
         problem = config.scheme.problem(prescribed, record)
     with stages("estimate"):
-        context = RunContext(config.device, config.seed, directory, progress=sys.stderr.isatty())
+        checkpoints = open_checkpoints(config, directory)
+        context = RunContext(config.device, config.seed, directory, sys.stderr.isatty(), checkpoints)
         estimate = config.training.solve(problem, config.network, context)
     with stages("posterior"):
         posterior = find_posterior(config.posterior, problem, estimate, context)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import time
@@ -11,6 +10,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import pandas as pd
+
+from pinn_cli.quoting import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +64,7 @@ def run_case(case: str, variant: Variant, directory: Path) -> CaseRun:
     """
     for name in ("fitness.csv", "parameters.csv", "run.json"):
         (directory / name).unlink(missing_ok=True)  # of an earlier run: they must not pass for this one's
-    command = [*command_of(case, variant), f"hydra.run.dir={_quoted(str(directory.resolve()))}"]
+    command = [*command_of(case, variant), f"hydra.run.dir={quoted(str(directory.resolve()))}"]
     start = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     process_seconds = time.perf_counter() - start
@@ -106,10 +107,3 @@ def run_cases(cases: Sequence[str], variants: Sequence[Variant], directory: Path
             runs.append(run)
             print(f"{case}, {variant.title}: {run.process_seconds:.1f} s", flush=True)
     return runs, failures
-
-
-def _quoted(value: str) -> str:
-    """A value that Hydra's grammar takes as it stands, whatever characters a folder's name has."""
-    # A backslash is itself but before a quotation mark, where it is written twice.
-    escaped = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), value)
-    return f"'{escaped}'"

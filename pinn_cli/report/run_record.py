@@ -41,6 +41,7 @@ def run_record(config: RunConfig, estimate: Estimate, seconds: Mapping[str, floa
         "device": device_name(config.device),
         "threads": config.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "configuration": config.identity.configuration,
         "git_revision": git_revision(),
         "versions": package_versions(),
         "platform": platform.platform(),

@@ -13,6 +13,7 @@ import pandas as pd
 from pinn_cli.record.record import Response
 
 if TYPE_CHECKING:
+    from pinn_cli.training.checkpoint import Checkpoints
     from pinn_cli.training.parameter_likelihoods import ParameterLikelihoods
 
 
@@ -71,11 +72,13 @@ class RunContext:
     Attributes:
         device: Where networks and residuals live, ``cpu`` or ``cuda``.
         seed: Seeds the weights of networks that start from random ones.
-        directory: The run's directory, for checkpoints; None in a library call that keeps nothing.
+        directory: The run's directory, for what a stage keeps; None in a library call that keeps nothing.
         progress: Whether to draw a progress bar (never when the output is no terminal).
+        checkpoints: Of the trainings; None in a library call that keeps none.
     """
 
     device: str = "cpu"
     seed: int = 0
     directory: Path | None = None
     progress: bool = field(default=False)
+    checkpoints: Checkpoints | None = None

@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from pinn_cli.report import case_runs, published, tables
+from pinn_cli.quoting import quoted
+from pinn_cli.report import published, tables
 from pinn_cli.report.case_runs import CaseFailedError, CaseRun, Variant, run_case
 from pinn_cli.report.comparison import COLUMNS, compare_fitness, fitness_markdown
 from pinn_cli.report.parameter_comparison import COLUMNS as PARAMETER_COLUMNS
@@ -198,4 +199,4 @@ def test_tables_of_an_earlier_run_do_not_pass_for_this_one(tmp_path, monkeypatch
 def test_hydra_takes_any_folder_name():
     parser = pytest.importorskip("hydra.core.override_parser.overrides_parser").OverridesParser.create()
     for name in ("/a/b c", "/it's", "/x=1,2", "/back\\slash", "/a\\'b", "/end\\"):
-        assert parser.parse_override(f"hydra.run.dir={case_runs._quoted(name)}").value() == name
+        assert parser.parse_override(f"hydra.run.dir={quoted(name)}").value() == name

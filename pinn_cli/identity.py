@@ -1,0 +1,105 @@
+"""What the numbers of a run depend on: which run a checkpoint or a result is of. Nothing slow is imported here."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+# Where and how a run is made, which may differ from one start of it to the next.
+LEFT_OUT = ("device", "threads", "resume", "training.checkpoint_every_s")
+PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """One run among all runs.
+
+    Attributes:
+        settings: Value of every setting that the numbers depend on, as text, by the name that a user types; of a file
+            that is read its content instead of its name.
+        versions: Of the packages that compute them.
+    """
+
+    settings: dict[str, str]
+    versions: dict[str, str]
+
+    @classmethod
+    def of(cls, config: DictConfig, base: Path | None = None) -> Identity:
+        """Of a composed configuration.
+
+        Args:
+            config: Resolvable, without its `hydra` node.
+            base: The folder that relative paths of data start from; None: the current one.
+        """
+        settings = dict(_flat(OmegaConf.to_container(config, resolve=True)))
+        settings = {name: value for name, value in settings.items() if name not in LEFT_OUT}
+        path = OmegaConf.select(config, "data.path")
+        content = None if path is None else _content((base or Path()) / str(path))
+        if content:
+            settings["data.path"] = content
+        return cls(settings, {name: _version(name) for name in PACKAGES})
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> Identity:
+        """From what `content` returned."""
+        return cls(dict(content["settings"]), dict(content["versions"]))
+
+    @property
+    def content(self) -> dict[str, dict[str, str]]:
+        """The attributes as plain mappings, for a file."""
+        return {"settings": self.settings, "versions": self.versions}
+
+    @property
+    def configuration(self) -> str:
+        """SHA-256 of the settings alone."""
+        return hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode()).hexdigest()
+
+    def changes_from(self, other: Identity) -> list[str]:
+        """What differs, as `noise.snr_db=20 (was 50)`."""
+        return [
+            f"{name}={now.get(name, '(none)')} (was {was.get(name, '(none)')})"
+            for now, was in ((self.settings, other.settings), (self.versions, other.versions))
+            for name in sorted(now.keys() | was.keys())
+            if now.get(name) != was.get(name)
+        ]
+
+
+def _flat(node: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of the leaves; a number is the same whether it is written 50 or 50.0."""
+    if isinstance(node, Mapping) and (node or not name):
+        for key, value in node.items():
+            yield from _flat(value, f"{name}.{key}" if name else str(key))
+    elif isinstance(node, list) and any(isinstance(item, Mapping | list) for item in node):
+        for index, item in enumerate(node):
+            yield from _flat(item, f"{name}[{index}]")
+    else:
+        yield name, _text(node)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{','.join(map(_text, value))}]"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return repr(int(value)) if value == value // 1 else repr(float(value))
+    return "null" if value is None else str(value)
+
+
+def _content(file: Path) -> str | None:
+    try:
+        return f"file of SHA-256 {hashlib.sha256(file.read_bytes()).hexdigest()[:16]}"
+    except OSError:  # whoever needs it says so
+        return None
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # run from a checkout that was never installed
+        return "unknown"

@@ -1,0 +1,80 @@
+"""SIGINT (Ctrl-C) and SIGTERM: what they do to a run, and how a training puts them off to the end of a step."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+# Handlers belong to the process, and so does what they note: how many blocks put signals off, and the one that came.
+_deferring = 0
+_asked: int | None = None
+
+
+class Interruption(KeyboardInterrupt):
+    """The program was asked to stop. No `except Exception` holds it up; files that are being written go with it.
+
+    Attributes:
+        status: The exit status that shells give to that signal, 130 or 143.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.status = 128 + number
+
+
+@contextmanager
+def watched() -> Iterator[None]:
+    """Have both signals raise `Interruption` in the block; a second Ctrl-C ends the process at once.
+
+    A signal that the process was started to ignore, as under `nohup`, stays ignored. Elsewhere than in the main thread
+    Python has no signals and the block runs as it is.
+    """
+    global _asked  # noqa: PLW0603
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heeded = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, _receive) for number in heeded}
+    try:
+        yield
+    finally:
+        _asked = None
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Put signals off to the end of the block, which may look at `asked` meanwhile.
+
+    Raises:
+        Interruption: At the end of the block, if a signal came.
+    """
+    global _deferring  # noqa: PLW0603
+    _deferring += 1
+    try:
+        yield
+    finally:
+        _deferring -= 1
+    if _asked is not None and not _deferring:
+        raise Interruption(_asked)
+
+
+def asked() -> bool:
+    """Whether a signal came that was put off."""
+    return _asked is not None
+
+
+def _receive(number: int, frame: FrameType | None) -> None:
+    global _asked
+    if number == signal.SIGINT:  # the second one is the system's, which waits for no computation
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    repeated, _asked = _asked is not None, number if _asked is None else _asked
+    # Schedulers send SIGTERM more than once; what the first one set off is let finish.
+    if not _deferring and not repeated:
+        raise Interruption(number)
