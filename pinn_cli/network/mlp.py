@@ -24,7 +24,7 @@ from pinn_cli.record.spectrum import record_band
 # little stay where they are nearly linear, so that Gauss-Newton steps reach far: with 16 it takes twice as many.
 EMBEDDED_READOUT = 200.0
 # Spread of the first weights of an embedded network, whose inputs have one as the sum of their mean squares.
-EMBEDDED_INPUT = 0.01
+EMBEDDED_INPUT = 0.001
 
 
 class MlpNetwork(RandomStart, Network):

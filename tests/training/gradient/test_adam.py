@@ -231,7 +231,7 @@ def test_the_configuration_has_the_papers_settings(composed: Compose):
 def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Compose):
     configured = RunConfig.read(composed("network=mlp", "training=adam", *SMALL))
     assert vars(configured.training) == vars(Adam())
-    assert vars(configured.network) == vars(Mlp())
+    assert vars(configured.network) == vars(Mlp(1, 20, "sine", "exact", "fourier"))
 
 
 def test_a_run_of_the_program(pinn_run: PinnRun):
@@ -248,9 +248,3 @@ def test_a_diverging_run_ends_with_status_3(pinn_run: PinnRun):
     assert outcome.status == 3
     assert outcome.err.startswith("pinn-run: adam diverged: loss_")
     assert outcome.err.count("\n") == 1
-
-
-def test_a_network_that_gauss_newton_cannot_train_is_named(pinn_run: PinnRun):
-    outcome = pinn_run(*SMALL, "network=mlp")
-    assert outcome.status == 2
-    assert "training=gauss_newton: must be adam" in outcome.err
