@@ -25,6 +25,8 @@ from pinn_cli.record.spectrum import record_band
 EMBEDDED_READOUT = 200.0
 # Spread of the first weights of an embedded network, whose inputs have one as the sum of their mean squares.
 EMBEDDED_INPUT = 0.001
+# Units of a hidden layer by default: motions of many DOFs do not pass through few units.
+LEAST_WIDTH, UNITS_PER_DOF = 20, 3
 
 
 class MlpNetwork(RandomStart, Network):
@@ -130,7 +132,7 @@ class Mlp(NetworkDesign):
 
     Args:
         depth: Hidden layers.
-        width: Units in each.
+        width: Units in each; None: ``LEAST_WIDTH``, or ``UNITS_PER_DOF`` for each DOF where that is more.
         activation: ``silu`` (paper, sparse recovery), ``tanh`` (paper, elsewhere) or ``sine``.
         embedding: What the first layer gets: the time (``none``, paper), or Fourier features of it over the record's
             band (``fourier``).
@@ -145,13 +147,13 @@ class Mlp(NetworkDesign):
     def __init__(
         self,
         depth: int = 4,
-        width: int = 256,
+        width: int | None = 256,
         activation: str = "silu",
         continuity: Continuity = "penalised",
         embedding: EmbeddingName = "none",
     ) -> None:
         self.depth = whole_number("network.depth", depth, least=1)
-        self.width = whole_number("network.width", width, least=1)
+        self.width = None if width is None else whole_number("network.width", width, least=1)
         self.activation = one_of("network.activation", activation, tuple(ACTIVATIONS))
         if continuity not in ("exact", "penalised"):
             raise InputError("network.continuity", continuity, "exact or penalised")
@@ -166,7 +168,7 @@ class Mlp(NetworkDesign):
             record.ndof,
             self.continuity,
             self.depth,
-            self.width,
+            max(LEAST_WIDTH, UNITS_PER_DOF * record.ndof) if self.width is None else self.width,
             self.activation,
             embedding(self.embedding, record, dtype),
             float(record.time[0]),

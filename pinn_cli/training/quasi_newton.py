@@ -62,7 +62,7 @@ class QuasiNewton(Training):
         tolerance: float = 0.02,
         learn_spread: bool = True,
         collocation_points: int | None = None,
-        most_residuals: int = 10000,
+        most_residuals: int = 8000,
     ) -> None:
         self.iterations = whole_number("training.iterations", iterations, least=1)
         if not is_finite_number(tolerance) or not 0 < tolerance < 1:

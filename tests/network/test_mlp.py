@@ -148,3 +148,9 @@ def test_impossible_settings_are_named(settings, named):
 def test_refining_leaves_it_as_it_is():
     design = Mlp(2, 16)
     assert design.refined() is design
+
+
+@pytest.mark.parametrize(("ndof", "width"), [(3, 20), (12, 36)])
+def test_the_width_follows_the_number_of_dofs(ndof, width):
+    network = Mlp(1, None, "sine").build(accelerations(measured(small_chain(ndof=ndof), snr_db=40.0).record))
+    assert network.weights[0].shape[0] == width

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.mlp import MlpNetwork
-from pinn_cli.training.evidence import updated_spread
+from pinn_cli.training.evidence import SUSPICIOUS_DISCREPANCY, updated_spread
 from pinn_cli.training.function_space.kernel import Layers, layers
 from pinn_cli.training.function_space.linearisation import Linearisation, Step
 from pinn_cli.training.function_space.residuals import ResidualRows
@@ -202,7 +202,10 @@ class FunctionSpaceSearch(Stepwise):
             return following
         x = (noise.spread * self._standardised())[believed].cpu().numpy()
         variance = noise.spread**2 * linear.parameter_variance(factor)[believed].cpu().numpy()
-        return following.with_spread(updated_spread(x, variance, noise.spread))
+        spread = updated_spread(x, variance, noise.spread)
+        # How far off a search has the parameters that is far from its end says nothing about how far off they are.
+        far = level > SUSPICIOUS_DISCREPANCY * self.largest
+        return following.with_spread(min(spread, max(1.0, noise.spread)) if far else spread)
 
     def _note(self, loss: Loss) -> None:
         noise = self.levels.noise

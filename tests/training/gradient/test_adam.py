@@ -231,7 +231,7 @@ def test_the_configuration_has_the_papers_settings(composed: Compose):
 def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Compose):
     configured = RunConfig.read(composed("network=mlp", "training=adam", *SMALL))
     assert vars(configured.training) == vars(Adam())
-    assert vars(configured.network) == vars(Mlp(1, 20, "sine", "exact", "fourier"))
+    assert vars(configured.network) == vars(Mlp(1, None, "sine", "exact", "fourier"))
 
 
 def test_a_run_of_the_program(pinn_run: PinnRun):
