@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
 import textwrap
@@ -23,9 +24,11 @@ from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from pinn_cli import run_directories
@@ -33,21 +36,28 @@ from pinn_cli.command_options import read_options
 from pinn_cli.errors import DivergenceError, InputError
 from pinn_cli.interruption import Interruption, watched
 from pinn_cli.override_errors import explain
-from pinn_cli.resume import StoredRun, resume_command
+from pinn_cli.resume import StoredRun, going_on, resume_command
+from pinn_cli.sweep import collect, failure
+from pinn_cli.sweep.callback import ended_sweep
+from pinn_cli.sweep.collect import Collection, collect_command
+from pinn_cli.sweep.jobs import NOT_STARTED, Sweep
 
 log = logging.getLogger(__name__)
 
-Task = Callable[[DictConfig], None]
+Task = Callable[[DictConfig], Any]
 
-STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 2, 3, 130, 141
+STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 130, 141
 HELP_WIDTH = 120
+# What launchers raise when a process of theirs is gone: joblib and its pool.
+LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
 
 class Jobs:
     """The task as Hydra calls it, once per job, and what became of the jobs.
 
-    An error that the user can mend is reported at once and does not reach Hydra, which would print a line of its own
-    and leave the other jobs of a sweep without their tables.
+    An error that the user can mend is reported at once and does not reach Hydra, which would print a line of its own.
+    A job of a sweep, in this process or in a launcher's worker, leaves any error in its directory and takes no other
+    job along; :func:`_collect` reports it.
     """
 
     def __init__(self, task: Task, full_error: bool) -> None:
@@ -57,29 +67,42 @@ class Jobs:
         self.unusable: list[Path] = []
         self.stored: StoredRun | None = None
         self.directory: Path | None = None
-        self._process = os.getpid()
 
-    def __call__(self, config: DictConfig) -> None:
+    def __call__(self, config: DictConfig) -> Any:
         """Run one job; see the class."""
         self.started = True
         self.directory = Path(HydraConfig.get().runtime.output_dir)
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
+            return self._in_sweep(config, self.directory)
         try:
-            self.task(config if self.stored is None else self.stored.configuration(config))
+            return self.task(config if self.stored is None else self.stored.configuration(config))
         except (InputError, DivergenceError) as error:
-            if os.getpid() != self._process:  # a launcher's worker: only Hydra can carry the failure back
-                raise
             if isinstance(error, InputError):
                 self.unusable.append(self.directory)
             log.info("%s", error)
             self.report(error)
+
+    def _in_sweep(self, config: DictConfig, directory: Path) -> Any:
+        failure.forget(directory)
+        try:
+            return self.task(going_on(config))
+        except Exception as error:
+            kept = failure.Failure.of(error)
+            log.info("%s", kept.traceback if kept.status == failure.DEFECT else kept.reason)
+            kept.write(directory)
+            return math.nan  # to a sweeper that looks for a best job, the worst
 
     def report(self, error: InputError | DivergenceError) -> None:
         """Print the error's one line and note the exit status that it asks for."""
         if self.full_error:
             traceback.print_exception(error)
         else:
-            print(f"pinn-run: {' '.join(str(error).split())}", file=sys.stderr)
+            self.tell(str(error))
         self.status = max(self.status, STATUS_INPUT if isinstance(error, InputError) else STATUS_DIVERGED)
+
+    def tell(self, text: str) -> None:
+        """Print one line on standard error."""
+        print(f"pinn-run: {' '.join(text.split())}", file=sys.stderr)
 
 
 def execute(task: Task) -> int:
@@ -99,16 +122,27 @@ def execute(task: Task) -> int:
         with watched():
             if options.help:
                 _print_help(jobs)
-            elif not _has_finished(jobs, options):
+            elif not _has_collected(options) and not _has_finished(jobs, options):
                 _run_hydra(jobs)
+                _collect(jobs)
     except KeyboardInterrupt as stop:
-        goes_on = f"; to go on: {resume_command(jobs.directory)}" if jobs.directory else ""
-        print(f"pinn-run: interrupted{goes_on}", file=sys.stderr)
+        sweep = ended_sweep()
+        if sweep is not None:
+            goes_on = f"the same command again; for what there is: {collect_command(sweep.directory)}"
+        else:
+            goes_on = resume_command(jobs.directory) if jobs.directory else ""
+        jobs.tell(f"interrupted{f'; to go on: {goes_on}' if goes_on else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
     except Exception as error:
+        _collect(jobs)
+        if type(error).__name__ in LOST_WORKERS:
+            jobs.tell(
+                "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
+            )
+            return STATUS_DEFECT
         explained = explain(error, options.overrides, options.config_dir, composing=not jobs.started)
         if explained is None:
             raise
@@ -133,6 +167,38 @@ def _has_finished(jobs: Jobs, options: Namespace) -> bool:
     return False
 
 
+def _has_collected(options: Namespace) -> bool:
+    """Have the sweep that is named by `collect=DIRECTORY` put together."""
+    directory = collect.asked_for(options)
+    if directory is None:
+        return False
+    print(Collection.of(Sweep.read(directory)).text())
+    print(directory)
+    return True
+
+
+def _collect(jobs: Jobs) -> None:
+    """Put the sweep that has ended together and report its failures; one that only failed by its input goes."""
+    sweep = ended_sweep()
+    if sweep is None:
+        return
+    begun = [job for job in sweep.jobs() if job.status != NOT_STARTED]
+    if jobs.full_error:
+        for kept in filter(None, (failure.Failure.read(job.directory) for job in begun)):
+            print(kept.traceback, file=sys.stderr)
+    if not begun:
+        return
+    if all(job.exit_status == STATUS_INPUT for job in begun):
+        jobs.unusable, jobs.status = [job.directory.absolute() for job in begun], STATUS_INPUT
+        for reason in dict.fromkeys(job.reason for job in begun):
+            jobs.tell(reason)
+        return
+    collection = Collection.of(sweep)
+    jobs.status = max(jobs.status, collection.exit_status)
+    print(collection.text())
+    print(sweep.directory)
+
+
 def _print_help(jobs: Jobs) -> None:
     """Hydra's help, which has every option of a group in one line, with long lines folded."""
     text = StringIO()
@@ -146,8 +212,8 @@ def _print_help(jobs: Jobs) -> None:
 
 
 def _run_hydra(jobs: Jobs) -> None:
-    def run_job(config: DictConfig) -> None:
-        jobs(config)
+    def run_job(config: DictConfig) -> Any:
+        return jobs(config)
 
     given = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1

@@ -20,6 +20,7 @@ from pinn_cli.errors import InputError
 from pinn_cli.identity import Identity
 from pinn_cli.legal_values import positive_number, whole_number
 from pinn_cli.override_errors import likely
+from pinn_cli.resume import ALLOWED, NEVER
 from pinn_cli.targets import build, check_targets, construct
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.training.base import Training
 
-VALUES = ("case", "seed", "device", "threads", "resume")
+VALUES = ("case", "seed", "device", "threads", "resume", "figures")
 NODES = (
     "system",
     "excitation",
@@ -88,6 +89,7 @@ class RunConfig:
         baseline: What the network is compared with.
         identity: Which run this is, for its checkpoints and results.
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
+        figures: Whether they are drawn; None: unless the run is a job of a sweep.
         checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
     """
 
@@ -105,6 +107,7 @@ class RunConfig:
     baseline: Baseline
     identity: Identity
     resume: str | None
+    figures: bool | None
     checkpoint_every_s: float | None
 
     @classmethod
@@ -131,6 +134,7 @@ class RunConfig:
         names = ("scheme", "network", "training", "posterior", "baseline")
         estimation = {name: build(config[name], name) for name in names}
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
+        again["figures"] = _figures(config)
         return cls(case, seed, device, threads, chain, model_error, source, **estimation, **again)
 
     @property
@@ -207,8 +211,14 @@ def _device(config: DictConfig) -> str:
 
 def _resume(config: DictConfig) -> str | None:
     if config.resume is not None and not isinstance(config.resume, str):
-        raise InputError("resume", config.resume, "null, auto, or the directory of a run")
-    return config.resume
+        raise InputError("resume", config.resume, ALLOWED)
+    return None if config.resume == NEVER else config.resume
+
+
+def _figures(config: DictConfig) -> bool | None:
+    if config.figures is not None and not isinstance(config.figures, bool):
+        raise InputError("figures", config.figures, "null, true or false")
+    return config.figures
 
 
 def _checkpoint_every_s(config: DictConfig) -> float | None:

@@ -6,23 +6,26 @@ import sys
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from pinn_cli.command_line import execute
 from pinn_cli.config import RunConfig
-from pinn_cli.resume import asked_to_resume, is_finished
+from pinn_cli.resume import RESULT, asked_to_resume, is_finished
 from pinn_cli.stages import Stages
 
 
 def run(composed: DictConfig) -> None:
     """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed."""
     runtime = HydraConfig.get().runtime
-    directory, stages = Path(runtime.output_dir), Stages()
+    directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages()
+    in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
     with stages("config"):
-        config = RunConfig.read(composed, base=Path(runtime.cwd))
-        resuming = asked_to_resume(config, directory)
-    if resuming and is_finished(directory, config.identity):
-        print(f"finished before, nothing to do\n{directory}")
+        finished = asked_to_resume(composed, directory) and is_finished(directory, composed, base)
+        config = None if finished else RunConfig.read(composed, base)
+    if config is None:
+        if not in_sweep:
+            print(f"finished before, nothing to do\n{directory}")
         return
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.posterior.find import find_posterior
@@ -37,16 +40,19 @@ def run(composed: DictConfig) -> None:
     with stages("problem"):
         problem = config.scheme.problem(prescribed, record)
     with stages("estimate"):
+        (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
         checkpoints = open_checkpoints(config, directory)
-        context = RunContext(config.device, config.seed, directory, sys.stderr.isatty(), checkpoints)
+        context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
         estimate = config.training.solve(problem, config.network, context)
     with stages("posterior"):
         posterior = find_posterior(config.posterior, problem, estimate, context)
     with stages("baseline"):
         baseline = config.baseline.solve(problem, context)
     results = Results(record, measurements.truth, estimate, baseline, posterior)
-    print(write_report(config, results, directory, stages))
-    print(directory)
+    drawn = config.figures if config.figures is not None else not in_sweep
+    text = write_report(config, results, directory, stages, drawn)
+    if not in_sweep:
+        print(f"{text}\n{directory}")
 
 
 def main() -> None:

@@ -13,7 +13,6 @@ import shlex
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -25,11 +24,8 @@ from pinn_cli.errors import InputError
 from pinn_cli.identity import LEFT_OUT, Identity
 from pinn_cli.quoting import quoted
 
-if TYPE_CHECKING:
-    from pinn_cli.config import RunConfig
-
-AUTO, RESULT = "auto", "run.json"
-ALLOWED = "null, auto, or the directory of a run"
+AUTO, NEVER, RESULT = "auto", "never", "run.json"
+ALLOWED = "null, auto, never, or the directory of a run"
 # What may be given with it: where and how a run is made, not what it computes.
 BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
 
@@ -59,13 +55,13 @@ class StoredRun:
         """
         named = [override for override in options.overrides if _name(override) == "resume"]
         directory = named[-1].partition("=")[2].strip("'\"") if named else ""
-        if directory in ("", "null", AUTO):
+        if directory in ("", "null", AUTO, NEVER):
             return None
         others = tuple(override for override in options.overrides if override not in named)
         for name in ("multirun", "cfg", "info"):
             if getattr(options, name):
-                hint = "a sweep goes on with resume=auto and a fixed hydra.sweep.dir" if name == "multirun" else ""
-                raise InputError("resume", directory, f"null or auto with --{name}", hint)
+                hint = "the same command again goes on with a sweep" if name == "multirun" else ""
+                raise InputError("resume", directory, f"null, auto or never with --{name}", hint)
         for override in others:
             if _name(override) not in BESIDE:
                 hint = f"a run that goes on keeps its own configuration: drop {override}"
@@ -111,10 +107,7 @@ class StoredRun:
 
     def finished(self) -> bool:
         """Whether it has all its results."""
-        try:
-            return is_finished(self.directory, Identity.of(self.config, self.cwd))
-        except OmegaConfBaseException:  # the run itself says what is wrong with it
-            return False
+        return is_finished(self.directory, self.config, self.cwd)
 
     def enter(self) -> None:
         """Make its paths mean what they meant, if that folder is still there."""
@@ -122,38 +115,59 @@ class StoredRun:
             os.chdir(self.cwd)
 
 
-def is_finished(directory: Path, identity: Identity) -> bool:
-    """Whether all results of that run lie there: the last file written says so."""
+def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
+    """Whether all results of a run lie there: the last file written says so.
+
+    Args:
+        directory: Of the run.
+        config: Composed, without its `hydra` node.
+        base: The folder that relative paths of its data start from.
+    """
     try:
         content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        identity = Identity.of(config, base)
+    except (OSError, ValueError, OmegaConfBaseException):  # the run itself says what is wrong with its configuration
         return False
     return isinstance(content, dict) and content.get("configuration") == identity.configuration
 
 
-def asked_to_resume(config: RunConfig, directory: Path) -> bool:
+def going_on(config: DictConfig) -> DictConfig:
+    """The configuration of a sweep's job, which goes on unless it is told otherwise or its directory is always new."""
+    if config.get("resume", NEVER) is None and _has_fixed_directory():
+        config = config.copy()
+        config.resume = AUTO
+    return config
+
+
+def asked_to_resume(config: DictConfig, directory: Path) -> bool:
     """Whether a run may go on with what lies in its directory.
 
     Args:
-        config: Its `resume` is judged.
+        config: Composed; its `resume` is judged, but for its type.
         directory: Of the run; whether it is the same at every start is asked of Hydra.
 
     Raises:
         InputError: It names another directory, or `auto` stands beside a directory that has the time in it.
     """
-    if config.resume is None:
+    resume = config.get("resume")
+    if not isinstance(resume, str) or resume == NEVER:
         return False
-    if config.resume != AUTO:
-        if Path(config.resume) != directory:
-            raise InputError(
-                "resume", config.resume, "null or auto in a file", "pinn-run resume=DIRECTORY, given alone"
-            )
+    if resume != AUTO:
+        if Path(resume) != directory:
+            hint = "pinn-run resume=DIRECTORY, given alone"
+            raise InputError("resume", resume, "null, auto or never in a file", hint)
         return True
-    hydra = OmegaConf.to_container(HydraConfig.get(), resolve=False)
-    if "${now:" in hydra["sweep" if HydraConfig.get().mode == RunMode.MULTIRUN else "run"]["dir"]:  # type: ignore[index,call-overload]
+    if not _has_fixed_directory():
         hint = "the default one is new at every start; pinn-run resume=DIRECTORY goes on with a run that has one"
         raise InputError("resume", AUTO, "given with a fixed hydra.run.dir (hydra.sweep.dir in a sweep)", hint)
     return True
+
+
+def _has_fixed_directory() -> bool:
+    """Whether the run that Hydra has started has the same directory at every start."""
+    hydra = OmegaConf.to_container(HydraConfig.get(), resolve=False)
+    sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+    return "${now:" not in hydra["sweep" if sweep else "run"]["dir"]  # type: ignore[index,call-overload]
 
 
 def _name(override: str) -> str:

@@ -14,7 +14,7 @@ from calls import SMALL
 
 from pinn_cli.command_line import execute
 from pinn_cli.main import run
-from pinn_cli.report import run_report
+from pinn_cli.report import figures
 from pinn_cli.training.gradient.descent import Descent
 
 # 30 steps of Adam on a network of 8 x 8 weights, with a checkpoint at each.
@@ -57,7 +57,7 @@ class Steps:
 
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They take longer than all else."""
-    monkeypatch.setattr(run_report, "write_figures", lambda *args, **kwargs: None)
+    monkeypatch.setattr(figures, "write_figures", lambda *args, **kwargs: None)
 
 
 def assert_same_numbers(one: Path, other: Path) -> None:
@@ -75,7 +75,7 @@ def run_in_a_child(directory: Path, *overrides: str) -> Path:
 
     def call() -> None:
         os.chdir(directory.parent)
-        run_report.write_figures = lambda *args, **kwargs: None
+        figures.write_figures = lambda *args, **kwargs: None
         sys.argv = ["pinn-run", *overrides, f"hydra.run.dir={directory.name}"]
         execute(run)
 

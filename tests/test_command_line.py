@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import subprocess
 import sys
@@ -82,12 +83,25 @@ def test_full_error_adds_the_traceback(pinn_run: PinnRun, monkeypatch: pytest.Mo
     assert os.environ["HYDRA_FULL_ERROR"] == "1"
 
 
-def test_a_sweep_removes_only_its_unusable_jobs(pinn_run: PinnRun, tmp_path: Path) -> None:
+def test_a_failed_job_of_a_sweep_is_a_row_with_its_reason(pinn_run: PinnRun) -> None:
     outcome = pinn_run("--multirun", "seed=1,2,3,6", task=judge)
     assert outcome.status == 3
-    assert outcome.err.splitlines() == ["pinn-run: seed=2: must be another number", "pinn-run: diverged at iteration 7"]
-    (sweep,) = (tmp_path / "outputs" / "sweeps").iterdir()
-    assert sorted(d.name for d in sweep.iterdir() if d.is_dir()) == ["0", "2", "3"]
+    assert [line[8:] for line in outcome.err.splitlines()] == [
+        "seed=2  failed: seed=2: must be another number",
+        "seed=3  failed: diverged at iteration 7",
+    ]
+    assert "\n4 jobs: 2 failed, 2 unfinished\n" in outcome.out
+    rows = list(csv.DictReader((outcome.directory / "fitness.csv").open()))
+    assert [row["reason"] for row in rows] == ["seed=2: must be another number", "diverged at iteration 7"]
+    assert [(row["seed"], row["status"]) for row in rows] == [("2", "failed"), ("3", "failed")]
+
+
+def test_a_defect_takes_no_other_job_along(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("--multirun", "seed=5,6", task=judge)
+    assert outcome.status == 1
+    assert "RuntimeError: a defect" in outcome.out
+    assert "Traceback" in (outcome.directory / "seed=5" / "failure.json").read_text()
+    assert "Traceback" in (outcome.directory / "seed=5" / "pinn-run.log").read_text()
 
 
 def test_a_sweep_of_unusable_jobs_leaves_nothing(pinn_run: PinnRun, tmp_path: Path) -> None:
@@ -188,7 +202,8 @@ def test_a_reader_that_leaves_is_no_defect() -> None:
 
 
 def test_nothing_slow_is_imported_before_a_run() -> None:
-    code = "import sys, pinn_cli.main, pinn_cli.report.sweep; print(*(m for m in sys.argv[1:] if m in sys.modules))"
+    modules = "pinn_cli.main, pinn_cli.sweep.callback, pinn_cli.sweep.collect"
+    code = f"import sys, {modules}; print(*(m for m in sys.argv[1:] if m in sys.modules))"
     slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib"]
     done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

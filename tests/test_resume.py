@@ -197,7 +197,7 @@ def test_a_sweep_goes_on_with_the_job_that_was_stopped(pinn_run: PinnRun, steps:
     steps.happens = {20: lambda: steps.taken.count(0) == 2 and os.kill(os.getpid(), signal.SIGINT)}
     stopped = pinn_run(*sweep)
     assert stopped.status == 130
-    assert stopped.err.endswith("pinn-run resume=sweep/1\n")
+    assert stopped.err.endswith("the same command again; for what there is: pinn-run collect=sweep\n")
     steps.undisturbed()
     assert pinn_run(*sweep).status == 0
     assert steps.taken == list(range(21, 31))
@@ -230,7 +230,7 @@ def test_it_goes_on_with_its_own_configuration(pinn_run: PinnRun, tmp_path: Path
 
 
 REFUSED = {
-    "no such directory": (["resume=nowhere"], ["resume=nowhere:", "null, auto, or the directory of a run"]),
+    "no such directory": (["resume=nowhere"], ["resume=nowhere:", "null, auto, never, or the directory of a run"]),
     "no run": (["resume=empty"], ["resume=empty:", "no .hydra/config.yaml"]),
     "a sweep": (["resume=sweep"], ["resume=sweep:", "name one of its jobs"]),
     "broken": (["resume=broken"], ["resume=broken:", "cannot be read"]),
@@ -239,7 +239,6 @@ REFUSED = {
     "only printed": (["--cfg", "job", "resume=empty"], ["resume=empty:", "--cfg"]),
     "a directory of its own": (["resume=auto"], ["resume=auto:", "fixed hydra.run.dir"]),
     "no word": (["resume=3"], ["resume=3:", "no such directory"]),
-    "a sweep of its own": (["-m", "resume=auto"], ["resume=auto:", "hydra.sweep.dir"]),
     "no interval": (["training.checkpoint_every_s=0"], ["training.checkpoint_every_s=0:", "> 0"]),
 }
 

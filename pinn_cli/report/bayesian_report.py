@@ -30,6 +30,7 @@ def write_posterior(
     labels: Mapping[str, object],
     units: Mapping[str, str],
     directory: Path,
+    figures: bool = True,
 ) -> str:
     """Write ``posterior.nc``, ``diagnostics.csv`` and the posterior's figures; each is there whole or not at all.
 
@@ -40,13 +41,15 @@ def write_posterior(
         labels: A value for each of `pinn_cli.report.labels.LABELS`.
         units: Symbol of a parameter to its unit, powers as ``m^3``.
         directory: Of the run.
+        figures: Whether to draw them.
 
     Returns:
         The table of diagnostics and the verdict, as text.
     """
     write_posterior_data(posterior_groups(findings, record, units, labels), directory / "posterior.nc")
     write_table(diagnostics_table(findings.diagnostics, labels), directory / "diagnostics.csv")
-    write_posterior_figures(findings, record, true, units, directory / "figures")
+    if figures:
+        write_posterior_figures(findings, record, true, units, directory / "figures")
     return diagnostics_text(findings.diagnostics, findings.verdict)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from pinn_cli.report import published
 from pinn_cli.report.beside import Beside, stacked
 from pinn_cli.report.dataset import response_dataset, write_dataset
-from pinn_cli.report.figures import write_figures
 from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import free_run, free_run_table
 from pinn_cli.report.identifiability import (
@@ -56,7 +55,7 @@ class Results:
     posterior: PosteriorFindings | None = None
 
 
-def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages) -> str:
+def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
     """Write every file of a run; each is there whole or not at all.
 
     Args:
@@ -64,6 +63,7 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         results: What came of it.
         directory: Of the run.
         stages: The seconds so far; the report's own are added.
+        figures: Whether to draw them, which takes longer than all else.
 
     Returns:
         The tables of parameters, fitness, the free run and, where there are some, of the posterior's diagnostics and
@@ -87,19 +87,28 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         write_table(estimate.history, directory / "history.csv")
         dataset = response_dataset(estimate, record, truth.response, labels, free.response)
         write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
-    with stages("figures"):
-        write_figures(
-            estimate, record, truth, directory / "figures", _equivalent_linear(config), truth_label=config.truth_label,
-            units=config.chain.units, baseline=(beside.name, beside.estimate.response) if beside else None,
-        )  # fmt: skip
+    if figures:
+        with stages("figures"):
+            _draw(config, replace(results, estimate=estimate), beside, directory)
     with stages("posterior_report"):
-        diagnostics = _write_posterior(config, results, directory)
+        diagnostics = _write_posterior(config, results, directory, figures)
     record_of_run = run_record(config, estimate, stages.seconds) | (beside.record if beside else {})
     write_json(record_of_run | _sampling_record(results.posterior), directory / "run.json")
     shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
     shown += [free_run_text(free, free_table), diagnostics]
     shown += [beside.text(fitness, stages.seconds)] if beside else []
     return "\n\n".join(text for text in shown if text)
+
+
+def _draw(config: RunConfig, results: Results, beside: Beside | None, directory: Path) -> None:
+    # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
+    from pinn_cli.report.figures import write_figures
+
+    write_figures(
+        results.estimate, results.record, results.truth, directory / "figures", _equivalent_linear(config),
+        truth_label=config.truth_label, units=config.chain.units,
+        baseline=(beside.name, beside.estimate.response) if beside else None,
+    )  # fmt: skip
 
 
 def _with_posterior(estimate: Estimate, posterior: PosteriorFindings | None) -> Estimate:
@@ -111,7 +120,7 @@ def _with_posterior(estimate: Estimate, posterior: PosteriorFindings | None) -> 
     return replace(estimate, parameters=parameters, correlation=posterior_correlation(posterior.samples))
 
 
-def _write_posterior(config: RunConfig, results: Results, directory: Path) -> str:
+def _write_posterior(config: RunConfig, results: Results, directory: Path, figures: bool) -> str:
     if results.posterior is None:
         return ""
     # ArviZ takes two seconds to import.
@@ -119,7 +128,7 @@ def _write_posterior(config: RunConfig, results: Results, directory: Path) -> st
 
     labels = config.labels(estimator="pinn")
     true = results.truth.parameters
-    return write_posterior(results.posterior, results.record, true, labels, config.chain.units, directory)
+    return write_posterior(results.posterior, results.record, true, labels, config.chain.units, directory, figures)
 
 
 def _sampling_record(posterior: PosteriorFindings | None) -> dict[str, Any]:

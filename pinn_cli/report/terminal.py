@@ -89,11 +89,12 @@ def _head(first: str = "DOFs", quantities: Sequence[str] = QUANTITIES) -> list[s
 
 def _row(name: str, *halves: Iterable[float]) -> str:
     half_width = _CELL * len(QUANTITIES)
-    cells = [f"{''.join(f'{_percent(value):>{_CELL}}' for value in half):<{half_width}}" for half in halves]
+    cells = [f"{''.join(f'{percent(value):>{_CELL}}' for value in half):<{half_width}}" for half in halves]
     return (f"{name:<{_NAME}}" + _GAP.join(cells)).rstrip()
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
+    """A fitness or an error in per cent, short also where it is far off; a dash where there is none."""
     if not np.isfinite(value):
         return "-"
     return f"{value:.2f}" if abs(value) < 1e4 else f"{value:.0e}"
@@ -233,7 +234,7 @@ _COLUMNS = {
     "std": _Column("std", 10, partial(_number, digits=2)),
     "interval": _Column("90 % interval", 25, str),
     "true": _Column("true", 12, _number),
-    "error_percent": _Column("error (%)", 10, _percent),
+    "error_percent": _Column("error (%)", 10, percent),
 }
 _DIAGNOSTICS = {
     "parameter": _Column("parameter", -12, str),

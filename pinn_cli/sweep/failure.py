@@ -1,0 +1,58 @@
+"""What a job of a sweep leaves behind when it fails: a file with its reason, so that it takes no other job along."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from pinn_cli.errors import DivergenceError, InputError
+
+FILE = "failure.json"
+# As the command's exit status: what a shell script must tell apart.
+DEFECT, INPUT, DIVERGED = 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job ended without results.
+
+    Attributes:
+        status: That a run of its own would have exited with.
+        reason: In one line.
+        traceback: As Python prints it.
+    """
+
+    status: int
+    reason: str
+    traceback: str
+
+    @classmethod
+    def of(cls, error: Exception) -> Failure:
+        """What an exception means for the job that raised it."""
+        told = isinstance(error, InputError | DivergenceError)
+        reason = " ".join((str(error) if told else f"{type(error).__name__}: {error}").split())
+        status = INPUT if isinstance(error, InputError) else DIVERGED if told else DEFECT
+        return cls(status, reason, "".join(traceback.format_exception(error)))
+
+    @classmethod
+    def read(cls, directory: Path) -> Failure | None:
+        """Of the job in that directory; None where it did not fail."""
+        try:
+            return cls(**json.loads((directory / FILE).read_text(encoding="utf-8")))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError) as error:
+            return cls(DEFECT, f"{FILE} cannot be read: {error}", "")
+
+    def write(self, directory: Path) -> None:
+        """Put it into the job's directory."""
+        from pinn_cli.report.writing import write_json
+
+        write_json(asdict(self), directory / FILE)
+
+
+def forget(directory: Path) -> None:
+    """The job in that directory begins again."""
+    (directory / FILE).unlink(missing_ok=True)

@@ -1,0 +1,162 @@
+"""The jobs of a sweep and what became of each, read off their directories while they run or long after."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from pinn_cli.errors import InputError
+from pinn_cli.resume import RESULT
+from pinn_cli.sweep.directories import job_name, key, parse, swept_settings
+from pinn_cli.sweep.failure import Failure
+
+STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
+_OVERRIDES = Path(".hydra") / "overrides.yaml"
+# libyaml's parser, where PyYAML was built with it: a thousand files in a second less.
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One job of a sweep.
+
+    Attributes:
+        directory: Where it lies, or will.
+        overrides: As Hydra hands them to it, without those of `hydra.`.
+        status: `finished`, `failed`, `unfinished` (it runs, or was cut off) or `not started`.
+        reason: Why it failed, in one line.
+        exit_status: That a run of its own would have exited with.
+        seconds: That it took; None unless it is finished.
+    """
+
+    directory: Path
+    overrides: tuple[str, ...]
+    status: str = NOT_STARTED
+    reason: str = ""
+    exit_status: int = 0
+    seconds: float | None = None
+
+    @classmethod
+    def read(cls, directory: Path, overrides: Sequence[str]) -> Job:
+        """What lies in a directory."""
+        failure = Failure.read(directory)
+        if failure is not None:
+            return cls(directory, tuple(overrides), FAILED, failure.reason, failure.status)
+        if not (directory / RESULT).is_file():
+            return cls(directory, tuple(overrides), UNFINISHED)
+        return cls(directory, tuple(overrides), FINISHED, seconds=_seconds(directory))
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is nothing more to wait for."""
+        return self.status in (FINISHED, FAILED)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep's directory.
+
+    Attributes:
+        directory: Of the sweep.
+        overrides: As typed for the whole sweep (`seed=0,1`).
+        expected: The jobs' names and overrides in their order; empty if only its sweeper knows them.
+    """
+
+    directory: Path
+    overrides: tuple[str, ...]
+    expected: dict[str, tuple[str, ...]]
+
+    @classmethod
+    def of(cls, config: Any, directory: Path) -> Sweep:
+        """From the sweep's configuration as Hydra composed it, with its `hydra` node."""
+        overrides = [str(override) for override in OmegaConf.select(config, "hydra.overrides.task") or ()]
+        named = "job_name" in str(OmegaConf.to_container(config.hydra.sweep, resolve=False))
+        basic = str(config.hydra.sweeper.get("_target_")).endswith("BasicSweeper")
+        params = config.hydra.sweeper.get("params") or {}
+        arguments = [*(f"{name}={value}" for name, value in params.items()), *overrides]
+        jobs = BasicSweeper.split_arguments([*map(parse, arguments)], None)[0] if named and basic else []
+        swept = swept_settings(arguments, map(str, params))
+        return cls(directory, tuple(arguments), {job_name(job, swept): tuple(job) for job in jobs})
+
+    @classmethod
+    def read(cls, directory: Path) -> Sweep:
+        """From the file that Hydra left in it.
+
+        Raises:
+            InputError: It is no sweep's.
+        """
+        allowed = "the directory of a sweep"
+        if not directory.is_dir():
+            raise InputError("collect", directory, allowed, "there is no such directory")
+        stored = directory / "multirun.yaml"
+        if not stored.is_file():
+            hint = "this is a run's: its tables lie there already" if (directory / RESULT).is_file() else ""
+            raise InputError("collect", directory, allowed, hint or "it holds no multirun.yaml")
+        try:
+            return cls.of(OmegaConf.load(stored), directory)
+        except (OSError, UnicodeError, yaml.YAMLError, OmegaConfBaseException, AttributeError) as error:
+            raise InputError("collect", directory, allowed, f"its multirun.yaml cannot be read: {error}") from error
+
+    @cached_property
+    def fixed(self) -> set[str]:
+        """Settings that were given one value for all jobs."""
+        return {key(override) for override in self.overrides if not parse(override).is_sweep_override()}
+
+    def jobs(self) -> list[Job]:
+        """Every job that is expected or has a directory, in the sweep's order; later additions by name."""
+        found = {_name(path, self.directory): path for path in _job_directories(self.directory)}
+        jobs = []
+        for name, overrides in self.expected.items():
+            place = found.pop(name, None)
+            jobs.append(Job(self.directory / name, overrides) if place is None else Job.read(place, overrides))
+        others = (found[name] for name in sorted(found, key=_natural))
+        return [*jobs, *(Job.read(place, _overrides(place)) for place in others)]
+
+    def columns(self, job: Job) -> dict[str, str]:
+        """The job's swept settings and their values, as text."""
+        swept = [override for override in job.overrides if key(override) not in self.fixed]
+        return {key(override): parse(override).get_value_element_as_str() for override in swept}
+
+
+def _job_directories(sweep: Path) -> Iterator[Path]:
+    """Directories below the sweep's that Hydra prepared for a job; nothing is looked for below those."""
+    for place, folders, _ in os.walk(sweep):
+        if (Path(place) / _OVERRIDES).is_file():
+            folders.clear()
+            yield Path(place)
+
+
+def _overrides(directory: Path) -> tuple[str, ...]:
+    try:
+        content = yaml.load((directory / _OVERRIDES).read_text(encoding="utf-8"), _LOADER)
+    except (OSError, UnicodeError, yaml.YAMLError):  # cut off while Hydra wrote it: the next start writes it anew
+        content = None
+    return tuple(map(str, content or ()))
+
+
+def _seconds(directory: Path) -> float | None:
+    try:
+        return float(json.loads((directory / RESULT).read_text(encoding="utf-8"))["seconds"]["total"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _name(job: Path, sweep: Path) -> str:
+    return job.relative_to(sweep).as_posix()
+
+
+def _natural(name: str) -> list[tuple[int, float, str]]:
+    """An order in which 10 follows 9."""
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
+    return [(0, float(part), "") if index % 2 else (1, 0.0, part) for index, part in enumerate(parts)]

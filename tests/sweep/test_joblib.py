@@ -1,0 +1,64 @@
+"""A sweep in processes of its own, started as a user starts it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from calls import SMALL
+
+# Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.
+SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1", "hydra.sweep.dir=sweep")
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """In a process group of its own, as a shell does."""
+    command = [sys.executable, "-m", "pinn_cli.main", *arguments]
+    return subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def test_workers_do_what_one_process_does(tmp_path: Path) -> None:
+    process = start(tmp_path, *SWEEP, "system.m=1,-1")
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 2, err
+    assert "4 jobs: 2 finished, 2 failed" in out
+    assert err.count(" of 4  ") == 4
+    fitness = pd.read_csv(tmp_path / "sweep" / "fitness.csv")
+    assert fitness.loc[fitness["status"] == "finished", "seed"].drop_duplicates().tolist() == [0, 1]
+    assert fitness["reason"].str.contains("system.m=-1").sum() == 2
+    assert not list((tmp_path / "sweep").rglob("response.png"))
+    alone = start(tmp_path, *SMALL, "seed=1", "system.m=1", "figures=false", "hydra.run.dir=one")
+    assert alone.communicate(timeout=300) is not None
+    (job,) = (tmp_path / "sweep").glob("seed=1,system.m=1_*")
+    for name in ("fitness.csv", "parameters.csv", "free_run.csv"):
+        assert (tmp_path / "one" / name).read_bytes() == (job / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_all_and_the_same_command_goes_on(tmp_path: Path) -> None:
+    adam = (*SWEEP, "network=mlp", "network.width=16", "training=adam", "training.iterations=400")
+    whole = start(tmp_path, *adam, "hydra.sweep.dir=whole")
+    assert whole.communicate(timeout=300) is not None
+    process = start(tmp_path, *adam, "training.checkpoint_every_s=0.2")
+    while not list((tmp_path / "sweep").glob("*/checkpoint.pt")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "to go on: the same command again; for what there is: pinn-run collect=sweep\n" in err
+    assert "Traceback" not in err
+    again = start(tmp_path, *adam)
+    out, err = again.communicate(timeout=300)
+    assert again.returncode == 0, err
+    assert "2 jobs: 2 finished" in out
+    for name in ("fitness.csv", "parameters.csv", "summary.csv"):
+        assert (tmp_path / "sweep" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

@@ -1,0 +1,42 @@
+"""Sweeps made of nothing but their files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import yaml
+
+from pinn_cli.sweep.directories import job_name, key, swept_settings
+from pinn_cli.sweep.failure import Failure
+from pinn_cli.sweep.jobs import Sweep
+
+BASIC = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"
+SUBDIRECTORY = "${job_name:${hydra.overrides.task},x}"
+
+
+def made_sweep(directory: Path, overrides: Sequence[str], tables: Mapping[str, str | None]) -> Sweep:
+    """A sweep as Hydra and its jobs leave it, read back.
+
+    Args:
+        directory: Of the sweep; created.
+        overrides: Of the sweep, as typed.
+        tables: By the override that tells a job from the others: its `fitness.csv`, or None if it failed; a job that
+            is not there has not started.
+    """
+    directory.mkdir(exist_ok=True)
+    hydra = {"overrides": {"task": list(overrides)}, "sweep": {"subdir": SUBDIRECTORY}, "sweeper": {"_target_": BASIC}}
+    (directory / "multirun.yaml").write_text(yaml.safe_dump({"hydra": hydra}))
+    swept = swept_settings(overrides)
+    shared = [override for override in overrides if key(override) not in swept]
+    for own, table in tables.items():
+        job = directory / job_name([own, *shared], swept)
+        (job / ".hydra").mkdir(parents=True)
+        (job / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump([own, *shared]))
+        if table is None:
+            Failure(3, "no luck, at all", "Traceback").write(job)
+        else:
+            (job / "fitness.csv").write_text(table)
+            (job / "run.json").write_text(json.dumps({"seconds": {"total": 1.5}}))
+    return Sweep.read(directory)
