@@ -37,6 +37,7 @@ from pinn_cli.errors import DivergenceError, InputError
 from pinn_cli.interruption import Interruption, watched
 from pinn_cli.override_errors import explain
 from pinn_cli.resume import StoredRun, going_on, resume_command
+from pinn_cli.run_lock import held
 from pinn_cli.sweep import collect, failure
 from pinn_cli.sweep.callback import ended_sweep
 from pinn_cli.sweep.collect import Collection, collect_command
@@ -72,13 +73,16 @@ class Jobs:
         """Run one job; see the class."""
         self.started = True
         self.directory = Path(HydraConfig.get().runtime.output_dir)
-        if HydraConfig.get().mode == RunMode.MULTIRUN:
-            return self._in_sweep(config, self.directory)
+        in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+        with held(self.directory):
+            return (self._in_sweep if in_sweep else self._alone)(config, self.directory)
+
+    def _alone(self, config: DictConfig, directory: Path) -> Any:
         try:
             return self.task(config if self.stored is None else self.stored.configuration(config))
         except (InputError, DivergenceError) as error:
             if isinstance(error, InputError):
-                self.unusable.append(self.directory)
+                self.unusable.append(directory)
             log.info("%s", error)
             self.report(error)
 

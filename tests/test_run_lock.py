@@ -9,9 +9,11 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from calls import PinnRun
 
 from pinn_cli import run_lock
 from pinn_cli.run_lock import FILE, held
@@ -89,3 +91,16 @@ def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, cap
     with held(tmp_path):
         assert not list(tmp_path.iterdir())
     assert "file system without locks" in caplog.text
+
+
+def test_a_run_waits_for_the_one_in_its_directory(tmp_path: Path, monkeypatch, pinn_run: PinnRun) -> None:
+    directory = tmp_path / "run"
+    directory.mkdir()
+    seen: list[bool] = []
+    with ExitStack() as first:
+        first.enter_context(held(directory))
+        monkeypatch.setattr(run_lock.time, "sleep", lambda seconds: (seen.append(True), first.close()))
+        done = pinn_run("hydra.run.dir=run", task=lambda config: seen.append((directory / FILE).is_file()))
+    assert (done.status, seen) == (0, [True, True])
+    assert "waiting for another process to leave" in done.err
+    assert not (directory / FILE).exists()
