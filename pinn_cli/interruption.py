@@ -1,18 +1,20 @@
-"""SIGINT (Ctrl-C) and SIGTERM: what they do to a run, and how a training puts them off to the end of a step."""
+"""Signals that stop a run, SIGINT (Ctrl-C) and SIGTERM, or warn it; how a training puts them off to a step's end."""
 
 from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-# Handlers belong to the process, and so does what they note: how many blocks put signals off, and the one that came.
+# Handlers belong to the process, and so does what they note: how many blocks put signals off, the one that came, and
+# whether one came that only warns.
 _deferring = 0
 _asked: int | None = None
+_warned = False
 
 
 class Interruption(KeyboardInterrupt):
@@ -28,8 +30,8 @@ class Interruption(KeyboardInterrupt):
 
 
 @contextmanager
-def watched() -> Iterator[None]:
-    """Have both signals raise `Interruption` in the block; a second Ctrl-C ends the process at once.
+def watched(signals: Sequence[int] = SIGNALS) -> Iterator[None]:
+    """Have these signals raise `Interruption` in the block; a second Ctrl-C ends the process at once.
 
     A signal that the process was started to ignore, as under `nohup`, stays ignored. Elsewhere than in the main thread
     Python has no signals and the block runs as it is.
@@ -38,7 +40,7 @@ def watched() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heeded = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    heeded = [number for number in signals if signal.getsignal(number) != signal.SIG_IGN]
     before = {number: signal.signal(number, _receive) for number in heeded}
     try:
         yield
@@ -68,6 +70,28 @@ def deferred() -> Iterator[None]:
 def asked() -> bool:
     """Whether a signal came that was put off."""
     return _asked is not None
+
+
+@contextmanager
+def warning(number: int) -> Iterator[None]:
+    """Have a signal ask for a checkpoint and stop nothing: schedulers send one some time before they kill."""
+    before = signal.signal(number, _note)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
+
+
+def warned() -> bool:
+    """Whether such a signal came since this was asked last."""
+    global _warned
+    came, _warned = _warned, False
+    return came
+
+
+def _note(number: int, frame: FrameType | None) -> None:
+    global _warned  # noqa: PLW0603
+    _warned = True
 
 
 def _receive(number: int, frame: FrameType | None) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from pinn_cli.errors import InputError
 from pinn_cli.identity import Identity
+from pinn_cli.interruption import warned
 from pinn_cli.training.checkpoint_files import LAST, CheckpointFiles, sealed
 from pinn_cli.training.random_states import random_states, set_random_states
 
@@ -116,7 +117,9 @@ class Checkpoints:
         return bool(ended)
 
     def due(self) -> bool:
-        """Whether it is time for the next one."""
+        """Whether it is time for the next one: the interval is over, or a scheduler has warned that it will kill."""
+        if warned():
+            return True
         return self.every_s is not None and self.clock() - self._last >= self.every_s
 
     def packed(self, training: Resumable, ended: bool = False) -> bytes:
