@@ -6,6 +6,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
@@ -25,6 +26,11 @@ $(INSTALLED): pyproject.toml setup.py constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -e '.[dev]'
 	@touch $@
 
+# Large, and needed by its own tests alone.
+$(RAY): $(INSTALLED)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -e '.[ray]'
+	@touch $@
+
 run: venv ## estimate the response of the default chain (6 DOFs, Duffing) and print its fitness
 	$(BIN)/pinn-run $(ARGS)
 
@@ -40,7 +46,7 @@ format: venv ## let ruff sort imports, mend and format
 test: lint ## lint, then every test that is not slow
 	$(BIN)/python -m pytest -m "not slow"
 
-test-all: lint ## lint, then every test
+test-all: lint $(RAY) ## lint, then every test
 	$(BIN)/python -m pytest
 
 calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)

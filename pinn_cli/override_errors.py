@@ -17,6 +17,10 @@ from pinn_cli.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+# The extra of this package that brings a plugin: by the plugin's package, and by the options that it adds itself.
+_EXTRA_OF = {"hydra_submitit_launcher": "slurm", "hydra_ray_launcher": "ray"}
+_EXTRA_WITH = {"submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray", "ray_aws": "ray"}
+
 
 def explain(
     error: BaseException, overrides: Sequence[str], config_dir: str | None, composing: bool
@@ -44,6 +48,9 @@ def explain(
             return _unknown_setting(str(key), overrides, config_dir)
         if key and isinstance(cause, OmegaConfBaseException):
             return _unresolved(str(key), cause, overrides)
+        plugin = re.match(r"Unknown plugin class : 'hydra_plugins\.(\w+)\.", str(cause))
+        if plugin and plugin[1] in _EXTRA_OF:
+            return _not_installed(_given("hydra/launcher", overrides), _EXTRA_OF[plugin[1]])
     told = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
     return _as_told(error, overrides) if told or (composing and type(error) is ValueError) else None
 
@@ -72,11 +79,17 @@ def _unknown_option(error: MissingConfigException, config_dir: str | None) -> In
     group, _, option = (error.missing_cfg_file or "").rpartition("/")
     if not group:
         return InputError("--config-name", option, "the name of a config file", _first_line(error))
+    if group == "hydra/launcher" and option in _EXTRA_WITH:
+        return _not_installed(option, _EXTRA_WITH[option])
     # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
     root, _, folder = group.partition("/")
     options = sorted(option_names(root, config_dir))
     given = f"{folder}/{option}" if folder else option
     return InputError(root, given, f"one of {', '.join(options)}", likely(given, options))
+
+
+def _not_installed(launcher: str, extra: str) -> InputError:
+    return InputError("hydra/launcher", launcher, "an installed launcher", f"pip install 'pinn-cli[{extra}]'")
 
 
 def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> InputError:

@@ -12,6 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.sweep.cores import at_once, pin
 from pinn_cli.sweep.jobs import Sweep
+from pinn_cli.sweep.launched import put_in_place
 from pinn_cli.sweep.progress import Progress
 
 # The sweep that Hydra runs in this process, and what shows how far it is.
@@ -24,6 +25,7 @@ class SweepCallback(Callback):
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Note the sweep and show its progress; joblib's `n_jobs=-1` means as many as the cores can run at once."""
         global _running  # noqa: PLW0603
+        put_in_place(str(config.hydra.launcher.get("_target_")))
         if _is_joblib(config) and config.hydra.launcher.n_jobs == -1:
             with read_write(config):
                 config.hydra.launcher.n_jobs = at_once(int(config.get("threads", 1)))

@@ -1,0 +1,113 @@
+"""What launchers that send jobs elsewhere need to know of a job: its directory, its results, and that it was lost.
+
+Hydra's plugins for SLURM and Ray raise at the first job that ends without a result, and the others are never collected.
+The launchers here, which are these plugins but for that, note the loss in the job's directory and go on.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
+from omegaconf import DictConfig, open_dict
+
+from pinn_cli.resume import asked_to_resume, going_on, is_finished
+from pinn_cli.sweep.failure import DEFECT, Failure
+from pinn_cli.sweep.jobs import FINISHED, Sweep
+
+# The plugins' launchers, and ours in their place, which are imported only if they are used.
+_IN_PLACE_OF = {
+    "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher": ("submitit_launcher", "SlurmLauncher"),
+    "hydra_plugins.hydra_submitit_launcher.submitit_launcher.LocalLauncher": ("submitit_launcher", "LocalLauncher"),
+    "hydra_plugins.hydra_ray_launcher.ray_launcher.RayLauncher": ("ray_launcher", "RayLauncher"),
+}
+
+
+def put_in_place(target: str) -> None:
+    """Have Hydra build our launcher where a configuration names that of a plugin, if the plugin is installed.
+
+    Hydra builds launchers only of plugins that it has found, by their name: it is told that the name is of our class.
+    """
+    known = Plugins.instance().class_name_to_class
+    if target in known and target in _IN_PLACE_OF:
+        module, name = _IN_PLACE_OF[target]
+        known[target] = getattr(importlib.import_module(f"pinn_cli.sweep.{module}"), name)
+
+
+def to_launch(
+    launcher: Any, job_overrides: Sequence[Sequence[str]], first: int
+) -> tuple[list[Launched], dict[int, JobReturn]]:
+    """The jobs of a sweep that are not finished, and by their numbers what those that are return.
+
+    Args:
+        launcher: Set up by Hydra.
+        job_overrides: Of each job.
+        first: Number of the first.
+    """
+    sweep = Sweep.of(launcher.config, Path(str(launcher.config.hydra.sweep.dir)))
+    found = {job.overrides for job in sweep.jobs() if job.status == FINISHED}
+    jobs = [Launched(launcher, list(overrides), first + n) for n, overrides in enumerate(job_overrides)]
+    finished = [job for job in jobs if tuple(job.overrides) in found and job.finished()]
+    returns = {job.number: job.returned() for job in finished}
+    return [job for job in jobs if job.number not in returns], returns
+
+
+@dataclass(frozen=True)
+class Launched:
+    """A job, as the process that launches it sees it.
+
+    Attributes:
+        launcher: Set up by Hydra.
+        overrides: As Hydra hands them to the job.
+        number: Counted from 0.
+    """
+
+    launcher: Any
+    overrides: list[str]
+    number: int
+
+    @cached_property
+    def config(self) -> DictConfig:
+        """Composed as a worker will, with its `hydra` node: it takes a third of a second."""
+        config = self.launcher.hydra_context.config_loader.load_sweep_config(self.launcher.config, self.overrides)
+        with open_dict(config.hydra.job):
+            config.hydra.job.id, config.hydra.job.num = f"job_id_for_{self.number}", self.number
+        return config
+
+    @property
+    def directory(self) -> Path:
+        """Where it lies, or will."""
+        return Path(str(self.config.hydra.sweep.dir)) / str(self.config.hydra.sweep.subdir)
+
+    def finished(self) -> bool:
+        """Whether it need not be sent anywhere, since all its results lie there."""
+        HydraConfig.instance().set_config(self.config)
+        task = self._task()
+        return asked_to_resume(going_on(task), self.directory) and is_finished(self.directory, task, Path.cwd())
+
+    def returned(self, value: float | None = None) -> JobReturn:
+        """What a sweeper gets for a job that no worker returned anything for."""
+        result = JobReturn(overrides=self.overrides, cfg=self._task(), hydra_cfg=self.config)
+        result.status, result.return_value = JobStatus.COMPLETED, value
+        return result
+
+    def lost(self, reason: str) -> JobReturn:
+        """Note that its worker was, unless it had all its results by then or says itself why it failed."""
+        if not self.finished() and Failure.read(self.directory) is None:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            Failure(DEFECT, reason, reason).write(self.directory)
+        return self.returned(math.nan)
+
+    def _task(self) -> DictConfig:
+        config = self.config.copy()
+        with open_dict(config):
+            del config["hydra"]
+        return config

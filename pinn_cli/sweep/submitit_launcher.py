@@ -1,0 +1,149 @@
+"""`hydra/launcher=submitit_slurm` and `submitit_local`: Hydra's plugin, but no job that is lost takes others along.
+
+Beyond that, jobs that are finished are not sent again, several short ones can share a task, and a task that is asked to
+make room (SIGUSR2) comes back once the step under way is done and its checkpoint written.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra.core.singleton import Singleton
+from hydra.core.utils import JobReturn
+from hydra_plugins.hydra_submitit_launcher import submitit_launcher as plugin
+from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
+from omegaconf import OmegaConf
+
+from pinn_cli.interruption import Interruption, warning, watched
+from pinn_cli.sweep.cores import at_once
+from pinn_cli.sweep.launched import Launched, to_launch
+
+log = logging.getLogger(__name__)
+
+# Of the executor itself, rather than of its jobs.
+_OF_EXECUTOR = ("submitit_folder", "max_num_timeout")
+
+
+class _Launcher(plugin.BaseSubmititLauncher):
+    """See the module.
+
+    Args:
+        jobs_per_task: How many jobs of the sweep one task of the scheduler runs, one after the other.
+        params: As the plugin takes them: `conf/hydra/launcher/` lists them.
+    """
+
+    def __init__(self, jobs_per_task: int, **params: Any) -> None:
+        super().__init__(**params)
+        self.jobs_per_task = jobs_per_task
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Have all jobs that are not finished run and wait for them.
+
+        Args:
+            job_overrides: Of each job.
+            initial_job_idx: Number of the first.
+
+        Returns:
+            What each job returned, in the same order; NaN for one that was lost.
+        """
+        jobs, returns = to_launch(self, job_overrides, initial_job_idx)
+        batches = self._batches(jobs)
+        for batch, task in zip(batches, self._submit(batches), strict=True):
+            returns.update(zip((job.number for job in batch), _results(task, batch), strict=True))
+        return [returns[number] for number in sorted(returns)]
+
+    def __call__(self, batch: Sequence[tuple[Any, ...]]) -> list[JobReturn]:
+        """Run the jobs of a task, in a worker.
+
+        Args:
+            batch: Arguments of the plugin's `__call__`, one tuple per job.
+
+        Raises:
+            SystemExit: The task makes room and comes back.
+        """
+        try:
+            # A scheduler sends SIGTERM some time before it kills, and the job may come back or not: by then there is a
+            # checkpoint. The task goes on: one that ended here would not be run again.
+            with watched((signal.SIGUSR2,)), warning(signal.SIGTERM):
+                return [super(_Launcher, self).__call__(*job) for job in batch]
+        except Interruption:  # what was put off to the end of a step: submitit, which had the signal before, requeues
+            signal.raise_signal(signal.SIGUSR2)
+            raise
+
+    def _batches(self, jobs: list[Launched]) -> list[list[Launched]]:
+        return [jobs[start : start + self.jobs_per_task] for start in range(0, len(jobs), self.jobs_per_task)]
+
+    def _submit(self, batches: list[list[Launched]]) -> list[Any]:
+        if not batches:
+            return []
+        import submitit
+
+        folder = self.params["submitit_folder"]
+        init = {"folder": folder}
+        if "max_num_timeout" in self.params:
+            init[f"{self._EXECUTOR}_max_num_timeout"] = self.params["max_num_timeout"]
+        executor = submitit.AutoExecutor(cluster=self._EXECUTOR, **init)
+        shared = set(OmegaConf.structured(BaseQueueConf).keys())
+        given = {name: value for name, value in self.params.items() if name not in _OF_EXECUTOR}
+        executor.update_parameters(**{n if n in shared else f"{self._EXECUTOR}_{n}": v for n, v in given.items()})
+        state = Singleton.get_state()
+        calls = [
+            [(job.overrides, "hydra.sweep.dir", job.number, f"job_id_for_{job.number}", state) for job in batch]
+            for batch in batches
+        ]
+        tasks = executor.map_array(self, calls)
+        self._tell(sum(map(len, batches)), tasks)
+        return tasks
+
+    def _tell(self, jobs: int, tasks: list[Any]) -> None:
+        """How many went where, on the terminal."""
+
+
+class SlurmLauncher(_Launcher):
+    """On a SLURM cluster; see the module."""
+
+    _EXECUTOR = "slurm"
+
+    def _tell(self, jobs: int, tasks: list[Any]) -> None:
+        array = tasks[0].job_id.partition("_")[0]
+        text = f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it"
+        print(text, file=sys.stderr)
+
+
+class LocalLauncher(_Launcher):
+    """Processes of this machine, which submitit starts all at once: one per share of the cores.
+
+    Args:
+        jobs_per_task: As above; 0: as many as it takes for no more tasks than the cores can run at once.
+    """
+
+    _EXECUTOR = "local"
+
+    def _batches(self, jobs: list[Launched]) -> list[list[Launched]]:
+        if self.jobs_per_task > 0:
+            return super()._batches(jobs)
+        tasks = at_once(int(self.params.get("cpus_per_task") or 1))
+        return [jobs[start::tasks] for start in range(min(tasks, len(jobs)))]
+
+
+def _results(task: Any, batch: list[Launched]) -> list[JobReturn]:
+    """What a task's jobs returned, once it has ended."""
+    import submitit
+
+    try:
+        return list(task.results()[0])
+    except (submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError) as error:
+        return [job.lost(_reason(task, error)) for job in batch]
+
+
+def _reason(task: Any, error: Exception) -> str:
+    log.info("%s", error)
+    where = "SLURM job" if type(task).__name__ == "SlurmJob" else "process"
+    ended = f"{where} {task.job_id} ended without a result, state {task.state}"
+    stopped = next((line for line in str(error).splitlines() if "Job not requeued because" in line), "")
+    return f"{ended}; {stopped.partition(': ')[2] or Path(task.paths.stderr)}"

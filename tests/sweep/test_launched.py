@@ -1,0 +1,35 @@
+"""Launchers of plugins: ours in their place, jobs that are lost, and what a user is told who has not the plugin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from calls import SMALL, PinnRun
+from hydra.core.plugins import Plugins
+from hydra.errors import MissingConfigException
+
+from pinn_cli.override_errors import explain
+
+INSTALLED = Plugins.instance().class_name_to_class
+
+
+@pytest.mark.parametrize(("preset", "extra"), [("slurm", "slurm"), ("workstation", "slurm"), ("ray_local", "ray")])
+def test_a_preset_whose_plugin_is_missing_names_the_extra(preset: str, extra: str, pinn_run: PinnRun, monkeypatch):
+    for name in [name for name in INSTALLED if "submitit" in name or "ray" in name]:
+        monkeypatch.delitem(INSTALLED, name)
+    done = pinn_run("--multirun", f"hydra/launcher={preset}", *SMALL, "seed=0,1")
+    assert done.status == 2
+    assert done.err == (
+        f"pinn-run: hydra/launcher={preset}: must be an installed launcher; pip install 'pinn-cli[{extra}]'\n"
+    )
+    assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("option", "extra"), [("submitit_slurm", "slurm"), ("submitit_local", "slurm"), ("ray", "ray")]
+)
+def test_so_does_an_option_of_the_plugin_itself(option: str, extra: str):
+    missing = MissingConfigException("", missing_cfg_file=f"hydra/launcher/{option}")
+    told = explain(missing, [f"hydra/launcher={option}"], None, composing=True)
+    assert str(told) == f"hydra/launcher={option}: must be an installed launcher; pip install 'pinn-cli[{extra}]'"

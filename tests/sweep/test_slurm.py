@@ -1,0 +1,105 @@
+"""Sweeps on a real SLURM: preemption, requeue, cancelled jobs, and launchers that are killed."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from interrupted_runs import ADAM, assert_same_numbers
+from slurm import Cluster, await_that, slurm
+
+TINY = ("system.ndof=2", "simulation.duration=5", "simulation.samples=256")
+# Long enough to be disturbed on the way, some 10 s on one core.
+LONGER = (*ADAM, "training.iterations=1500", "training.history_every=50", "training.checkpoint_every_s=0.5")
+LAUNCHER = ("hydra/launcher=slurm", "hydra.launcher.mem_gb=null", "hydra.sweep.dir=sweep")
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def environment() -> Iterator[dict[str, str]]:
+    with slurm() as environment:
+        yield environment
+
+
+@pytest.fixture
+def cluster(environment: dict[str, str], tmp_path: Path) -> Cluster:
+    return Cluster(environment, tmp_path)
+
+
+def job(cluster: Cluster, seed: int) -> Path:
+    (directory,) = (cluster.folder / "sweep").glob(f"seed={seed}_*")
+    return directory
+
+
+def log(directory: Path) -> str:
+    return (directory / "pinn-run.log").read_text()
+
+
+def jobs(cluster: Cluster) -> pd.DataFrame:
+    return pd.read_csv(cluster.folder / "sweep" / "jobs.csv", keep_default_na=False).set_index("seed")
+
+
+def test_preempted_and_requeued_jobs_go_on_and_a_cancelled_one_takes_no_other_along(cluster: Cluster) -> None:
+    launcher = cluster.start(*LAUNCHER, *LONGER, "seed=0,1,2")
+    await_that(lambda: len(list(cluster.folder.glob("sweep/seed=*/checkpoint.previous.pt"))) == 3)
+    array = cluster.tasks()[0].partition("_")[0]
+    cluster.call("scancel", "--signal=USR2", f"{array}_0")
+    cluster.call("scontrol", "requeue", f"{array}_1")
+    cluster.call("scancel", f"{array}_2")
+    assert launcher.wait() == 1, cluster.said()
+    table = jobs(cluster)
+    assert list(table["status"]) == ["finished", "finished", "failed"]
+    assert "CANCELLED" in table["reason"][2]
+    assert "this job is preempted" in log(job(cluster, 0))
+    for seed in (0, 1):
+        assert "going on from the checkpoint" in log(job(cluster, seed))
+
+    assert cluster.sweep(*LAUNCHER, *LONGER, "seed=0,1,2") == 0, cluster.said()
+    assert "2 of 3 jobs are finished already" in cluster.said()
+    assert "1 jobs as SLURM job" in cluster.said()
+    assert list(jobs(cluster)["status"]) == ["finished"] * 3
+    assert "going on from the checkpoint" in log(job(cluster, 2))
+
+    assert cluster.sweep(*LONGER, "seed=0,1,2", "hydra.sweep.dir=alone") == 0, cluster.said()
+    for seed in (0, 1, 2):
+        assert_same_numbers(cluster.folder / "alone" / job(cluster, seed).name, job(cluster, seed))
+
+
+def test_twelve_jobs_survive_a_cancellation_a_requeue_and_the_death_of_their_launcher(cluster: Cluster) -> None:
+    sweep = (*LAUNCHER, *TINY, "seed=range(12)")
+    launcher = cluster.start(*sweep)
+    await_that(lambda: len(list(cluster.folder.glob("sweep/seed=*/run.json"))) >= 2)
+    first, second = cluster.tasks("RUNNING")[:2]
+    cluster.call("scancel", first)
+    cluster.call("scontrol", "requeue", second)
+    launcher.send_signal(signal.SIGKILL)
+    assert launcher.wait() == -signal.SIGKILL
+    assert cluster.tasks()
+
+    assert cluster.sweep(*sweep) == 0, cluster.said()
+    table = jobs(cluster)
+    assert list(table.index) == list(range(12))
+    assert set(table["status"]) == {"finished"}
+    fitness = pd.read_csv(cluster.folder / "sweep" / "fitness.csv")
+    rows = Counter(fitness["seed"])
+    assert sorted(rows) == list(range(12))
+    assert len(set(rows.values())) == 1, rows
+    # The first launcher's tasks that were still queued are left to themselves: they find the jobs finished.
+    await_that(lambda: not cluster.tasks())
+    assert not list(cluster.folder.glob("sweep/*/run.lock"))
+    assert sum(log(job(cluster, seed)).count("estimate:") for seed in range(12)) <= 14
+
+
+def test_several_jobs_share_a_task(cluster: Cluster) -> None:
+    assert cluster.sweep(*LAUNCHER, "hydra.launcher.jobs_per_task=4", *TINY, "seed=range(6)") == 0, cluster.said()
+    assert "6 jobs as SLURM job" in cluster.said()
+    assert "of 2 tasks" in cluster.said()
+    assert set(jobs(cluster)["status"]) == {"finished"}
+    records = [json.loads((job(cluster, seed) / "run.json").read_text()) for seed in range(6)]
+    assert [record["seed"] for record in records] == list(range(6))

@@ -1,0 +1,83 @@
+"""A worker of submitit in this process: what SIGUSR2 and SIGTERM do to its training, and how jobs are dealt."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from calls import PinnRun
+from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
+from omegaconf import DictConfig
+
+pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="not installed: pip install 'pinn-cli[slurm]'")
+
+from pinn_cli.main import run
+from pinn_cli.sweep import submitit_launcher
+from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
+
+ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
+REQUEUED = 144
+
+
+@pytest.fixture
+def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
+    without_figures(monkeypatch)
+    return Steps(monkeypatch)
+
+
+@pytest.fixture
+def worker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[DictConfig], list[Any]]]:
+    """Runs a job as a task of SLURM does, with the handlers that submitit sets before."""
+    (of_plugin,) = submitit_launcher._Launcher.__bases__  # Hydra loads plugins anew: not the class of that name
+    monkeypatch.setattr(of_plugin, "__call__", lambda launcher, config: run(config))
+    mine = {signal.SIGUSR2: lambda number, frame: sys.exit(REQUEUED), signal.SIGTERM: signal.SIG_IGN}
+    before = {number: signal.signal(number, handler) for number, handler in mine.items()}
+    yield lambda config: SlurmLauncher(jobs_per_task=1)([(config,)])
+    assert {number: signal.signal(number, handler) for number, handler in before.items()} == mine
+
+
+def iteration(checkpoint: Path) -> int:
+    return int(torch.load(checkpoint, weights_only=True)["trainings"][0]["state"]["iteration"])
+
+
+def test_a_preempted_training_leaves_once_its_checkpoint_is_written(pinn_run: PinnRun, steps: Steps, worker) -> None:
+    whole = pinn_run(*ADAM, "hydra.run.dir=whole").directory
+    steps.signal_at(11, signal.SIGUSR2)
+    assert pinn_run(*ON_SIGNALS_ALONE, task=worker).status == REQUEUED
+    assert steps.taken[-1] == 11
+    assert iteration(Path("run/checkpoint.pt")) == 12
+    steps.undisturbed()
+    done = pinn_run(*ON_SIGNALS_ALONE, "resume=auto", task=worker)
+    assert done.status == 0, done.err
+    assert steps.taken[0] == 12
+    assert_same_numbers(whole, done.directory)
+
+
+def test_a_training_that_is_warned_writes_a_checkpoint_and_goes_on(pinn_run: PinnRun, steps: Steps, worker) -> None:
+    steps.signal_at(11, signal.SIGTERM)
+    done = pinn_run(*ON_SIGNALS_ALONE, task=worker)
+    assert done.status == 0, done.err
+    assert steps.taken == list(range(31))
+    assert iteration(Path("run/checkpoint.previous.pt")) == 12
+
+
+@pytest.mark.parametrize(
+    ("launcher", "batches"),
+    [
+        (SlurmLauncher(jobs_per_task=1), [[0], [1], [2], [3], [4]]),
+        (SlurmLauncher(jobs_per_task=2), [[0, 1], [2, 3], [4]]),
+        (LocalLauncher(jobs_per_task=3), [[0, 1, 2], [3, 4]]),
+        (LocalLauncher(jobs_per_task=0), [[0, 2, 4], [1, 3]]),
+        (LocalLauncher(jobs_per_task=0, cpus_per_task=2), [[0, 1, 2, 3, 4]]),
+    ],
+)
+def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkeypatch) -> None:
+    monkeypatch.setattr(submitit_launcher, "at_once", lambda threads: 2 // threads)
+    jobs = [SimpleNamespace(number=number) for number in range(5)]
+    assert [[job.number for job in batch] for batch in launcher._batches(jobs)] == batches
