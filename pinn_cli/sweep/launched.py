@@ -17,7 +17,7 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from pinn_cli.resume import asked_to_resume, going_on, is_finished
 from pinn_cli.sweep.failure import DEFECT, Failure
@@ -102,7 +102,10 @@ class Launched:
     def lost(self, reason: str) -> JobReturn:
         """Note that its worker was, unless it had all its results by then or says itself why it failed."""
         if not self.finished() and Failure.read(self.directory) is None:
-            self.directory.mkdir(parents=True, exist_ok=True)
+            overrides = self.directory / ".hydra" / "overrides.yaml"
+            if not overrides.is_file():  # it had not begun: without this the directory is no job's
+                overrides.parent.mkdir(parents=True, exist_ok=True)
+                OmegaConf.save(self.config.hydra.overrides.task, overrides)
             Failure(DEFECT, reason, reason).write(self.directory)
         return self.returned(math.nan)
 

@@ -9,16 +9,20 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pandas as pd
 import pytest
 import torch
-from calls import PinnRun
+from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 from omegaconf import DictConfig
 
 pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="not installed: pip install 'pinn-cli[slurm]'")
 
+from submitit.core.utils import UncompletedJobError
+
 from pinn_cli.main import run
 from pinn_cli.sweep import submitit_launcher
+from pinn_cli.sweep.cores import at_once
 from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
@@ -81,3 +85,34 @@ def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkey
     monkeypatch.setattr(submitit_launcher, "at_once", lambda threads: 2 // threads)
     jobs = [SimpleNamespace(number=number) for number in range(5)]
     assert [[job.number for job in batch] for batch in launcher._batches(jobs)] == batches
+
+
+class SlurmJob:
+    """A task that was cancelled before it began, as submitit tells of it."""
+
+    job_id, state, paths = "17_0", "CANCELLED by 0", SimpleNamespace(stderr="17_0_0_log.err")
+
+    def results(self) -> list[Any]:
+        raise UncompletedJobError("Job 17_0 has not produced any output (state: CANCELLED by 0)")
+
+
+def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -> None:
+    monkeypatch.setattr(SlurmLauncher, "_submit", lambda launcher, batches: [SlurmJob() for _ in batches])
+    done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
+    assert done.status == 1
+    assert "2 jobs: 2 failed" in done.out
+    table = pd.read_csv("sweep/jobs.csv")
+    assert list(table["seed"]) == [0, 1]
+    assert set(table["reason"]) == {"SLURM job 17_0 ended without a result, state CANCELLED by 0; 17_0_0_log.err"}
+
+
+@pytest.mark.slow
+def test_processes_of_this_machine(pinn_run: PinnRun, tmp_path: Path) -> None:
+    sweep = ("--multirun", "hydra/launcher=workstation", *SMALL, "seed=0,1,2", "hydra.sweep.dir=sweep")
+    done = pinn_run(*sweep)
+    assert done.status == 0, done.err
+    assert "3 jobs: 3 finished" in done.out
+    tasks = {file.parent.name for file in tmp_path.glob("sweep/.submitit/*/*_submitted.pkl")}
+    assert len(tasks) == min(3, at_once(1))
+    assert pinn_run(*sweep).status == 0
+    assert {file.parent.name for file in tmp_path.glob("sweep/.submitit/*/*_submitted.pkl")} == tasks
