@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, whole_number
+from pinn_cli.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.mlp import MlpNetwork
 from pinn_cli.physics import estimated_response, targets
@@ -65,13 +65,10 @@ class QuasiNewton(Training):
         most_residuals: int = 8000,
     ) -> None:
         self.iterations = whole_number("training.iterations", iterations, least=1)
-        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
-            raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
-        if not isinstance(learn_spread, bool):
-            raise InputError("training.learn_spread", learn_spread, "true or false")
+        self.tolerance = fraction("training.tolerance", tolerance)
+        self.learn_spread = true_or_false("training.learn_spread", learn_spread)
         if collocation_points is not None:
             whole_number("training.collocation_points", collocation_points, least=2)
-        self.tolerance, self.learn_spread = tolerance, learn_spread
         self.collocation_points = collocation_points
         self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
 
