@@ -27,12 +27,9 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
 from pinn_cli.training.quasi_newton import QuasiNewton
-from pinn_cli.training.scales import scales
+from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.simulated_start import simulated_start
 
-# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
-# force scale implies.
-CONTINUITY_TOLERANCE = 1e-4
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pinn_cli.central_interval import HALF_WIDTH_90
 from pinn_cli.errors import InputError
 from pinn_cli.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
@@ -24,18 +25,13 @@ from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
 from pinn_cli.training.gradient.history import History
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.scales import scales
+from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.stepwise import train
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
 SOFT = 0.1
 # Precision of the weights at which training begins; it follows the weights by factors of ten at most.
 FIRST_PRECISION = 100.0
-# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
-# force scale implies.
-CONTINUITY_TOLERANCE = 1e-4
-# Of the central 90 % interval of a normal distribution.
-NINETY_PERCENT = 1.6448536269514722
 
 
 class QuasiNewton(Training):
@@ -133,7 +129,7 @@ def _parameters(
     unit = posterior.covariance.diagonal().sqrt()
     std = (unit * parameters.prior_deviation(search.levels.noise.spread)).cpu().tolist()
     found = [
-        replace(e, std=s, lower_90=e.estimate - NINETY_PERCENT * s, upper_90=e.estimate + NINETY_PERCENT * s)
+        replace(e, std=s, lower_90=e.estimate - HALF_WIDTH_90 * s, upper_90=e.estimate + HALF_WIDTH_90 * s)
         for e, s in zip(estimates, std, strict=True)
     ]
     return found, (posterior.covariance / torch.outer(unit, unit)).cpu().numpy()
