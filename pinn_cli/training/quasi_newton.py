@@ -13,8 +13,7 @@ from pinn_cli.errors import InputError
 from pinn_cli.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.mlp import MlpNetwork
-from pinn_cli.physics import estimated_response, targets
-from pinn_cli.record.record import Response
+from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.base import Training
@@ -25,6 +24,7 @@ from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
 from pinn_cli.training.gradient.history import History
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.network_response import network_response
 from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.stepwise import train
 
@@ -80,15 +80,16 @@ class QuasiNewton(Training):
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
         history = History("quasi-newton", run.progress, self.iterations, 1)
-        collocation = collocate(problem, self.collocation_points, self.most_residuals, run.device)
+        every = targets(problem.record, problem.chain, run.device)
+        collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
         search = self._search(problem, collocation, network, parameters, history)
         try:
             train(search, run)
         finally:
             history.close()
-        response = acting_force(_response(problem, search, run), collocation.filtered_force, search.levels.noise)
+        response = network_response(problem, every, network, parameters)
+        response = acting_force(response, collocation.filtered_force, search.levels.noise)
         posterior = FunctionSpacePosterior(search)
-        every = targets(problem.record, problem.chain, run.device)
         std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
         estimates, correlation = _parameters(search, posterior)
         return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
@@ -109,13 +110,6 @@ class QuasiNewton(Training):
         return FunctionSpaceSearch(
             network, parameters, rows, levels, force, self.iterations, self.tolerance, self.learn_spread, history
         )
-
-
-@torch.no_grad()
-def _response(problem: Problem, search: FunctionSpaceSearch, run: RunContext) -> Response:
-    every = targets(problem.record, problem.chain, run.device)
-    at_observation, at_physics = (search.network(t) for t in (every.observation_time, every.physics_time))
-    return estimated_response(problem.record, problem.chain, search.parameters(), at_observation, at_physics)
 
 
 def _parameters(
