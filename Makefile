@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format bench bench-epochs calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all lint format bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
 	against-smoother clean
 
 help: ## list the targets
@@ -52,8 +52,11 @@ test-all: lint $(RAY) ## lint, then every test
 calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
 	$(BIN)/python -m benchmarks.calibration $(ARGS)
 
-bench: venv bench-epochs ## time and scaling over DOFs and durations, and bench-epochs
+bench: venv bench-epochs bench-sweeps ## time and scaling over DOFs and durations, bench-epochs and bench-sweeps
 	$(BIN)/python -m benchmarks
+
+bench-sweeps: venv ## throughput of sweeps with and without joblib, and what start-up costs
+	$(BIN)/python -m benchmarks.sweeps $(ARGS)
 
 bench-epochs: venv ## time of one epoch of the paper's network, against one reverse pass per output
 	$(BIN)/python -m benchmarks.epochs $(ARGS)

@@ -42,6 +42,27 @@ def positive_number(setting: str, value: Any) -> float:
     return float(value)
 
 
+def non_negative_number(setting: str, value: Any) -> float:
+    """The value as a float >= 0, or an InputError naming ``setting``."""
+    if not is_finite_number(value) or value < 0:
+        raise InputError(setting, value, "a finite number >= 0")
+    return float(value)
+
+
+def fraction(setting: str, value: Any, hint: str = "") -> float:
+    """The value as a float between 0 and 1, both excluded, or an InputError naming ``setting``."""
+    if not is_finite_number(value) or not 0 < value < 1:
+        raise InputError(setting, value, "a number between 0 and 1", hint)
+    return float(value)
+
+
+def true_or_false(setting: str, value: Any) -> bool:
+    """The value if it is a bool, or an InputError naming ``setting``."""
+    if not isinstance(value, bool):
+        raise InputError(setting, value, "true or false")
+    return value
+
+
 def whole_number(setting: str, value: Any, least: int = 0) -> int:
     """The value as an int >= ``least``, or an InputError naming ``setting``."""
     if not is_whole_number(value) or value < least:

@@ -1,8 +1,10 @@
-"""Sweeps made of nothing but their files."""
+"""Sweeps made of nothing but their files, and sweeps in processes of their own."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -40,3 +42,11 @@ def made_sweep(directory: Path, overrides: Sequence[str], tables: Mapping[str, s
             (job / "fitness.csv").write_text(table)
             (job / "run.json").write_text(json.dumps({"seconds": {"total": 1.5}}))
     return Sweep.read(directory)
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """`pinn-run` in that folder, in a process group of its own, as a shell starts it."""
+    command = [sys.executable, "-m", "pinn_cli.main", *arguments]
+    return subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )

@@ -12,8 +12,7 @@ from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import Levels, StateSpace
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, positive_number, whole_number
+from pinn_cli.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -46,11 +45,8 @@ class KalmanSmoother(Baseline):
         learn_spread: bool = True,
     ) -> None:
         self.iterations = whole_number("baseline.iterations", iterations, least=1)
-        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
-            raise InputError("baseline.tolerance", tolerance, "a number between 0 and 1")
-        if not isinstance(learn_spread, bool):
-            raise InputError("baseline.learn_spread", learn_spread, "true or false")
-        self.tolerance, self.learn_spread = tolerance, learn_spread
+        self.tolerance = fraction("baseline.tolerance", tolerance)
+        self.learn_spread = true_or_false("baseline.learn_spread", learn_spread)
         self.process_noise = None if process_noise is None else positive_number("baseline.process_noise", process_noise)
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate | None:

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.posterior.samples import PosteriorSamples
 
 R_HAT = 1.01
 EFFECTIVE_DRAWS = 400
-# Ends of a central 90 % interval.
-NINETY_PERCENT = (0.05, 0.95)
 
 
 def diagnose(samples: PosteriorSamples) -> pd.DataFrame:
@@ -82,7 +81,7 @@ def _faults(row: dict[Any, Any], draws: int) -> list[str]:
 
 
 def _spread(draws: np.ndarray) -> dict[str, float]:
-    lower, upper = np.quantile(draws, NINETY_PERCENT)
+    lower, upper = np.quantile(draws, CENTRAL_90)
     return {
         "mean": float(draws.mean()),
         "std": float(draws.std(ddof=1)),

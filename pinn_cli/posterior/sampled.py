@@ -6,8 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, whole_number
+from pinn_cli.legal_values import fraction, whole_number
 from pinn_cli.posterior.base import Posterior
 from pinn_cli.posterior.likelihood import ParameterLikelihood
 from pinn_cli.posterior.priors import Prior
@@ -38,9 +37,7 @@ class Sampled(Posterior):
         self.chains = whole_number("posterior.chains", chains, least=1)
         self.warmup = whole_number("posterior.warmup", warmup, least=1)
         self.draws = whole_number("posterior.draws", draws, least=FEWEST_DRAWS)
-        if not is_finite_number(target_accept) or not 0 < target_accept < 1:
-            raise InputError("posterior.target_accept", target_accept, "a number between 0 and 1", "0.8 is usual")
-        self.target_accept = float(target_accept)
+        self.target_accept = fraction("posterior.target_accept", target_accept, "0.8 is usual")
 
     @abstractmethod
     def likelihood(self, marginal: ParameterLikelihood, conditional: ParameterLikelihood) -> ParameterLikelihood:

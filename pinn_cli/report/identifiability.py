@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from pinn_cli.central_interval import HALF_WIDTH_90
 from pinn_cli.report.labels import with_labels
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ INSEPARABLE = 0.95
 # Standard deviation over value up to which a parameter is known well enough, whatever shares its error: a stiffness is
 # rarely prescribed better. Without this, a good record with parameters known to 0.1 % would warn of their correlation.
 KNOWN_WELL_ENOUGH = 0.05
-
-_HALF_OF_90 = 1.645  # half-width of the central 90 % interval of a Gaussian, in standard deviations
 
 
 def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:
@@ -121,7 +120,7 @@ def _own_findings(p: ParameterEstimate) -> list[str]:
             f"the record says nearly nothing about {p.name}: its standard deviation is still {_percent(ratio)} of the "
             "prior's"
         )
-    elif abs(p.estimate) <= _HALF_OF_90 * p.std or p.lower_90 <= 0.0 <= p.upper_90:
+    elif abs(p.estimate) <= HALF_WIDTH_90 * p.std or p.lower_90 <= 0.0 <= p.upper_90:
         finding = f"{p.name} cannot be told from zero: {of_value}"
     elif relative > POORLY_DETERMINED:
         finding = f"{p.name} is poorly determined: {of_value}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.report.labels import with_labels
 from pinn_cli.training.estimate import ParameterEstimate
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from pinn_cli.posterior.samples import PosteriorSamples
 
 DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
-CENTRAL_90 = (0.05, 0.95)
 
 
 def parameter_estimates(samples: PosteriorSamples, start: Mapping[str, float]) -> list[ParameterEstimate]:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, positive_number, whole_number
+from pinn_cli.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
@@ -27,12 +27,9 @@ from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
 from pinn_cli.training.quasi_newton import QuasiNewton
-from pinn_cli.training.scales import scales
+from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.simulated_start import simulated_start
 
-# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
-# force scale implies.
-CONTINUITY_TOLERANCE = 1e-4
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
 
 
@@ -61,13 +58,9 @@ class GaussNewton(Training):
         pooled: bool = False,
     ) -> None:
         self.iterations = whole_number("training.iterations", iterations, least=1)
-        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
-            raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
-        if not isinstance(learn_spread, bool):
-            raise InputError("training.learn_spread", learn_spread, "true or false")
-        if not isinstance(pooled, bool):
-            raise InputError("training.pooled", pooled, "true or false")
-        self.tolerance, self.learn_spread, self.pooled = tolerance, learn_spread, pooled
+        self.tolerance = fraction("training.tolerance", tolerance)
+        self.learn_spread = true_or_false("training.learn_spread", learn_spread)
+        self.pooled = true_or_false("training.pooled", pooled)
         self.weights = _checked_weights(weights)
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:

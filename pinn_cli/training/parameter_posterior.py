@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
-
-# Ends of a central 90 % interval.
-NINETY_PERCENT = (0.05, 0.95)
 
 
 def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[list[ParameterEstimate], np.ndarray]:
@@ -24,7 +22,7 @@ def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[l
     peak = point + _newton_step(equations, trained)
     posterior = TruncatedGaussian(peak, trained.factor.corner_covariance, equations.lower)
     misfit = coherent_misfit(equations, trained)
-    spread, (lower, upper) = posterior.marginals(NINETY_PERCENT, misfit)
+    spread, (lower, upper) = posterior.marginals(CENTRAL_90, misfit)
     estimates = []
     for i, p in enumerate(equations.problem.uncertain):
         estimate = p.value(p.lower if point[i] <= equations.lower[i] else scale[i] * point[i])

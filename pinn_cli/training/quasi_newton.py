@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from pinn_cli.central_interval import HALF_WIDTH_90
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, whole_number
+from pinn_cli.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.mlp import MlpNetwork
-from pinn_cli.physics import estimated_response, targets
-from pinn_cli.record.record import Response
+from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.base import Training
@@ -24,18 +24,14 @@ from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
 from pinn_cli.training.gradient.history import History
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.scales import scales
+from pinn_cli.training.network_response import network_response
+from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.stepwise import train
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
 SOFT = 0.1
 # Precision of the weights at which training begins; it follows the weights by factors of ten at most.
 FIRST_PRECISION = 100.0
-# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
-# force scale implies.
-CONTINUITY_TOLERANCE = 1e-4
-# Of the central 90 % interval of a normal distribution.
-NINETY_PERCENT = 1.6448536269514722
 
 
 class QuasiNewton(Training):
@@ -65,13 +61,10 @@ class QuasiNewton(Training):
         most_residuals: int = 8000,
     ) -> None:
         self.iterations = whole_number("training.iterations", iterations, least=1)
-        if not is_finite_number(tolerance) or not 0 < tolerance < 1:
-            raise InputError("training.tolerance", tolerance, "a number between 0 and 1")
-        if not isinstance(learn_spread, bool):
-            raise InputError("training.learn_spread", learn_spread, "true or false")
+        self.tolerance = fraction("training.tolerance", tolerance)
+        self.learn_spread = true_or_false("training.learn_spread", learn_spread)
         if collocation_points is not None:
             whole_number("training.collocation_points", collocation_points, least=2)
-        self.tolerance, self.learn_spread = tolerance, learn_spread
         self.collocation_points = collocation_points
         self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
 
@@ -87,15 +80,16 @@ class QuasiNewton(Training):
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
         history = History("quasi-newton", run.progress, self.iterations, 1)
-        collocation = collocate(problem, self.collocation_points, self.most_residuals, run.device)
+        every = targets(problem.record, problem.chain, run.device)
+        collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
         search = self._search(problem, collocation, network, parameters, history)
         try:
             train(search, run)
         finally:
             history.close()
-        response = acting_force(_response(problem, search, run), collocation.filtered_force, search.levels.noise)
+        response = network_response(problem, every, network, parameters)
+        response = acting_force(response, collocation.filtered_force, search.levels.noise)
         posterior = FunctionSpacePosterior(search)
-        every = targets(problem.record, problem.chain, run.device)
         std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
         estimates, correlation = _parameters(search, posterior)
         return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
@@ -118,13 +112,6 @@ class QuasiNewton(Training):
         )
 
 
-@torch.no_grad()
-def _response(problem: Problem, search: FunctionSpaceSearch, run: RunContext) -> Response:
-    every = targets(problem.record, problem.chain, run.device)
-    at_observation, at_physics = (search.network(t) for t in (every.observation_time, every.physics_time))
-    return estimated_response(problem.record, problem.chain, search.parameters(), at_observation, at_physics)
-
-
 def _parameters(
     search: FunctionSpaceSearch, posterior: FunctionSpacePosterior
 ) -> tuple[list[ParameterEstimate], np.ndarray | None]:
@@ -136,7 +123,7 @@ def _parameters(
     unit = posterior.covariance.diagonal().sqrt()
     std = (unit * parameters.prior_deviation(search.levels.noise.spread)).cpu().tolist()
     found = [
-        replace(e, std=s, lower_90=e.estimate - NINETY_PERCENT * s, upper_90=e.estimate + NINETY_PERCENT * s)
+        replace(e, std=s, lower_90=e.estimate - HALF_WIDTH_90 * s, upper_90=e.estimate + HALF_WIDTH_90 * s)
         for e, s in zip(estimates, std, strict=True)
     ]
     return found, (posterior.covariance / torch.outer(unit, unit)).cpu().numpy()

@@ -8,6 +8,10 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 
+# How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the
+# force scale implies.
+CONTINUITY_TOLERANCE = 1e-4
+
 
 def scales(problem: Problem) -> tuple[float, float]:
     """Force (N) and velocity (m/s) that the record is about.

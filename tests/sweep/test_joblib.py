@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from calls import SMALL
+from sweeps import start
 
 # Two jobs that finish and one that cannot; Adam is trained in steps and so has checkpoints.
 SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1", "hydra.sweep.dir=sweep")
-
-
-def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """In a process group of its own, as a shell does."""
-    command = [sys.executable, "-m", "pinn_cli.main", *arguments]
-    return subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
 
 
 def test_workers_do_what_one_process_does(tmp_path: Path) -> None:

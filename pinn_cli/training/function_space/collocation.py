@@ -17,9 +17,10 @@ from torch import Tensor
 from pinn_cli.errors import InputError
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
-from pinn_cli.physics import Targets, targets
+from pinn_cli.physics import Targets
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features, sensor_noise
 
@@ -44,42 +45,42 @@ class Collocation:
     filtered_force: np.ndarray
 
 
-def collocate(problem: Problem, points: int | None, most_rows: int, device: str) -> Collocation:
+def collocate(problem: Problem, every: Targets, points: int | None, most_rows: int) -> Collocation:
     """The record at ``points`` uniform samples, low-passed to what a spline of its band can follow.
 
     Args:
         problem: Chain and record.
+        every: The record's targets at all its samples.
         points: P; None: as many as the spline has features, but no more than ``most_rows`` residuals in all.
         most_rows: See ``points``.
-        device: Of the targets.
 
     Raises:
         InputError: Too few points for the record's band, or the most rows allow no more.
     """
-    record = problem.record
-    target = targets(record, problem.chain, device)
+    record, target = problem.record, every
     network = Spline().build(record)
     response, force = sensor_noise(network, record)
     count = _points(problem, points, most_rows, network.count)
-    samples = torch.as_tensor(np.linspace(0, len(record.time) - 1, count).round().astype(np.int64))
+    samples = torch.as_tensor(uniform_subset(len(record.time), count), device=every.force.device)
     if network.count < len(record.time):
         target = _low_passed(target, network)
         kept = math.sqrt(network.count / len(record.time))
         response, force = {q: kept * sigma for q, sigma in response.items()}, kept * force
-    return Collocation(target.at(samples.to(device)), response, force, target.force.cpu().numpy())
+    return Collocation(target.at(samples), response, force, target.force.cpu().numpy())
 
 
 def _points(problem: Problem, points: int | None, most_rows: int, features: int) -> int:
     record = problem.record
-    available = len(record.time)
-    least = min(available, math.ceil(FEWEST_PER_PERIOD * record_band(record) * record.duration))
+    available, band = len(record.time), record_band(record)
+    least = min(available, math.ceil(FEWEST_PER_PERIOD * band * record.duration))
     channels = sum(int(record.sensors(quantity).sum()) for quantity in RESPONSE_QUANTITIES) + record.ndof
     if points is None:
         points = min(features, available, max(least, most_rows // channels))
-    if min(points, available) < least:
-        hint = f"the record goes up to {record_band(record):.3g} Hz and lasts {record.duration:.4g} s"
+    points = min(points, available)
+    if points < least:
+        hint = f"the record goes up to {band:.3g} Hz and lasts {record.duration:.4g} s"
         raise InputError("training.collocation_points", points, f"a whole number >= {least}, or null", hint)
-    return min(points, available)
+    return points
 
 
 def _low_passed(target: Targets, network: LinearReadout) -> Targets:

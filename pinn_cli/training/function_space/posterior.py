@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.subset import uniform_subset
 from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
 from pinn_cli.training.function_space.linearisation import Linearisation
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
@@ -50,7 +51,7 @@ class FunctionSpacePosterior:
             physics_time: (N,), when forces are.
             time: (N,), the record's.
         """
-        samples = torch.linspace(0, len(time) - 1, min(TIMES, len(time))).round().long()
+        samples = uniform_subset(len(time), min(TIMES, len(time)))
         chain, parameters = self.search.rows.chain, self._values()
 
         def motion(states: States) -> Tensor:
@@ -68,9 +69,7 @@ class FunctionSpacePosterior:
         of_motion = self._variance(moved, torch.zeros(moved.size, len(columns)).to(by_parameter))
         of_force = self._variance(acting, by_parameter.transpose(0, 1).flatten(0, 1))
         rows = torch.cat((of_motion, of_force)).clamp(min=0.0).sqrt().cpu().numpy()
-        every = np.array([np.interp(time, time[samples.numpy()], row) for row in rows]).reshape(
-            len(QUANTITIES), -1, len(time)
-        )
+        every = np.array([np.interp(time, time[samples], row) for row in rows]).reshape(len(QUANTITIES), -1, len(time))
         return Response(time, *(quantity.T for quantity in every))
 
     def _variance(self, block: Block, by_parameter: Tensor) -> Tensor:

@@ -93,24 +93,23 @@ class FunctionSpaceSearch(Stepwise):
         self.network, self.parameters, self.rows, self.levels, self.largest = network, parameters, rows, levels, largest
         self.iterations, self.tolerance, self.learn_spread, self.history = iterations, tolerance, learn_spread, history
         self.start: Layers = [(w.clone(), b.clone()) for w, b in layers(network)]
-        self.damping, self.iteration, self.idle, self.settled, self.stop_reason = 0.0, 0, 0.0, False, ""
+        self.damping, self.iteration, self.idle, self.stop_reason = 0.0, 0, 0.0, ""
 
     def step(self) -> bool:
         """See :meth:`Stepwise.step`."""
-        if self.iteration == 0:
-            self._note(self.loss())
         if self.stop_reason:
             return False
         before = self.loss()
+        if self.iteration == 0:
+            self._note(before)
         linear = Linearisation(self.network, self.parameters, self.rows, self.levels.noise)
-        factor, whole = self._improve(linear, before)
+        factor, whole, after = self._improve(linear, before)
         self.iteration += 1
-        after = self.loss()
         if factor is None:
             self.stop_reason = "no step improves it"
         elif after.total > (1.0 - SETTLED_ENOUGH) * before.total:
-            self._settle(linear, factor, after)
-            self._judge(after.total > (1.0 - self.tolerance) * before.total, whole)
+            settled = self._settle(linear, factor, after)
+            self._judge(after.total > (1.0 - self.tolerance) * before.total, whole, settled)
         if self.iteration == self.iterations and not self.stop_reason:
             self.stop_reason = "iteration limit"
         self._note(after)
@@ -136,11 +135,11 @@ class FunctionSpaceSearch(Stepwise):
         parameters = self.parameters
         return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.levels.noise.spread)
 
-    def _improve(self, linear: Linearisation, before: Loss) -> tuple[Tensor | None, bool]:
+    def _improve(self, linear: Linearisation, before: Loss) -> tuple[Tensor | None, bool, Loss]:
         """Take the first step that lowers the loss.
 
         Returns:
-            Its factor, None where there is none, and whether it was a whole one.
+            Its factor, None where there is none, whether it was a whole one, and the loss that it leads to.
         """
         here = [(w.clone(), b.clone()) for w, b in layers(self.network)]
         to_start = [(w0 - w, b0 - b) for (w0, b0), (w, b) in zip(self.start, here, strict=True)]
@@ -149,13 +148,14 @@ class FunctionSpaceSearch(Stepwise):
             step = linear.step(to_start, x, self.levels.precision, self.damping)
             for share in SHARES:
                 self._move(here, moved, step, share)
-                if self.loss().total < before.total:
+                after = self.loss()
+                if after.total < before.total:
                     whole = share == 1.0
                     self.damping = self._lower(self.damping) if whole else self.damping
-                    return step.factor, whole
+                    return step.factor, whole, after
             self.damping = max(MORE_DAMPING * self.damping, self.levels.precision)
         self._move(here, moved, step, 0.0)
-        return None, False
+        return None, False, before
 
     def _lower(self, damping: float) -> float:
         """Less, and none at all once it is a small part of the prior's precision."""
@@ -171,8 +171,12 @@ class FunctionSpaceSearch(Stepwise):
         parameters.moved.copy_(moved + share * (proposed - moved))
         parameters.respect_bounds()
 
-    def _settle(self, linear: Linearisation, factor: Tensor, after: Loss) -> None:
-        """Have the levels follow residuals, weights and parameters (MacKay 1992)."""
+    def _settle(self, linear: Linearisation, factor: Tensor, after: Loss) -> bool:
+        """Have the levels follow residuals, weights and parameters (MacKay 1992).
+
+        Returns:
+            Whether the discrepancy stays where it is.
+        """
         kept = linear.kept(factor, self.iteration)
         first = self.rows.observed_count * self.rows.points
         forces = kept[first : first + self.rows.force_count * self.rows.points].sum()
@@ -181,12 +185,12 @@ class FunctionSpaceSearch(Stepwise):
         before = self.levels.noise
         self.levels.noise = self._following(before, linear, factor, excess)
         self.levels.precision *= float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
-        self.settled = abs(np.log(self.levels.noise.discrepancy / before.discrepancy)) < LEVEL_TOLERANCE
+        return bool(abs(np.log(self.levels.noise.discrepancy / before.discrepancy)) < LEVEL_TOLERANCE)
 
-    def _judge(self, gained_nothing: bool, whole: bool) -> None:
+    def _judge(self, gained_nothing: bool, whole: bool, settled: bool) -> None:
         """End once neither the loss nor the levels move any more; a short step that gained little counts for half."""
         self.idle = self.idle + (1.0 if whole else 0.5) if gained_nothing else 0.0
-        if self.idle >= PATIENCE or (self.idle >= PATIENCE - 1 and self.settled):
+        if self.idle >= PATIENCE or (self.idle >= PATIENCE - 1 and settled):
             self.stop_reason = "converged"
 
     def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:

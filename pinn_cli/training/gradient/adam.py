@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, finite_number, is_finite_number, positive_number
+from pinn_cli.legal_values import entries, is_finite_number, non_negative_number, positive_number
 from pinn_cli.training.gradient.objective import Evaluation, Objective
 from pinn_cli.training.gradient.optimiser import Optimiser
 from pinn_cli.training.gradient.training import GradientTraining
@@ -50,9 +50,7 @@ class Adam(GradientTraining):
         self.learning_rate = positive_number("training.learning_rate", learning_rate)
         self.parameter_learning_rate = positive_number("training.parameter_learning_rate", parameter_learning_rate)
         self.betas = checked_betas(betas)
-        self.weight_decay = finite_number("training.weight_decay", weight_decay)
-        if self.weight_decay < 0:
-            raise InputError("training.weight_decay", weight_decay, "a finite number >= 0")
+        self.weight_decay = non_negative_number("training.weight_decay", weight_decay)
 
     @property
     def remedy(self) -> str:

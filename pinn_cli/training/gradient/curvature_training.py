@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import finite_number, positive_number, whole_number
+from pinn_cli.legal_values import non_negative_number, positive_number, whole_number
 from pinn_cli.training.gradient.adam import FirstOrder
 from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import Optimiser
@@ -48,9 +47,7 @@ class CurvatureTraining(GradientTraining):
         super().__init__(iterations, stages, physics_growth, weights, collocation_points, dtype, history_every)
         self.warm_up = whole_number("training.warm_up", warm_up)
         self.learning_rate = positive_number("training.learning_rate", learning_rate)
-        self.tolerance = finite_number("training.tolerance", tolerance)
-        if self.tolerance < 0:
-            raise InputError("training.tolerance", tolerance, "a finite number >= 0")
+        self.tolerance = non_negative_number("training.tolerance", tolerance)
 
     @abstractmethod
     def quasi_newton(self, objective: Objective) -> Optimiser:

@@ -33,7 +33,7 @@ class History:
         self.bar.update(iteration - self.bar.n)
         if iteration % self.every and not last:
             return
-        losses = {f"loss_{name}": float(term) for name, term in terms.items()}
+        losses = {f"loss_{name}": _number(term) for name, term in terms.items()}
         factors = {f"weight_{name}": weight for name, weight in weights.items()}
         self.rows.append({"iteration": iteration, "seconds": self.seconds, **losses, **factors})
         self.bar.set_postfix({name.removeprefix("loss_"): f"{loss:.2g}" for name, loss in losses.items()})
@@ -54,3 +54,8 @@ class History:
         """Go on from there."""
         self.rows = [dict(row) for row in state["rows"]]
         self.started = time.perf_counter() - state["seconds"]
+
+
+def _number(term: Tensor | float) -> float:
+    # Torch warns on the terminal about a tensor that has a graph.
+    return float(term.detach() if isinstance(term, Tensor) else term)

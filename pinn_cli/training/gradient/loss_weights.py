@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import finite_number
+from pinn_cli.legal_values import non_negative_number
 
 if TYPE_CHECKING:
     from pinn_cli.training.gradient.objective import Objective
@@ -58,8 +58,8 @@ class LossWeights(Weights):
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value is not None and finite_number(f"training.weights.{name}", value) < 0:
-                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
+            if name != "unforced" or value is not None:
+                non_negative_number(f"training.weights.{name}", value)
 
     @classmethod
     def read(cls, weights: Mapping[str, float | None]) -> LossWeights:
@@ -71,8 +71,6 @@ class LossWeights(Weights):
         for name, value in weights.items():
             if name not in cls.__dataclass_fields__:
                 raise InputError(f"training.weights.{name}", value, f"one of {', '.join(cls.__dataclass_fields__)}")
-            if value is None and name != "unforced":
-                raise InputError(f"training.weights.{name}", value, "a finite number >= 0")
         return cls(**weights)  # type: ignore[arg-type]
 
     def by_term(self, physics_factor: float) -> dict[str, float]:

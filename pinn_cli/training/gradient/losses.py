@@ -18,6 +18,7 @@ from pinn_cli.physics import hold_delay, observation_residuals, physics_residual
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import periodogram, signal_band
+from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 
@@ -95,7 +96,7 @@ def _samples(record: Record, points: int | None) -> np.ndarray:
     if points < needed:
         hint = f"the record goes up to {highest:.3g} Hz and lasts {record.duration:.4g} s"
         raise InputError("training.collocation_points", points, f"a whole number >= {needed}, or null", hint)
-    return np.linspace(0, available - 1, points).round().astype(np.int64)
+    return uniform_subset(available, points)
 
 
 def _highest_frequency(record: Record) -> float:

@@ -7,8 +7,7 @@ from typing import Any
 
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import finite_number, positive_number, whole_number
+from pinn_cli.legal_values import non_negative_number, positive_number, whole_number
 from pinn_cli.training.gradient.adam import FirstOrder, checked_betas
 from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import Optimiser
@@ -56,9 +55,7 @@ class Soap(GradientTraining):
         self.learning_rate = positive_number("training.learning_rate", learning_rate)
         self.parameter_learning_rate = positive_number("training.parameter_learning_rate", parameter_learning_rate)
         self.betas = checked_betas(betas)
-        self.weight_decay = finite_number("training.weight_decay", weight_decay)
-        if self.weight_decay < 0:
-            raise InputError("training.weight_decay", weight_decay, "a finite number >= 0")
+        self.weight_decay = non_negative_number("training.weight_decay", weight_decay)
         self.precondition_every = whole_number("training.precondition_every", precondition_every, least=1)
 
     @property

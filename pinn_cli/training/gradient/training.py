@@ -15,7 +15,7 @@ from pinn_cli.legal_values import one_of, positive_number, whole_number
 from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.random_start import RandomStart
-from pinn_cli.physics import estimated_response, targets
+from pinn_cli.physics import targets
 from pinn_cli.record.record import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.base import Training
@@ -28,6 +28,7 @@ from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import Optimiser
 from pinn_cli.training.gradient.readout_scaling import scale_readout
 from pinn_cli.training.gradient.weight_settings import read_weights
+from pinn_cli.training.network_response import network_response
 from pinn_cli.training.stepwise import train
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
@@ -101,7 +102,8 @@ class GradientTraining(Training):
             train(descent, run)
         finally:
             history.close()
-        response = replace(self._response(shifted, objective, run), time=problem.record.time)
+        every = targets(record, shifted.chain, run.device, self.dtype)
+        response = replace(network_response(shifted, every, objective.network, parameters), time=problem.record.time)
         unknown = Response.unknown(problem.record.time, problem.record.ndof)
         return Estimate(response, unknown, parameters.estimates(), history.table(), self._summary(descent))
 
@@ -113,12 +115,6 @@ class GradientTraining(Training):
         if isinstance(network, LinearReadout):
             scale_readout(network, problem.record)
         return network.to(run.device)
-
-    @torch.no_grad()
-    def _response(self, problem: Problem, objective: Objective, run: RunContext) -> Response:
-        every = targets(problem.record, problem.chain, run.device, self.dtype)
-        at_observation, at_physics = (objective.network(t) for t in (every.observation_time, every.physics_time))
-        return estimated_response(problem.record, problem.chain, objective.parameters(), at_observation, at_physics)
 
     def _summary(self, descent: Descent) -> dict[str, Any]:
         last = descent.history.rows[-1]

@@ -7,6 +7,7 @@ import torch
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.mlp import Mlp
+from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.training.function_space.collocation import collocate, noise_model
 from pinn_cli.training.function_space.kernel import prior_variance, pulled_back, pushed_forward
@@ -47,7 +48,7 @@ class Dense:
             last.mul_(1.0 / max(1.0, float(last.abs().max())))
         self.parameters = LearnedParameters(problem, torch.float64)
         self.parameters.moved.data += 0.05
-        collocation = collocate(problem, 48, 10000, "cpu")
+        collocation = collocate(problem, targets(problem.record, problem.chain), 48, 10000)
         self.noise = noise_model(collocation, 0.05, 0.01).with_spread(0.8)
         self.rows = ResidualRows(chain, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
