@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import sys
 import textwrap
@@ -37,7 +38,7 @@ from pinn_cli.resume import StoredRun, resume_command
 
 log = logging.getLogger(__name__)
 
-Task = Callable[[DictConfig], None]
+Task = Callable[[DictConfig], float | None]
 
 STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 2, 3, 130, 141
 HELP_WIDTH = 120
@@ -59,12 +60,12 @@ class Jobs:
         self.directory: Path | None = None
         self._process = os.getpid()
 
-    def __call__(self, config: DictConfig) -> None:
-        """Run one job; see the class."""
+    def __call__(self, config: DictConfig) -> float | None:
+        """Run one job; see the class. What it returns reaches Hydra's sweeper: a score, or None where there is none."""
         self.started = True
         self.directory = Path(HydraConfig.get().runtime.output_dir)
         try:
-            self.task(config if self.stored is None else self.stored.configuration(config))
+            return self.task(config if self.stored is None else self.stored.configuration(config))
         except (InputError, DivergenceError) as error:
             if os.getpid() != self._process:  # a launcher's worker: only Hydra can carry the failure back
                 raise
@@ -72,6 +73,7 @@ class Jobs:
                 self.unusable.append(self.directory)
             log.info("%s", error)
             self.report(error)
+        return None
 
     def report(self, error: InputError | DivergenceError) -> None:
         """Print the error's one line and note the exit status that it asks for."""
@@ -133,6 +135,11 @@ def _has_finished(jobs: Jobs, options: Namespace) -> bool:
     return False
 
 
+def scored(result: float | None) -> float | None:
+    """A job's score as a sweeper may see it: hydra-optuna-sweeper 1.3.0 takes None for a failure and dies of NaN."""
+    return result if result is not None and math.isfinite(result) else None
+
+
 def _print_help(jobs: Jobs) -> None:
     """Hydra's help, which has every option of a group in one line, with long lines folded."""
     text = StringIO()
@@ -146,8 +153,8 @@ def _print_help(jobs: Jobs) -> None:
 
 
 def _run_hydra(jobs: Jobs) -> None:
-    def run_job(config: DictConfig) -> None:
-        jobs(config)
+    def run_job(config: DictConfig) -> float | None:
+        return scored(jobs(config))
 
     given = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1

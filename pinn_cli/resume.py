@@ -131,6 +131,12 @@ def is_finished(directory: Path, identity: Identity) -> bool:
     return isinstance(content, dict) and content.get("configuration") == identity.configuration
 
 
+def stored_score(directory: Path) -> float | None:
+    """The validation score of a finished run; None where it has none."""
+    score = json.loads((directory / RESULT).read_text(encoding="utf-8")).get("validation", {}).get("score")
+    return None if score is None else float(score)
+
+
 def asked_to_resume(config: RunConfig, directory: Path) -> bool:
     """Whether a run may go on with what lies in its directory.
 

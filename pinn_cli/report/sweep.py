@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     import pandas
 
-TABLES = ("fitness.csv", "free_run.csv", "parameters.csv", "identifiability.csv", "diagnostics.csv")
+TABLES = ("fitness.csv", "free_run.csv", "parameters.csv", "score.csv", "identifiability.csv", "diagnostics.csv")
 
 
 class SweepTables(Callback):
