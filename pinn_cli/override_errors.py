@@ -17,6 +17,16 @@ from pinn_cli.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+# What the sweeper of the extra `optuna` and Hydra say where it is not installed, and where no trial has a score: the
+# setting, its value, what is allowed and a hint.
+_NO_OPTUNA = ("hydra/sweeper", "search", "an installed sweeper", "pip install 'pinn-cli[optuna]'")
+_NO_SCORE = ("hydra/sweeper", "search", "given settings under which a trial ends with a score", "every trial failed")
+_OF_PLUGINS = {
+    "Unknown plugin class : 'hydra_plugins.hydra_optuna_sweeper.optuna_sweeper.OptunaSweeper'": _NO_OPTUNA,
+    "Record does not exist.": _NO_SCORE,
+    "No trials are completed yet.": _NO_SCORE,
+}
+
 
 def explain(
     error: BaseException, overrides: Sequence[str], config_dir: str | None, composing: bool
@@ -44,6 +54,9 @@ def explain(
             return _unknown_setting(str(key), overrides, config_dir)
         if key and isinstance(cause, OmegaConfBaseException):
             return _unresolved(str(key), cause, overrides)
+    for cause in _chain(error):
+        if str(cause) in _OF_PLUGINS:
+            return InputError(*_OF_PLUGINS[str(cause)])
     told = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
     return _as_told(error, overrides) if told or (composing and type(error) is ValueError) else None
 
