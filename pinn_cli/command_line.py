@@ -24,7 +24,6 @@ from collections.abc import Callable
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -45,7 +44,7 @@ from pinn_cli.sweep.jobs import NOT_STARTED, Sweep
 
 log = logging.getLogger(__name__)
 
-Task = Callable[[DictConfig], Any]
+Task = Callable[[DictConfig], float | None]
 
 STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 130, 141
 HELP_WIDTH = 120
@@ -69,15 +68,15 @@ class Jobs:
         self.stored: StoredRun | None = None
         self.directory: Path | None = None
 
-    def __call__(self, config: DictConfig) -> Any:
-        """Run one job; see the class."""
+    def __call__(self, config: DictConfig) -> float | None:
+        """Run one job; see the class. What it returns reaches Hydra's sweeper: a score, or None where there is none."""
         self.started = True
         self.directory = Path(HydraConfig.get().runtime.output_dir)
         in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
         with held(self.directory):
             return (self._in_sweep if in_sweep else self._alone)(config, self.directory)
 
-    def _alone(self, config: DictConfig, directory: Path) -> Any:
+    def _alone(self, config: DictConfig, directory: Path) -> float | None:
         try:
             return self.task(config if self.stored is None else self.stored.configuration(config))
         except (InputError, DivergenceError) as error:
@@ -85,8 +84,9 @@ class Jobs:
                 self.unusable.append(directory)
             log.info("%s", error)
             self.report(error)
+        return None
 
-    def _in_sweep(self, config: DictConfig, directory: Path) -> Any:
+    def _in_sweep(self, config: DictConfig, directory: Path) -> float | None:
         failure.forget(directory)
         try:
             return self.task(going_on(config))
@@ -94,7 +94,7 @@ class Jobs:
             kept = failure.Failure.of(error)
             log.info("%s", kept.traceback if kept.status == failure.DEFECT else kept.reason)
             kept.write(directory)
-            return math.nan  # to a sweeper that looks for a best job, the worst
+            return None
 
     def report(self, error: InputError | DivergenceError) -> None:
         """Print the error's one line and note the exit status that it asks for."""
@@ -198,9 +198,15 @@ def _collect(jobs: Jobs) -> None:
             jobs.tell(reason)
         return
     collection = Collection.of(sweep)
-    jobs.status = max(jobs.status, collection.exit_status)
+    if not sweep.is_search:  # in which trials may fail
+        jobs.status = max(jobs.status, collection.exit_status)
     print(collection.text())
     print(sweep.directory)
+
+
+def scored(result: float | None) -> float | None:
+    """A job's score as a sweeper may see it: hydra-optuna-sweeper 1.3.0 takes None for a failure and dies of NaN."""
+    return result if isinstance(result, float) and math.isfinite(result) else None
 
 
 def _print_help(jobs: Jobs) -> None:
@@ -216,8 +222,8 @@ def _print_help(jobs: Jobs) -> None:
 
 
 def _run_hydra(jobs: Jobs) -> None:
-    def run_job(config: DictConfig) -> Any:
-        return jobs(config)
+    def run_job(config: DictConfig) -> float | None:
+        return scored(jobs(config))
 
     given = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.chain import Chain
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.training.base import Training
+    from pinn_cli.validation.base import Validation
 
 VALUES = ("case", "seed", "device", "threads", "resume", "figures")
 NODES = (
@@ -45,6 +46,7 @@ NODES = (
     "network",
     "training",
     "posterior",
+    "validation",
     "baseline",
 )
 
@@ -86,6 +88,7 @@ class RunConfig:
         network: What stands for the response as a function of time.
         training: How the problem is solved.
         posterior: How the distribution of the parameters is found, with scheme=bayesian.
+        validation: How the estimate is scored without the truth.
         baseline: What the network is compared with.
         identity: Which run this is, for its checkpoints and results.
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
@@ -104,6 +107,7 @@ class RunConfig:
     network: NetworkDesign
     training: Training
     posterior: Posterior
+    validation: Validation
     baseline: Baseline
     identity: Identity
     resume: str | None
@@ -131,7 +135,7 @@ class RunConfig:
         model_error = build(config.model_error, "model_error")
         chain = _chain(config.system)
         source = _source(config, chain, model_error, seed, base)
-        names = ("scheme", "network", "training", "posterior", "baseline")
+        names = ("scheme", "network", "training", "posterior", "validation", "baseline")
         estimation = {name: build(config[name], name) for name in names}
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again["figures"] = _figures(config)

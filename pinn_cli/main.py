@@ -11,12 +11,16 @@ from omegaconf import DictConfig
 
 from pinn_cli.command_line import execute
 from pinn_cli.config import RunConfig
-from pinn_cli.resume import RESULT, asked_to_resume, is_finished
+from pinn_cli.resume import RESULT, asked_to_resume, is_finished, stored_score
 from pinn_cli.stages import Stages
 
 
-def run(composed: DictConfig) -> None:
-    """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed."""
+def run(composed: DictConfig) -> float | None:
+    """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
+
+    Returns:
+        Its validation score, for a sweeper that looks for the least; None without one.
+    """
     runtime = HydraConfig.get().runtime
     directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages()
     in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
@@ -26,12 +30,13 @@ def run(composed: DictConfig) -> None:
     if config is None:
         if not in_sweep:
             print(f"finished before, nothing to do\n{directory}")
-        return
+        return stored_score(directory)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.posterior.find import find_posterior
         from pinn_cli.report.run_report import Results, write_report
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.training.run_checkpoints import open_checkpoints
+        from pinn_cli.validation.base import Estimator
     with stages("system"):
         true, prescribed = config.model_error.chains(config.chain)
     with stages("record"):
@@ -43,16 +48,21 @@ def run(composed: DictConfig) -> None:
         (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
         checkpoints = open_checkpoints(config, directory)
         context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
+        estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
+        config.validation.check(problem, estimator)
         estimate = config.training.solve(problem, config.network, context)
     with stages("posterior"):
         posterior = find_posterior(config.posterior, problem, estimate, context)
+    with stages("validation"):
+        score = config.validation.score(problem, estimate, estimator)
     with stages("baseline"):
         baseline = config.baseline.solve(problem, context)
-    results = Results(record, measurements.truth, estimate, baseline, posterior)
+    results = Results(record, measurements.truth, estimate, baseline, posterior, score)
     drawn = config.figures if config.figures is not None else not in_sweep
     text = write_report(config, results, directory, stages, drawn)
     if not in_sweep:
         print(f"{text}\n{directory}")
+    return stored_score(directory)
 
 
 def main() -> None:

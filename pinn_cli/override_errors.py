@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 # The extra of this package that brings a plugin: by the plugin's package, and by the options that it adds itself.
 _EXTRA_OF = {"hydra_submitit_launcher": "slurm", "hydra_ray_launcher": "ray"}
 _EXTRA_WITH = {"submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray", "ray_aws": "ray"}
+# What the sweeper of the extra `optuna` and Hydra say where it is not installed, and where no trial has a score: the
+# setting, its value, what is allowed and a hint.
+_NO_OPTUNA = ("hydra/sweeper", "search", "an installed sweeper", "pip install 'pinn-cli[optuna]'")
+_NO_SCORE = ("hydra/sweeper", "search", "given settings under which a trial ends with a score", "every trial failed")
+_OF_PLUGINS = {
+    "Unknown plugin class : 'hydra_plugins.hydra_optuna_sweeper.optuna_sweeper.OptunaSweeper'": _NO_OPTUNA,
+    "Record does not exist.": _NO_SCORE,
+    "No trials are completed yet.": _NO_SCORE,
+}
 
 
 def explain(
@@ -51,6 +60,9 @@ def explain(
         plugin = re.match(r"Unknown plugin class : 'hydra_plugins\.(\w+)\.", str(cause))
         if plugin and plugin[1] in _EXTRA_OF:
             return _not_installed(_given("hydra/launcher", overrides), _EXTRA_OF[plugin[1]])
+    for cause in _chain(error):
+        if str(cause) in _OF_PLUGINS:
+            return InputError(*_OF_PLUGINS[str(cause)])
     told = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
     return _as_told(error, overrides) if told or (composing and type(error) is ValueError) else None
 

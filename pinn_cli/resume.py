@@ -131,6 +131,12 @@ def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
     return isinstance(content, dict) and content.get("configuration") == identity.configuration
 
 
+def stored_score(directory: Path) -> float | None:
+    """The validation score of a finished run; None where it has none."""
+    score = json.loads((directory / RESULT).read_text(encoding="utf-8")).get("validation", {}).get("score")
+    return None if score is None else float(score)
+
+
 def going_on(config: DictConfig) -> DictConfig:
     """The configuration of a sweep's job, which goes on unless it is told otherwise or its directory is always new."""
     if config.get("resume", NEVER) is None and _has_fixed_directory():

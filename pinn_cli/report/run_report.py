@@ -21,6 +21,7 @@ from pinn_cli.report.identifiability import (
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.posterior_table import parameter_estimates, posterior_correlation
 from pinn_cli.report.run_record import run_record
+from pinn_cli.report.score import score_record, score_text
 from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text
 from pinn_cli.report.writing import write_json, write_table
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.record import Record, Response, Truth
     from pinn_cli.stages import Stages
     from pinn_cli.training.estimate import Estimate
+    from pinn_cli.validation.base import Score
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,7 @@ class Results:
         estimate: What it found.
         baseline: What the configured baseline found; None where there is none.
         posterior: Of the parameters, where one was asked for.
+        score: Of the estimate without the truth, where one was asked for.
     """
 
     record: Record
@@ -53,6 +56,7 @@ class Results:
     estimate: Estimate
     baseline: Estimate | None = None
     posterior: PosteriorFindings | None = None
+    score: Score | None = None
 
 
 def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
@@ -84,6 +88,8 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         write_table(free_table, directory / "free_run.csv")
         if any_unknown(estimate.parameters):
             _write_identifiability(estimate, labels, directory)
+        if results.score is not None:
+            write_table(results.score.table, directory / "score.csv")
         write_table(estimate.history, directory / "history.csv")
         dataset = response_dataset(estimate, record, truth.response, labels, free.response)
         write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
@@ -93,10 +99,12 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
     with stages("posterior_report"):
         diagnostics = _write_posterior(config, results, directory, figures)
     record_of_run = run_record(config, estimate, stages.seconds) | (beside.record if beside else {})
-    write_json(record_of_run | _sampling_record(results.posterior), directory / "run.json")
+    scored = score_record(config.validation.name, results.score)
+    write_json(record_of_run | _sampling_record(results.posterior) | scored, directory / "run.json")
     shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
     shown += [free_run_text(free, free_table), diagnostics]
     shown += [beside.text(fitness, stages.seconds)] if beside else []
+    shown += [score_text(config.validation.name, results.score)]
     return "\n\n".join(text for text in shown if text)
 
 

@@ -34,3 +34,13 @@ class Scheme(ABC):
         Raises:
             InputError: A setting does not fit the chain.
         """
+
+    def posed_again(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
+        """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.
+
+        Args:
+            problem: As it was posed.
+            prescribed: See :meth:`problem`.
+            record: Likewise.
+        """
+        return self.problem(prescribed, record)

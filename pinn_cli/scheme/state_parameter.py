@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 
 from pinn_cli.legal_values import one_of, positive_number
 from pinn_cli.record.record import Record
@@ -70,6 +71,12 @@ class StateParameter(Scheme):
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         uncertain = sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.dof))
         return Problem(forgetful(prescribed, unknown), record, tuple(uncertain), self.acceleration_through)
+
+    def posed_again(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
+        """See :meth:`Scheme.posed_again`: by default it is the sensors that say what is unknown."""
+        again = copy(self)
+        again.unknown = [parameter.name for parameter in problem.uncertain if parameter.unknown]
+        return again.problem(prescribed, record)
 
     def _unknown(self, prescribed: Chain, record: Record, places: Sequence[Place]) -> list[UncertainParameter]:
         given = initial_values(prescribed, self.initial, self.positive)

@@ -26,7 +26,7 @@ class JoblibLauncher(plugin.JoblibLauncher):
             initial_job_idx: Number of the first.
 
         Returns:
-            What each job returned, in the same order; NaN for one that was lost.
+            What each job returned, in the same order; None for one that was lost.
         """
         jobs = [Launched(self, list(overrides), initial_job_idx + n) for n, overrides in enumerate(job_overrides)]
         suspects: list[Launched] = []

@@ -71,11 +71,13 @@ class Sweep:
         directory: Of the sweep.
         overrides: As typed for the whole sweep (`seed=0,1`).
         expected: The jobs' names and overrides in their order; empty if only its sweeper knows them.
+        is_search: Whether its sweeper chooses the jobs by what earlier ones return.
     """
 
     directory: Path
     overrides: tuple[str, ...]
     expected: dict[str, tuple[str, ...]]
+    is_search: bool
 
     @classmethod
     def of(cls, config: Any, directory: Path) -> Sweep:
@@ -87,7 +89,7 @@ class Sweep:
         arguments = [*(f"{name}={value}" for name, value in params.items()), *overrides]
         jobs = BasicSweeper.split_arguments([*map(parse, arguments)], None)[0] if named and basic else []
         swept = swept_settings(arguments, map(str, params))
-        return cls(directory, tuple(arguments), {job_name(job, swept): tuple(job) for job in jobs})
+        return cls(directory, tuple(arguments), {job_name(job, swept): tuple(job) for job in jobs}, not basic)
 
     @classmethod
     def read(cls, directory: Path) -> Sweep:

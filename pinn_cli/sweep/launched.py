@@ -7,7 +7,6 @@ The launchers here, which are these plugins but for that, note the loss in the j
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -120,7 +119,7 @@ class Launched:
                 overrides.parent.mkdir(parents=True, exist_ok=True)
                 OmegaConf.save(self.config.hydra.overrides.task, overrides)
             Failure(DEFECT, reason, reason).write(self.directory)
-        return self.returned(math.nan)
+        return self.returned()
 
     def _task(self) -> DictConfig:
         config = self.config.copy()

@@ -49,7 +49,7 @@ class _Launcher(plugin.BaseSubmititLauncher):
             initial_job_idx: Number of the first.
 
         Returns:
-            What each job returned, in the same order; NaN for one that was lost.
+            What each job returned, in the same order; None for one that was lost.
         """
         jobs, returns = to_launch(self, job_overrides, initial_job_idx)
         batches = self._batches(jobs)

@@ -20,3 +20,7 @@ class Training(ABC):
             InputError: The network cannot be trained this way.
             DivergenceError: The loss left the finite numbers.
         """
+
+    def gives_evidence(self, design: NetworkDesign) -> bool:
+        """Whether it says how probable the record is under its model, as ``log_evidence`` of its summary."""
+        return False

@@ -81,6 +81,10 @@ class GaussNewton(Training):
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(evidence, trained))
 
+    def gives_evidence(self, design: NetworkDesign) -> bool:
+        """See :meth:`Training.gives_evidence`: weights that were fixed are no noise levels."""
+        return not self.weights and design.name != "mlp"
+
     def _over_all_weights(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """Of a network whose features are learned too, in the space of its residuals."""
         if problem.priors is not None:

@@ -1,0 +1,111 @@
+"""The sampler of a search: Optuna's, seeded so that a search that was killed goes on as if it never had been."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler, RandomSampler, TPESampler
+from optuna.study import Study
+from optuna.trial import FrozenTrial, TrialState
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import one_of, whole_number
+from pinn_cli.search.study import MADE_OF, load
+
+METHODS = ("tpe", "random")
+NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"
+# What the evidence can compare: the model of the chain and the search for its weights, under one network and record.
+COMPARABLE = (
+    "system", "scheme.parameter_uncertainty", "scheme.unknown", "scheme.initial", "scheme.prior_width",
+    "training.learn_spread", "training.iterations", "training.tolerance",
+)  # fmt: skip
+
+
+class SearchSampler(BaseSampler):
+    """A tree-structured Parzen estimator (Bergstra et al. 2011), or random draws, with a seed for every draw.
+
+    A sampler with one stream of random numbers starts that stream again when a search is started again, and repeats its
+    first draws. Here each draw depends on the seed, the trial's number, the setting's name and the trials before.
+
+    Args:
+        method: ``tpe`` or ``random``.
+        seed: Of all draws.
+        startup: Random trials before the estimator is trusted.
+        validation: Class that scores the trials (``validation._target_``).
+        overrides: Of the search, as typed; another search must not go on with its trials.
+        directory: Of the sweep, where those of an earlier start may lie.
+
+    Raises:
+        InputError: A setting outside its range, or nothing that scores the trials.
+    """
+
+    def __init__(
+        self,
+        method: str = "tpe",
+        seed: int = 0,
+        startup: int = 10,
+        validation: str = "",
+        overrides: Sequence[str] = (),
+        directory: str | None = None,
+    ) -> None:
+        self.method = one_of("hydra.sweeper.sampler.method", method, METHODS)
+        self.seed = whole_number("hydra.sweeper.sampler.seed", seed)
+        self.startup = whole_number("hydra.sweeper.sampler.startup", startup, least=1)
+        self.validation = validation.rpartition(".")[2]
+        if self.validation == NO_VALIDATION:
+            raise InputError(
+                "validation", "none", "heldout or evidence in a search", "it is the score that is minimised"
+            )
+        self.made_of = sorted(overrides)
+        optuna.logging.set_verbosity(logging.WARNING)
+        self._check_same_search(None if directory is None else load(Path(directory)))
+
+    def _check_same_search(self, study: Study | None) -> None:
+        known = None if study is None else study.user_attrs.get(MADE_OF)
+        if known is not None and known != self.made_of:
+            changed = ", ".join(sorted(set(known) ^ set(self.made_of)))
+            allowed = "another directory: there is a search with other settings in this one"
+            raise InputError("hydra.sweep.dir", "(as given)", allowed, f"they differ in {changed}")
+
+    def infer_relative_search_space(self, study: Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+        """Settings are drawn one by one; the first trial notes which search it is of."""
+        if MADE_OF not in study.user_attrs:
+            study.set_user_attr(MADE_OF, self.made_of)
+        return {}
+
+    def sample_relative(
+        self, study: Study, trial: FrozenTrial, search_space: Mapping[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Nothing is drawn jointly."""
+        return {}
+
+    def sample_independent(
+        self, study: Study, trial: FrozenTrial, param_name: str, param_distribution: BaseDistribution
+    ) -> Any:
+        """One setting of one trial."""
+        if self.validation == EVIDENCE and not param_name.startswith(COMPARABLE):
+            hint = f"{param_name} changes what the evidence is relative to; validation=heldout compares it"
+            raise InputError("validation", "evidence", f"used in searches over {', '.join(COMPARABLE)}", hint)
+        seed = drawing_seed(self.seed, trial.number, param_name)
+        return self._sampler(seed).sample_independent(study, trial, param_name, param_distribution)
+
+    def after_trial(self, study: Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None) -> None:
+        """Nothing to note."""
+
+    def _sampler(self, seed: int) -> BaseSampler:
+        if self.method == "random":
+            return RandomSampler(seed=seed)
+        return TPESampler(seed=seed, n_startup_trials=self.startup, warn_independent_sampling=False)
+
+
+def drawing_seed(seed: int, number: int, name: str) -> int:
+    """Of the random numbers of one setting in one trial, on every machine the same; below 2^32."""
+    digest = hashlib.sha256(f"{seed}/{number}/{name}".encode()).digest()
+    return int(np.frombuffer(digest[:4], dtype="<u4")[0])

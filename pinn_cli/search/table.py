@@ -1,0 +1,93 @@
+"""The trials of a search as a table, and how much each setting mattered."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+if TYPE_CHECKING:
+    from optuna.study import Study
+    from optuna.trial import FrozenTrial
+
+LEADING = ("trial", "state", "score", "seconds", "directory", "reason")
+_STATES = {"COMPLETE": "done", "FAIL": "failed", "RUNNING": "under way", "WAITING": "waiting", "PRUNED": "failed"}
+# Fewer trials than this say nothing about a setting.
+FEWEST = 5
+
+
+def overrides_of(trial: FrozenTrial) -> list[str]:
+    """The overrides of a trial's job, as the sweeper makes them."""
+    return [f"{name}={value}" for name, value in {**trial.params, **trial.user_attrs}.items()]
+
+
+def trials_table(study: Study, directory: Path) -> pd.DataFrame:
+    """One row per trial in the order of their numbers: `LEADING`, then the settings that were searched.
+
+    Args:
+        study: Of the search.
+        directory: Of the sweep, which the column ``directory`` starts from.
+    """
+    jobs = {_key(_overrides(file)): file.parent.parent for file in directory.rglob(".hydra/overrides.yaml")}
+    rows = [_row(trial, jobs.get(_key(overrides_of(trial))), directory) for trial in study.get_trials(deepcopy=False)]
+    settings = dict.fromkeys(name for row in rows for name in row if name not in LEADING)
+    return pd.DataFrame(rows, columns=[*LEADING, *settings])
+
+
+def _row(trial: FrozenTrial, job: Path | None, directory: Path) -> dict[str, Any]:
+    run = _read(job, "run.json")
+    seconds = run.get("seconds", {}).get("total")
+    if seconds is None and trial.duration is not None:
+        seconds = trial.duration.total_seconds()
+    reason = _read(job, "failure.json").get("reason") or run.get("validation", {}).get("reason")
+    ended = trial.state.name == "COMPLETE"
+    return {
+        "trial": trial.number,
+        "state": _STATES[trial.state.name],
+        "score": trial.value if ended else None,
+        "seconds": seconds if trial.state.is_finished() else None,
+        "directory": None if job is None else job.relative_to(directory).as_posix(),
+        "reason": None if ended else reason,
+        **trial.params,
+    }
+
+
+def _read(job: Path | None, name: str) -> dict[str, Any]:
+    try:
+        content = {} if job is None else json.loads((job / name).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _overrides(file: Path) -> list[str]:
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    return [str(line) for line in content] if isinstance(content, list) else []
+
+
+def _key(overrides: list[str]) -> tuple[str, ...]:
+    return tuple(sorted(overrides))
+
+
+def importance(values: pd.Series, score: pd.Series) -> float:
+    """Share of the variance of the scores' ranks that a setting explains by itself, 0 to 1, adjusted for its freedom.
+
+    A parabola in the ranks of a number, the group means of a choice; NaN with too few trials or a single value. Trials
+    of a search crowd where it is good, so this ranks settings within a search and is no property of the estimator.
+    """
+    ranks = score.rank().to_numpy(float)
+    numbers = pd.to_numeric(values, errors="coerce")
+    if numbers.notna().all() and numbers.nunique() > 2:
+        x = numbers.rank().to_numpy(float)
+        design = np.vander((x - x.mean()) / x.std(), 3)
+    else:
+        design = pd.get_dummies(values.astype(str)).to_numpy(float)
+    freedom = len(ranks) - design.shape[1]
+    if len(ranks) < FEWEST or freedom < 1 or values.astype(str).nunique() < 2 or np.ptp(ranks) == 0:
+        return float("nan")
+    rest = ranks - design @ np.linalg.lstsq(design, ranks, rcond=None)[0]
+    return float(max(0.0, 1.0 - (rest @ rest / freedom) / np.var(ranks, ddof=1)))

@@ -1,0 +1,78 @@
+"""What a validation is: a score of an estimate that knows nothing of the truth."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pandas as pd
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.chain import Chain
+from pinn_cli.training.base import Training
+from pinn_cli.training.estimate import Estimate, RunContext
+
+
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """All that an estimate is made of but the measurements; there is no way from here to the truth.
+
+    Attributes:
+        prescribed: The chain that the user prescribes.
+        scheme: How the problem is posed.
+        network: What is trained.
+        training: How.
+        run: The run that all this is part of.
+    """
+
+    prescribed: Chain
+    scheme: Scheme
+    network: NetworkDesign
+    training: Training
+    run: RunContext
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What came of a validation.
+
+    Attributes:
+        value: Lower is better; NaN where none could be found.
+        table: Where it comes from, for score.csv.
+        reason: Why it is NaN, in one line; empty otherwise.
+    """
+
+    value: float
+    table: pd.DataFrame
+    reason: str = ""
+
+
+class Validation(ABC):
+    """How an estimate is scored from measurements alone. A new one is a file here and a file in ``conf/validation``.
+
+    Attributes:
+        name: What score.csv calls it.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def check(self, problem: Problem, estimator: Estimator) -> None:
+        """Refuse, before anything is trained, what cannot be scored.
+
+        Raises:
+            InputError: There is nothing to score with.
+        """
+
+    @abstractmethod
+    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score | None:
+        """The score; None where none was asked for.
+
+        Args:
+            problem: That was solved.
+            estimate: Its solution.
+            estimator: That found it, to find others.
+        """

@@ -1,0 +1,107 @@
+"""Sensors that the estimator never sees, predicted by it: cross-validation over the observed DOFs.
+
+Whole sensors rather than samples: a sample between two others is interpolated by any network, whereas a response where
+there was no sensor is what the estimate is for.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.legal_values import entries, is_whole_number
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.validation.base import Estimator, Score, Validation
+from pinn_cli.validation.density import channel_noise, compared
+
+log = logging.getLogger(__name__)
+
+
+class HeldOut(Validation):
+    """Mean over withheld channels of how well they were predicted (:func:`pinn_cli.validation.density.compared`).
+
+    One DOF at a time loses all its response sensors, the problem is posed and solved again without them, and they are
+    compared with what it predicts there. The run's own estimate, from all sensors, is left as it is.
+
+    Args:
+        dofs: Whose sensors are withheld, one after the other, counted from 1; None: every observed DOF's.
+
+    Raises:
+        InputError: Something else than that.
+    """
+
+    name = "heldout"
+
+    def __init__(self, dofs: Sequence[int] | None = None) -> None:
+        given = entries(dofs)
+        if dofs is not None and (not given or not all(is_whole_number(dof) and dof >= 1 for dof in given)):
+            raise InputError("validation.dofs", dofs, "null or a list of observed DOFs, counted from 1")
+        self.dofs = None if dofs is None else sorted({int(dof) for dof in given})
+
+    def check(self, problem: Problem, estimator: Estimator) -> None:
+        """See :meth:`Validation.check`."""
+        observed = np.flatnonzero(problem.record.observed) + 1
+        if len(observed) < 2:
+            hint = "with one DOF observed there is none to spare; validation=evidence needs none"
+            raise InputError("validation", self.name, "used with sensors on two DOFs or more", hint)
+        for dof in self.dofs or ():
+            if dof not in observed:
+                raise InputError("validation.dofs", self.dofs, f"observed DOFs: {', '.join(map(str, observed))}")
+        for dof in self._withheld(problem.record):
+            self._posed_without(dof, problem, estimator)
+
+    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
+        """See :meth:`Validation.score`."""
+        rows: list[dict[str, Any]] = []
+        for dof in self._withheld(problem.record):
+            reduced = self._posed_without(dof, problem, estimator)
+            try:
+                found = estimator.training.solve(reduced, estimator.network, estimator.run)
+            except DivergenceError as error:
+                reason = f"without the sensors of DOF {dof}: {error}"
+                log.warning("no validation score: %s", reason)
+                return Score(np.nan, pd.DataFrame(rows), reason)
+            rows += self._rows(problem.record, dof, found)
+        table = pd.DataFrame(rows)
+        value = float(table["score"].mean())
+        reason = "" if np.isfinite(value) else "the prediction is not finite"
+        last = {"validation": self.name, "withheld_dof": "all", "samples": int(table["samples"].sum()), "score": value}
+        return Score(value, pd.concat([table, pd.DataFrame([last])], ignore_index=True), reason)
+
+    def _withheld(self, record: Record) -> list[int]:
+        return self.dofs or [int(dof) + 1 for dof in np.flatnonzero(record.observed)]
+
+    def _posed_without(self, dof: int, problem: Problem, estimator: Estimator) -> Problem:
+        """The same problem without one DOF's response sensors."""
+        record = problem.record
+        left = {q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != dof] for q in RESPONSE_QUANTITIES}
+        return estimator.scheme.posed_again(problem, estimator.prescribed, record.keep(left))
+
+    def _rows(self, record: Record, dof: int, found: Estimate) -> list[dict[str, Any]]:
+        rows = []
+        for quantity in RESPONSE_QUANTITIES:
+            if not record.sensors(quantity)[dof - 1]:
+                continue
+            measured, mean, std = (getattr(x, quantity)[:, dof - 1] for x in (record, found.response, found.std))
+            told = compared(measured, mean, std, channel_noise(record, quantity, dof - 1))
+            rows.append(
+                {
+                    "validation": self.name,
+                    "withheld_dof": dof,
+                    "quantity": quantity,
+                    "samples": len(measured),
+                    "noise_std": told.noise,
+                    "error_rms": told.error,
+                    "standardised_error_rms": told.standardised,
+                    "coverage_95_percent": 100.0 * told.coverage,
+                    "score": told.excess,
+                }
+            )
+        return rows

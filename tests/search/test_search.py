@@ -1,0 +1,149 @@
+"""Searches by Hydra's Optuna sweeper: what they write, failed trials, and going on after a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from calls import PinnRun
+from interrupted_runs import without_figures
+from omegaconf import DictConfig
+
+from pinn_cli.errors import DivergenceError
+
+pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="the extra optuna is not installed")
+
+SPACE = ("network.knots_per_period=interval(2.0,8.0)", "network.degree=choice(3,4,5)")
+# A directory of its own for each job, whichever start of the search it belongs to.
+SEARCH = (
+    "--multirun", "hydra/sweeper=search", "validation=heldout", *SPACE, "hydra.sweep.dir=found",
+    "hydra.sweep.subdir=${network.knots_per_period}_${network.degree}", "hydra.sweeper.sampler.startup=3",
+)  # fmt: skip
+
+
+def score(config: DictConfig) -> float:
+    """Least at four knots and degree 5; a job that no run could do diverges."""
+    if config.network.degree == 3:
+        raise DivergenceError("diverged at iteration 7")
+    return float((config.network.knots_per_period - 4.0) ** 2 + (5 - config.network.degree))
+
+
+class StopsAt:
+    """The same, killed in one of its jobs."""
+
+    def __init__(self, job: int) -> None:
+        self.left = job
+
+    def __call__(self, config: DictConfig) -> float:
+        if self.left == 0:
+            raise KeyboardInterrupt
+        self.left -= 1
+        return score(config)
+
+
+def read(directory: Path) -> pd.DataFrame:
+    return pd.read_csv(directory / "found" / "search.csv").drop(columns=["seconds"])
+
+
+@pytest.fixture
+def search(pinn_run: PinnRun) -> Callable[..., int]:
+    def call(*overrides: str, trials: int = 7, task: Callable[[DictConfig], float | None] = score) -> int:
+        return pinn_run(*SEARCH, f"hydra.sweeper.n_trials={trials}", *overrides, task=task).status
+
+    return call
+
+
+def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Callable[..., int], tmp_path: Path) -> None:
+    assert search() == 3  # some trials diverged
+    trials = read(tmp_path)
+    assert trials["trial"].tolist() == list(range(7))
+    failed = trials["network.degree"] == 3
+    assert failed.any()
+    assert trials.loc[failed, "state"].eq("failed").all()
+    assert trials.loc[failed, "score"].isna().all()
+    done = trials[~failed]
+    expected = (done["network.knots_per_period"] - 4.0) ** 2 + 5 - done["network.degree"]
+    pd.testing.assert_series_equal(done["score"], expected, check_names=False)
+    best = done.loc[done["score"].idxmin()]
+    text = (tmp_path / "found" / "search.md").read_text()
+    assert f"network.degree={best['network.degree']}" in text.partition("pinn-run")[2].partition("\n")[0]
+    assert "validation=heldout" in text
+    assert {"search.png", "search.pdf"} <= {file.name for file in (tmp_path / "found").iterdir()}
+    assert (tmp_path / "found" / str(best["directory"]) / ".hydra").is_dir()
+
+
+@pytest.mark.parametrize("stop", [0, 5])
+def test_a_stopped_search_goes_on_as_if_never_stopped(search: Callable[..., int], tmp_path: Path, stop: int) -> None:
+    search()
+    undisturbed = read(tmp_path)
+    (tmp_path / "found").rename(tmp_path / "undisturbed")
+    assert search(task=StopsAt(stop)) == 130
+    search()
+    pd.testing.assert_frame_equal(read(tmp_path), undisturbed)
+
+
+def test_a_finished_search_makes_no_trial_and_more_may_be_asked_for(search: Callable[..., int], tmp_path: Path) -> None:
+    search(trials=2)
+    before = read(tmp_path)
+    assert search(trials=2, task=StopsAt(0)) == 0  # no job is started
+    pd.testing.assert_frame_equal(read(tmp_path), before)
+    search(trials=4)
+    assert len(read(tmp_path)) == 4
+    pd.testing.assert_frame_equal(read(tmp_path).head(2), before)
+
+
+def test_the_seed_decides(search: Callable[..., int], tmp_path: Path) -> None:
+    search(trials=3)
+    first = read(tmp_path)
+    search("hydra.sweeper.sampler.seed=1", "hydra.sweep.dir=other", trials=3)
+    other = pd.read_csv(tmp_path / "other" / "search.csv")
+    assert not set(first["network.knots_per_period"]) & set(other["network.knots_per_period"])
+
+
+def test_another_search_does_not_go_on_with_its_trials(pinn_run: PinnRun) -> None:
+    pinn_run(*SEARCH, "hydra.sweeper.n_trials=1", task=score)
+    outcome = pinn_run(*SEARCH, "hydra.sweeper.n_trials=1", "seed=3", task=score)
+    assert outcome.status == 2
+    assert "they differ in seed=3" in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+def test_a_search_needs_a_score(pinn_run: PinnRun, tmp_path: Path) -> None:
+    outcome = pinn_run("--multirun", "hydra/sweeper=search", *SPACE, task=score)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "validation=none: must be heldout or evidence in a search" in outcome.err
+    assert not list(tmp_path.rglob("search.db"))
+
+
+def test_the_evidence_compares_no_networks(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("--multirun", "hydra/sweeper=search", "validation=evidence", *SPACE, task=score)
+    assert outcome.status == 2
+    assert "network.knots_per_period changes what the evidence is relative to" in outcome.err
+
+
+def test_a_search_without_any_score_says_so(pinn_run: PinnRun) -> None:
+    overrides = ["network.degree=3", "network.knots_per_period=interval(2.0,8.0)", "hydra.sweeper.n_trials=2"]
+    outcome = pinn_run("--multirun", "hydra/sweeper=search", "validation=heldout", *overrides, task=score)
+    assert outcome.status == 3
+    assert outcome.err.splitlines()[-1].endswith("every trial failed")
+
+
+def test_the_sweepers_own_preset_is_kept_too(pinn_run: PinnRun, tmp_path: Path) -> None:
+    overrides = ["validation=heldout", *SPACE, "hydra.sweeper.n_trials=4", "hydra.sweep.dir=found"]
+    pinn_run("--multirun", "hydra/sweeper=optuna", *overrides, task=score)
+    assert len(read(tmp_path)) == 4
+
+
+def test_a_preset_of_real_runs(pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two trials of the splines' preset, each scored by the sensors that it did not see."""
+    without_figures(monkeypatch)
+    small = ["system.ndof=4", "scheme.unobserved_fraction=0.5", "simulation.duration=12", "simulation.samples=128"]
+    small += ["excitation.band=[0.2,0.8]", "noise.snr_db=20", "validation.dofs=[1]"]
+    outcome = pinn_run("-m", "experiment=search/spline", *small, "hydra.sweeper.n_trials=2", "hydra.sweep.dir=found")
+    assert outcome.status == 0, outcome.err
+    trials, scores = read(tmp_path), pd.read_csv(tmp_path / "found" / "score.csv")
+    last = scores[scores["withheld_dof"] == "all"]
+    assert trials["score"].tolist() == pytest.approx(last["score"].tolist())
+    assert "best of 2 trials" in outcome.out

@@ -1,0 +1,59 @@
+"""The score of a predicted channel: what it is for predictions whose quality is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_problems import measured as measured_record
+from small_problems import small_chain
+
+from pinn_cli.validation.density import channel_noise, compared
+
+NOISE, SAMPLES = 0.1, 200_000
+
+
+@pytest.fixture
+def response() -> np.ndarray:
+    return np.random.default_rng(0).normal(size=SAMPLES)
+
+
+@pytest.fixture
+def measured(response: np.ndarray) -> np.ndarray:
+    return response + NOISE * np.random.default_rng(1).normal(size=SAMPLES)
+
+
+def test_the_true_response_scores_nothing(response: np.ndarray, measured: np.ndarray) -> None:
+    told = compared(measured, response, np.zeros(SAMPLES), NOISE)
+    assert told.excess == pytest.approx(0.0, abs=0.01)
+    assert told.standardised == pytest.approx(1.0, abs=0.01)
+    assert told.coverage == pytest.approx(0.95, abs=0.005)
+
+
+def test_the_right_spread_scores_best(response: np.ndarray, measured: np.ndarray) -> None:
+    predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
+    spreads = [0.05, 0.15, 0.3, 0.6, 1.2]
+    scores = [compared(measured, predicted, np.full(SAMPLES, spread), NOISE).excess for spread in spreads]
+    assert spreads[int(np.argmin(scores))] == 0.3
+    # Of a normal distribution: half the logarithm of the variances' ratio.
+    assert min(scores) == pytest.approx(0.5 * np.log(0.1 / 0.01), rel=0.01)
+
+
+def test_without_a_spread_it_is_the_logarithm_of_the_error(response: np.ndarray, measured: np.ndarray) -> None:
+    predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
+    told = compared(measured, predicted, np.full(SAMPLES, np.nan), NOISE)
+    assert told.excess == pytest.approx(np.log(told.error / NOISE))
+    assert np.isnan(told.coverage)
+
+
+def test_no_prediction_has_no_score(measured: np.ndarray) -> None:
+    assert np.isnan(compared(measured, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE).excess)
+
+
+def test_the_noise_is_that_of_the_channel() -> None:
+    chain = small_chain()
+    noisy, clean = (measured_record(chain, snr_db=snr).record for snr in (20.0, None))
+    for dof in np.flatnonzero(noisy.sensors("acceleration")):
+        true = float(np.std(noisy.acceleration[:, dof] - clean.acceleration[:, dof]))
+        assert channel_noise(noisy, "acceleration", int(dof)) == pytest.approx(true, rel=0.3)
+        rms = float(np.sqrt(np.mean(clean.acceleration[:, dof] ** 2)))
+        assert 1e-6 * rms <= channel_noise(clean, "acceleration", int(dof)) < 0.01 * rms
