@@ -16,8 +16,9 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-# Hydra's own files, the composed configuration, the log, and a sweep's configuration; and why a job of it failed.
-_OF_HYDRA = {".hydra", "pinn-run.log", "multirun.yaml", "failure.json"}
+# Hydra's own files, the composed configuration, the log, and a sweep's configuration; why a job of it failed, and
+# what a scheduler was to be given.
+_OF_HYDRA = {".hydra", "pinn-run.log", "multirun.yaml", "failure.json", ".submitit"}
 
 # Directories that did not exist before the run or sweep that Hydra started last, outermost first.
 _fresh: list[Path] = []

@@ -74,10 +74,10 @@ def test_a_training_that_is_warned_writes_a_checkpoint_and_goes_on(pinn_run: Pin
 @pytest.mark.parametrize(
     ("launcher", "batches"),
     [
-        (SlurmLauncher(jobs_per_task=1), [[0], [1], [2], [3], [4]]),
+        (SlurmLauncher(), [[0], [1], [2], [3], [4]]),
         (SlurmLauncher(jobs_per_task=2), [[0, 1], [2, 3], [4]]),
         (LocalLauncher(jobs_per_task=3), [[0, 1, 2], [3, 4]]),
-        (LocalLauncher(jobs_per_task=0), [[0, 2, 4], [1, 3]]),
+        (LocalLauncher(), [[0, 2, 4], [1, 3]]),
         (LocalLauncher(jobs_per_task=0, cpus_per_task=2), [[0, 1, 2, 3, 4]]),
     ],
 )
@@ -104,6 +104,22 @@ def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -
     table = pd.read_csv("sweep/jobs.csv")
     assert list(table["seed"]) == [0, 1]
     assert set(table["reason"]) == {"SLURM job 17_0 ended without a result, state CANCELLED by 0; 17_0_0_log.err"}
+
+
+@pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])
+def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, pinn_run, tmp_path, monkeypatch) -> None:
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name in ("srun", "sbatch") if answer else ():
+        (programs / name).write_text(f"#!/bin/sh\n{answer}\n")
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:/bin" if answer else str(programs))
+    done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
+    assert done.status == 2
+    line = done.err.splitlines()[-1]
+    assert line.startswith("pinn-run: hydra/launcher=slurm: must be one that takes these jobs; ")
+    assert ("nowhere" if answer else 'Could not detect "srun"') in line
+    assert not (tmp_path / "sweep").exists()
 
 
 @pytest.mark.slow
