@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -56,8 +57,9 @@ class _Launcher(plugin.BaseSubmititLauncher):
         """
         jobs, returns = to_launch(self, job_overrides, initial_job_idx)
         batches = self._batches(jobs)
-        for batch, task in zip(batches, self._submit(batches), strict=True):
-            returns.update(zip((job.number for job in batch), _results(task, batch), strict=True))
+        tasks = self._submit(batches)
+        for place, (batch, task) in enumerate(zip(batches, tasks, strict=True)):
+            returns.update(zip((job.number for job in batch), _results(task, batch, tasks[place + 1 :]), strict=True))
         return [returns[number] for number in sorted(returns)]
 
     def __call__(self, batch: Sequence[tuple[Any, ...]]) -> list[JobReturn]:
@@ -125,8 +127,10 @@ class SlurmLauncher(_Launcher):
 
     def _tell(self, jobs: int, tasks: list[Any]) -> None:
         array = tasks[0].job_id.partition("_")[0]
-        text = f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it"
-        print(text, file=sys.stderr)
+        print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
+        if not _has_accounting():
+            text = "sacct does not answer: a job that is killed is waited for until Ctrl-C; the same command goes on"
+            print(f"pinn-run: {text}", file=sys.stderr)
 
 
 class LocalLauncher(_Launcher):
@@ -145,13 +149,27 @@ class LocalLauncher(_Launcher):
         return [jobs[start::tasks] for start in range(min(tasks, len(jobs)))]
 
 
-def _results(task: Any, batch: list[Launched]) -> list[JobReturn]:
-    """What a task's jobs returned, once it has ended."""
-    import submitit
+def _has_accounting() -> bool:
+    """Whether submitit can learn that a job has ended without a result."""
+    try:
+        return subprocess.run(["sacct", "--noheader"], capture_output=True, timeout=60, check=False).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
 
+
+def _results(task: Any, batch: list[Launched], others: list[Any]) -> list[JobReturn]:
+    """What a task's jobs returned, once it has ended; `others` are those to be asked after it."""
+    from submitit.core.utils import FailedJobError, UncompletedJobError
+
+    task.wait()
+    ended = [] if task.paths.result_pickle.exists() else [other for other in others if other.done()]
     try:
         return list(task.results()[0])
-    except (submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError) as error:
+    except (UncompletedJobError, FailedJobError) as error:
+        # submitit gives a slow file system 15 s to show the result of a task that has ended: once, not for each of the
+        # hundreds of an array that was cancelled.
+        for other in ended:
+            other._results_timeout_s = 0
         return [job.lost(_reason(task, error)) for job in batch]
 
 

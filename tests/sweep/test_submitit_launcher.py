@@ -90,9 +90,19 @@ def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkey
 class SlurmJob:
     """A task that was cancelled before it began, as submitit tells of it."""
 
-    job_id, state, paths = "17_0", "CANCELLED by 0", SimpleNamespace(stderr="17_0_0_log.err")
+    job_id, state = "17_0", "CANCELLED by 0"
+    paths = SimpleNamespace(stderr="17_0_0_log.err", result_pickle=Path("17_0_0_result.pkl"))
+    _results_timeout_s = 15.0
+    waited = 0.0
+
+    def wait(self) -> None:
+        pass
+
+    def done(self) -> bool:
+        return True
 
     def results(self) -> list[Any]:
+        SlurmJob.waited += self._results_timeout_s
         raise UncompletedJobError("Job 17_0 has not produced any output (state: CANCELLED by 0)")
 
 
@@ -101,6 +111,7 @@ def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -
     done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
     assert done.status == 1
     assert "2 jobs: 2 failed" in done.out
+    assert SlurmJob.waited == 15.0
     table = pd.read_csv("sweep/jobs.csv")
     assert list(table["seed"]) == [0, 1]
     assert set(table["reason"]) == {"SLURM job 17_0 ended without a result, state CANCELLED by 0; 17_0_0_log.err"}
@@ -120,6 +131,15 @@ def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, p
     assert line.startswith("pinn-run: hydra/launcher=slurm: must be one that takes these jobs; ")
     assert ("nowhere" if answer else 'Could not detect "srun"') in line
     assert not (tmp_path / "sweep").exists()
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_cluster_without_accounting_is_told_of(answers: bool, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(submitit_launcher, "_has_accounting", lambda: answers)
+    SlurmLauncher()._tell(6, [SlurmJob(), SlurmJob()])
+    first, *others = capsys.readouterr().err.splitlines()
+    assert first == "6 jobs as SLURM job 17 of 2 tasks; scancel 17 cancels it"
+    assert [line.startswith("pinn-run: sacct does not answer") for line in others] == [True] * (not answers)
 
 
 @pytest.mark.slow
