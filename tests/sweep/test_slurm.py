@@ -14,8 +14,8 @@ from interrupted_runs import ADAM, assert_same_numbers
 from slurm import Cluster, await_that, slurm
 
 TINY = ("system.ndof=2", "simulation.duration=5", "simulation.samples=256")
-# Long enough to be disturbed on the way, some 10 s on one core.
-LONGER = (*ADAM, "training.iterations=1500", "training.history_every=50", "training.checkpoint_every_s=0.5")
+# Long enough to be disturbed on the way, some seconds on one core.
+LONGER = (*ADAM, "training.iterations=1000", "training.history_every=50", "training.checkpoint_every_s=0.5")
 LAUNCHER = ("hydra/launcher=slurm", "hydra.launcher.mem_gb=null", "hydra.sweep.dir=sweep")
 
 pytestmark = pytest.mark.slow
