@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import signal
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -125,12 +124,15 @@ class SlurmLauncher(_Launcher):
 
     _EXECUTOR = "slurm"
 
+    def _executor(self) -> Any:
+        from pinn_cli.sweep.slurm_states import learn_states_somehow
+
+        learn_states_somehow()
+        return super()._executor()
+
     def _tell(self, jobs: int, tasks: list[Any]) -> None:
         array = tasks[0].job_id.partition("_")[0]
         print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
-        if not _has_accounting():
-            text = "sacct does not answer: a job that is killed is waited for until Ctrl-C; the same command goes on"
-            print(f"pinn-run: {text}", file=sys.stderr)
 
 
 class LocalLauncher(_Launcher):
@@ -147,14 +149,6 @@ class LocalLauncher(_Launcher):
             return super()._batches(jobs)
         tasks = at_once(int(self.params.get("cpus_per_task") or 1))
         return [jobs[start::tasks] for start in range(min(tasks, len(jobs)))]
-
-
-def _has_accounting() -> bool:
-    """Whether submitit can learn that a job has ended without a result."""
-    try:
-        return subprocess.run(["sacct", "--noheader"], capture_output=True, timeout=60, check=False).returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
 
 
 def _results(task: Any, batch: list[Launched], others: list[Any]) -> list[JobReturn]:

@@ -18,15 +18,24 @@ from omegaconf import DictConfig
 
 pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="not installed: pip install 'pinn-cli[slurm]'")
 
+from submitit import SlurmJob as SubmititJob
 from submitit.core.utils import UncompletedJobError
+from submitit.slurm.slurm import SlurmInfoWatcher
 
 from pinn_cli.main import run
 from pinn_cli.sweep import submitit_launcher
 from pinn_cli.sweep.cores import at_once
+from pinn_cli.sweep.slurm_states import QueueWatcher, learn_states_somehow
 from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
 REQUEUED = 144
+
+
+@pytest.fixture(autouse=True)
+def _watcher(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Submitit's own, and again after the test: one is shared by all jobs."""
+    monkeypatch.setattr(SubmititJob, "watcher", SlurmInfoWatcher())
 
 
 @pytest.fixture
@@ -133,13 +142,19 @@ def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, p
     assert not (tmp_path / "sweep").exists()
 
 
-@pytest.mark.parametrize("answers", [True, False])
-def test_a_cluster_without_accounting_is_told_of(answers: bool, monkeypatch, capsys) -> None:
-    monkeypatch.setattr(submitit_launcher, "_has_accounting", lambda: answers)
-    SlurmLauncher()._tell(6, [SlurmJob(), SlurmJob()])
-    first, *others = capsys.readouterr().err.splitlines()
-    assert first == "6 jobs as SLURM job 17 of 2 tasks; scancel 17 cancels it"
-    assert [line.startswith("pinn-run: sacct does not answer") for line in others] == [True] * (not answers)
+@pytest.mark.parametrize("accounts", [True, False])
+def test_states_of_tasks_without_accounting(accounts: bool, tmp_path: Path, monkeypatch) -> None:
+    listed = "17_0|RUNNING\n17_1|CANCELLED\n17_3|PENDING"
+    for name, answer in {"sacct": f"exit {0 if accounts else 1}", "squeue": f"echo '{listed}'"}.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
+    learn_states_somehow()
+    assert isinstance(SubmititJob.watcher, QueueWatcher) is not accounts
+    if not accounts:
+        tasks = [SubmititJob(tmp_path, f"17_{number}") for number in range(4)]
+        assert [task.state for task in tasks] == ["RUNNING", "CANCELLED", "ENDED", "PENDING"]
+        assert [task.done() for task in tasks] == [False, True, True, False]
 
 
 @pytest.mark.slow
