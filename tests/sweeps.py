@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -44,9 +45,21 @@ def made_sweep(directory: Path, overrides: Sequence[str], tables: Mapping[str, s
     return Sweep.read(directory)
 
 
-def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """`pinn-run` in that folder, in a process group of its own, as a shell starts it."""
+def start(folder: Path, *arguments: str, env: Mapping[str, str] | None = None) -> subprocess.Popen[str]:
+    """`pinn-run` in that folder, in a process group of its own, as a shell starts it.
+
+    Args:
+        folder: Its current one.
+        arguments: Of the command.
+        env: Variables besides this process's.
+    """
     command = [sys.executable, "-m", "pinn_cli.main", *arguments]
     return subprocess.Popen(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        cwd=folder,
+        env={**os.environ, **(env or {})},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )

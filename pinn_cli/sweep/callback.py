@@ -25,7 +25,8 @@ class SweepCallback(Callback):
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Note the sweep and show its progress; joblib's `n_jobs=-1` means as many as the cores can run at once."""
         global _running  # noqa: PLW0603
-        put_in_place(str(config.hydra.launcher.get("_target_")))
+        for plugin in (config.hydra.launcher, config.hydra.sweeper):
+            put_in_place(str(plugin.get("_target_")))
         if _is_joblib(config) and config.hydra.launcher.n_jobs == -1:
             with read_write(config):
                 config.hydra.launcher.n_jobs = at_once(int(config.get("threads", 1)))

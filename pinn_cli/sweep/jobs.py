@@ -22,7 +22,7 @@ from pinn_cli.sweep.directories import job_name, key, parse, swept_settings
 from pinn_cli.sweep.failure import Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
-_OVERRIDES = Path(".hydra") / "overrides.yaml"
+OVERRIDES = Path(".hydra") / "overrides.yaml"
 # libyaml's parser, where PyYAML was built with it: a thousand files in a second less.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -132,14 +132,14 @@ class Sweep:
 def _job_directories(sweep: Path) -> Iterator[Path]:
     """Directories below the sweep's that Hydra prepared for a job; nothing is looked for below those."""
     for place, folders, _ in os.walk(sweep):
-        if (Path(place) / _OVERRIDES).is_file():
+        if (Path(place) / OVERRIDES).is_file():
             folders.clear()
             yield Path(place)
 
 
 def _overrides(directory: Path) -> tuple[str, ...]:
     try:
-        content = yaml.load((directory / _OVERRIDES).read_text(encoding="utf-8"), _LOADER)
+        content = yaml.load((directory / OVERRIDES).read_text(encoding="utf-8"), _LOADER)
     except (OSError, UnicodeError, yaml.YAMLError):  # cut off while Hydra wrote it: the next start writes it anew
         content = None
     return tuple(map(str, content or ()))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,26 +21,31 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from pinn_cli.resume import asked_to_resume, going_on, is_finished
+from pinn_cli.sweep.basic_sweeper import composing_few
 from pinn_cli.sweep.failure import DEFECT, Failure
-from pinn_cli.sweep.jobs import FINISHED, Sweep
+from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep
 
 # The plugins' launchers, and ours in their place, which are imported only if they are used.
 _IN_PLACE_OF = {
+    "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher": ("joblib_launcher", "JoblibLauncher"),
     "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher": ("submitit_launcher", "SlurmLauncher"),
     "hydra_plugins.hydra_submitit_launcher.submitit_launcher.LocalLauncher": ("submitit_launcher", "LocalLauncher"),
     "hydra_plugins.hydra_ray_launcher.ray_launcher.RayLauncher": ("ray_launcher", "RayLauncher"),
 }
+_SWEEPER = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"
 
 
 def put_in_place(target: str) -> None:
-    """Have Hydra build our launcher where a configuration names that of a plugin, if the plugin is installed.
+    """Have Hydra build our launcher or sweeper where a configuration names that of a plugin, if that is installed.
 
-    Hydra builds launchers only of plugins that it has found, by their name: it is told that the name is of our class.
+    Hydra builds them only of plugins that it has found, by their name: it is told that the name is of our class.
     """
     known = Plugins.instance().class_name_to_class
     if target in known and target in _IN_PLACE_OF:
         module, name = _IN_PLACE_OF[target]
         known[target] = getattr(importlib.import_module(f"pinn_cli.sweep.{module}"), name)
+    elif target == _SWEEPER:
+        known[target] = composing_few(known[target])
 
 
 def to_launch(
@@ -92,6 +98,13 @@ class Launched:
         HydraConfig.instance().set_config(self.config)
         task = self._task()
         return asked_to_resume(going_on(task), self.directory) and is_finished(self.directory, task, Path.cwd())
+
+    def under_way_since(self, moment: float) -> bool:
+        """Whether it was begun after that moment, seconds since the epoch, and has not ended."""
+        with suppress(OSError):  # not begun
+            if (self.directory / OVERRIDES).stat().st_mtime >= moment - 1.0:
+                return Job.read(self.directory, self.overrides).status == UNFINISHED
+        return False
 
     def returned(self, value: float | None = None) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for."""

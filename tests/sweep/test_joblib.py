@@ -16,6 +16,19 @@ from sweeps import start
 SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1", "hydra.sweep.dir=sweep")
 
 
+# Loaded by every process of the sweep: the one that simulates the record of seed 1 is killed, whenever it tries.
+KILLS_ITS_WORKER = """
+import os, signal
+import pinn_cli.config
+read = pinn_cli.config.RunConfig.read.__func__
+def killed(cls, config, base=None):
+    if config.seed == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return read(cls, config, base)
+pinn_cli.config.RunConfig.read = classmethod(killed)
+"""
+
+
 def test_workers_do_what_one_process_does(tmp_path: Path) -> None:
     process = start(tmp_path, *SWEEP, "system.m=1,-1")
     out, err = process.communicate(timeout=300)
@@ -53,3 +66,14 @@ def test_ctrl_c_ends_all_and_the_same_command_goes_on(tmp_path: Path) -> None:
     assert "2 jobs: 2 finished" in out
     for name in ("fitness.csv", "parameters.csv", "summary.csv"):
         assert (tmp_path / "sweep" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(KILLS_ITS_WORKER)
+    process = start(tmp_path, *SWEEP, "seed=0,1,2,3", env={"PYTHONPATH": str(tmp_path)})
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 1, err
+    assert "4 jobs: 3 finished, 1 failed" in out
+    assert "its worker was killed" in out
+    jobs = pd.read_csv(tmp_path / "sweep" / "jobs.csv").set_index("seed")
+    assert jobs["status"].to_dict() == {0: "finished", 1: "failed", 2: "finished", 3: "finished"}
