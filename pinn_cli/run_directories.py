@@ -16,8 +16,9 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-# Hydra's own files, the composed configuration, the log, a sweep's configuration; why a job failed; a search's trials.
-_OF_HYDRA = {".hydra", "pinn-run.log", "multirun.yaml", "failure.json", "search.db"}
+# Hydra's own files, the composed configuration, the log, and a sweep's configuration; why a job of it failed, what a
+# scheduler was to be given, and a search's trials.
+_OF_HYDRA = {".hydra", "pinn-run.log", "multirun.yaml", "failure.json", ".submitit", "search.db"}
 
 # Directories that did not exist before the run or sweep that Hydra started last, outermost first.
 _fresh: list[Path] = []

@@ -12,6 +12,7 @@ from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
 from hydra_plugins.hydra_ray_launcher import ray_launcher as plugin
 
+from pinn_cli.errors import InputError
 from pinn_cli.sweep.launched import Launched, to_launch
 
 # The least that Ray takes, bytes: what jobs hand over is small, their results lie in files.
@@ -33,13 +34,22 @@ class RayLauncher(plugin.RayLauncher):
         """
         jobs, returns = to_launch(self, job_overrides, initial_job_idx)
         if jobs:
-            from hydra_plugins.hydra_ray_launcher._launcher_util import start_ray
-
-            start_ray(_init(self.ray_cfg.init))
+            self._connect()
             print(f"{len(jobs)} jobs on Ray", file=sys.stderr)
         for job, run in [(job, self._send(job)) for job in jobs]:
             returns[job.number] = _result(job, run)
         return [returns[number] for number in sorted(returns)]
+
+    def _connect(self) -> None:
+        from hydra_plugins.hydra_ray_launcher._launcher_util import start_ray
+
+        settings = _init(self.ray_cfg.init)
+        try:
+            start_ray(settings)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            address = settings.get("address") or os.environ.get("RAY_ADDRESS")
+            hint = " ".join(str(error).split())
+            raise InputError("hydra.launcher.ray.init.address", address, "that of a Ray cluster", hint) from error
 
     def _send(self, job: Launched) -> Any:
         from hydra_plugins.hydra_ray_launcher._launcher_util import launch_job_on_ray

@@ -19,6 +19,7 @@ from hydra_plugins.hydra_submitit_launcher import submitit_launcher as plugin
 from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
 from omegaconf import OmegaConf
 
+from pinn_cli.errors import InputError
 from pinn_cli.interruption import Interruption, warning, watched
 from pinn_cli.sweep.cores import at_once
 from pinn_cli.sweep.launched import Launched, to_launch
@@ -37,9 +38,11 @@ class _Launcher(plugin.BaseSubmititLauncher):
         params: As the plugin takes them: `conf/hydra/launcher/` lists them.
     """
 
-    def __init__(self, jobs_per_task: int, **params: Any) -> None:
+    _JOBS_PER_TASK = 1
+
+    def __init__(self, jobs_per_task: int | None = None, **params: Any) -> None:
         super().__init__(**params)
-        self.jobs_per_task = jobs_per_task
+        self.jobs_per_task = self._JOBS_PER_TASK if jobs_per_task is None else jobs_per_task
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Have all jobs that are not finished run and wait for them.
@@ -53,8 +56,9 @@ class _Launcher(plugin.BaseSubmititLauncher):
         """
         jobs, returns = to_launch(self, job_overrides, initial_job_idx)
         batches = self._batches(jobs)
-        for batch, task in zip(batches, self._submit(batches), strict=True):
-            returns.update(zip((job.number for job in batch), _results(task, batch), strict=True))
+        tasks = self._submit(batches)
+        for place, (batch, task) in enumerate(zip(batches, tasks, strict=True)):
+            returns.update(zip((job.number for job in batch), _results(task, batch, tasks[place + 1 :]), strict=True))
         return [returns[number] for number in sorted(returns)]
 
     def __call__(self, batch: Sequence[tuple[Any, ...]]) -> list[JobReturn]:
@@ -81,24 +85,35 @@ class _Launcher(plugin.BaseSubmititLauncher):
     def _submit(self, batches: list[list[Launched]]) -> list[Any]:
         if not batches:
             return []
+        from submitit.core.utils import FailedJobError, FailedSubmissionError
+
+        try:
+            executor = self._executor()
+            tasks = executor.map_array(self, self._calls(batches))
+        except (RuntimeError, FailedJobError, FailedSubmissionError) as error:  # there is no SLURM, or it refuses
+            hint = " ".join(str(error).split())
+            raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error
+        self._tell(sum(map(len, batches)), tasks)
+        return list(tasks)
+
+    def _executor(self) -> Any:
         import submitit
 
-        folder = self.params["submitit_folder"]
-        init = {"folder": folder}
+        init = {"folder": self.params["submitit_folder"]}
         if "max_num_timeout" in self.params:
             init[f"{self._EXECUTOR}_max_num_timeout"] = self.params["max_num_timeout"]
         executor = submitit.AutoExecutor(cluster=self._EXECUTOR, **init)
         shared = set(OmegaConf.structured(BaseQueueConf).keys())
         given = {name: value for name, value in self.params.items() if name not in _OF_EXECUTOR}
         executor.update_parameters(**{n if n in shared else f"{self._EXECUTOR}_{n}": v for n, v in given.items()})
+        return executor
+
+    def _calls(self, batches: list[list[Launched]]) -> list[list[tuple[Any, ...]]]:
         state = Singleton.get_state()
-        calls = [
+        return [
             [(job.overrides, "hydra.sweep.dir", job.number, f"job_id_for_{job.number}", state) for job in batch]
             for batch in batches
         ]
-        tasks = executor.map_array(self, calls)
-        self._tell(sum(map(len, batches)), tasks)
-        return tasks
 
     def _tell(self, jobs: int, tasks: list[Any]) -> None:
         """How many went where, on the terminal."""
@@ -109,10 +124,15 @@ class SlurmLauncher(_Launcher):
 
     _EXECUTOR = "slurm"
 
+    def _executor(self) -> Any:
+        from pinn_cli.sweep.slurm_states import learn_states_somehow
+
+        learn_states_somehow()
+        return super()._executor()
+
     def _tell(self, jobs: int, tasks: list[Any]) -> None:
         array = tasks[0].job_id.partition("_")[0]
-        text = f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it"
-        print(text, file=sys.stderr)
+        print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
 
 
 class LocalLauncher(_Launcher):
@@ -122,7 +142,7 @@ class LocalLauncher(_Launcher):
         jobs_per_task: As above; 0: as many as it takes for no more tasks than the cores can run at once.
     """
 
-    _EXECUTOR = "local"
+    _EXECUTOR, _JOBS_PER_TASK = "local", 0
 
     def _batches(self, jobs: list[Launched]) -> list[list[Launched]]:
         if self.jobs_per_task > 0:
@@ -131,13 +151,19 @@ class LocalLauncher(_Launcher):
         return [jobs[start::tasks] for start in range(min(tasks, len(jobs)))]
 
 
-def _results(task: Any, batch: list[Launched]) -> list[JobReturn]:
-    """What a task's jobs returned, once it has ended."""
-    import submitit
+def _results(task: Any, batch: list[Launched], others: list[Any]) -> list[JobReturn]:
+    """What a task's jobs returned, once it has ended; `others` are those to be asked after it."""
+    from submitit.core.utils import FailedJobError, UncompletedJobError
 
+    task.wait()
+    ended = [] if task.paths.result_pickle.exists() else [other for other in others if other.done()]
     try:
         return list(task.results()[0])
-    except (submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError) as error:
+    except (UncompletedJobError, FailedJobError) as error:
+        # submitit gives a slow file system 15 s to show the result of a task that has ended: once, not for each of the
+        # hundreds of an array that was cancelled.
+        for other in ended:
+            other._results_timeout_s = 0
         return [job.lost(_reason(task, error)) for job in batch]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -33,3 +34,20 @@ def test_so_does_an_option_of_the_plugin_itself(option: str, extra: str):
     missing = MissingConfigException("", missing_cfg_file=f"hydra/launcher/{option}")
     told = explain(missing, [f"hydra/launcher={option}"], None, composing=True)
     assert str(told) == f"hydra/launcher={option}: must be an installed launcher; pip install 'pinn-cli[{extra}]'"
+
+
+def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, monkeypatch):
+    pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="not installed: pip install 'pinn-cli[ray]'")
+    util = importlib.import_module("hydra_plugins.hydra_ray_launcher._launcher_util")
+
+    def refuse(settings: object) -> None:
+        raise ConnectionError("Could not find any running Ray instance.")
+
+    monkeypatch.setattr(util, "start_ray", refuse)
+    done = pinn_run("--multirun", "hydra/launcher=ray_cluster", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
+    assert done.status == 2
+    assert done.err == (
+        "pinn-run: hydra.launcher.ray.init.address=auto: must be that of a Ray cluster; "
+        "Could not find any running Ray instance.\n"
+    )
+    assert not Path("sweep").exists()

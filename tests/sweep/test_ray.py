@@ -19,7 +19,7 @@ from slurm import await_that
 
 # The processes in it see no others and are killed with the first of them.
 NAMESPACE = ("unshare", "--net", "--pid", "--fork", "--mount-proc", "--kill-child")
-LONGER = (*ADAM, "training.iterations=1000", "training.history_every=50", "training.checkpoint_every_s=0.5")
+LONGER = (*ADAM, "training.iterations=600", "training.history_every=50", "training.checkpoint_every_s=0.5")
 LAUNCHER = ("hydra/launcher=ray_local", "hydra.launcher.ray.init.num_cpus=2", "hydra.sweep.dir=sweep")
 
 pytestmark = pytest.mark.slow

@@ -18,15 +18,24 @@ from omegaconf import DictConfig
 
 pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="not installed: pip install 'pinn-cli[slurm]'")
 
+from submitit import SlurmJob as SubmititJob
 from submitit.core.utils import UncompletedJobError
+from submitit.slurm.slurm import SlurmInfoWatcher
 
 from pinn_cli.main import run
 from pinn_cli.sweep import submitit_launcher
 from pinn_cli.sweep.cores import at_once
+from pinn_cli.sweep.slurm_states import QueueWatcher, learn_states_somehow
 from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
 REQUEUED = 144
+
+
+@pytest.fixture(autouse=True)
+def _watcher(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Submitit's own, and again after the test: one is shared by all jobs."""
+    monkeypatch.setattr(SubmititJob, "watcher", SlurmInfoWatcher())
 
 
 @pytest.fixture
@@ -74,10 +83,10 @@ def test_a_training_that_is_warned_writes_a_checkpoint_and_goes_on(pinn_run: Pin
 @pytest.mark.parametrize(
     ("launcher", "batches"),
     [
-        (SlurmLauncher(jobs_per_task=1), [[0], [1], [2], [3], [4]]),
+        (SlurmLauncher(), [[0], [1], [2], [3], [4]]),
         (SlurmLauncher(jobs_per_task=2), [[0, 1], [2, 3], [4]]),
         (LocalLauncher(jobs_per_task=3), [[0, 1, 2], [3, 4]]),
-        (LocalLauncher(jobs_per_task=0), [[0, 2, 4], [1, 3]]),
+        (LocalLauncher(), [[0, 2, 4], [1, 3]]),
         (LocalLauncher(jobs_per_task=0, cpus_per_task=2), [[0, 1, 2, 3, 4]]),
     ],
 )
@@ -90,9 +99,19 @@ def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkey
 class SlurmJob:
     """A task that was cancelled before it began, as submitit tells of it."""
 
-    job_id, state, paths = "17_0", "CANCELLED by 0", SimpleNamespace(stderr="17_0_0_log.err")
+    job_id, state = "17_0", "CANCELLED by 0"
+    paths = SimpleNamespace(stderr="17_0_0_log.err", result_pickle=Path("17_0_0_result.pkl"))
+    _results_timeout_s = 15.0
+    waited = 0.0
+
+    def wait(self) -> None:
+        pass
+
+    def done(self) -> bool:
+        return True
 
     def results(self) -> list[Any]:
+        SlurmJob.waited += self._results_timeout_s
         raise UncompletedJobError("Job 17_0 has not produced any output (state: CANCELLED by 0)")
 
 
@@ -101,9 +120,41 @@ def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -
     done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
     assert done.status == 1
     assert "2 jobs: 2 failed" in done.out
+    assert SlurmJob.waited == 15.0
     table = pd.read_csv("sweep/jobs.csv")
     assert list(table["seed"]) == [0, 1]
     assert set(table["reason"]) == {"SLURM job 17_0 ended without a result, state CANCELLED by 0; 17_0_0_log.err"}
+
+
+@pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])
+def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, pinn_run, tmp_path, monkeypatch) -> None:
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name in ("srun", "sbatch") if answer else ():
+        (programs / name).write_text(f"#!/bin/sh\n{answer}\n")
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:/bin" if answer else str(programs))
+    done = pinn_run("--multirun", "hydra/launcher=slurm", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
+    assert done.status == 2
+    line = done.err.splitlines()[-1]
+    assert line.startswith("pinn-run: hydra/launcher=slurm: must be one that takes these jobs; ")
+    assert ("nowhere" if answer else 'Could not detect "srun"') in line
+    assert not (tmp_path / "sweep").exists()
+
+
+@pytest.mark.parametrize("accounts", [True, False])
+def test_states_of_tasks_without_accounting(accounts: bool, tmp_path: Path, monkeypatch) -> None:
+    listed = "17_0|RUNNING\n17_1|CANCELLED\n17_3|PENDING"
+    for name, answer in {"sacct": f"exit {0 if accounts else 1}", "squeue": f"echo '{listed}'"}.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
+    learn_states_somehow()
+    assert isinstance(SubmititJob.watcher, QueueWatcher) is not accounts
+    if not accounts:
+        tasks = [SubmititJob(tmp_path, f"17_{number}") for number in range(4)]
+        assert [task.state for task in tasks] == ["RUNNING", "CANCELLED", "ENDED", "PENDING"]
+        assert [task.done() for task in tasks] == [False, True, True, False]
 
 
 @pytest.mark.slow

@@ -1,0 +1,42 @@
+"""What has become of tasks on a cluster that keeps no accounts: submitit asks `sacct`, and would wait for ever."""
+
+from __future__ import annotations
+
+import getpass
+import subprocess
+
+from submitit import SlurmJob
+from submitit.slurm.slurm import SlurmInfoWatcher
+
+# What is made of a task that the cluster has forgotten, as it does some minutes after its end.
+FORGOTTEN = "ENDED"
+
+
+class QueueWatcher(SlurmInfoWatcher):
+    """Asks `squeue`, which lists the tasks that are queued, run, or ended not long ago."""
+
+    def _make_command(self) -> list[str] | None:
+        if not self._registered - self._finished:
+            return None
+        listed = ["--noheader", "--array", "--states=all", f"--user={getpass.getuser()}"]
+        return ["squeue", *listed, "--format=%i|%T"]
+
+    def read_info(self, string: bytes | str) -> dict[str, dict[str, str]]:
+        """The state of each task that was registered, by its name (`17_3`)."""
+        text = string if isinstance(string, str) else string.decode()
+        states = dict(line.split("|", 1) for line in text.split())
+        waited_for = self._registered - self._finished
+        return {task: {"JobID": task, "State": states.get(task, FORGOTTEN)} for task in waited_for}
+
+
+def learn_states_somehow() -> None:
+    """Have submitit ask `squeue` if `sacct` does not answer."""
+    if not _has_accounting():
+        SlurmJob.watcher = QueueWatcher(delay_s=60)
+
+
+def _has_accounting() -> bool:
+    try:
+        return subprocess.run(["sacct", "--noheader"], capture_output=True, timeout=60, check=False).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
