@@ -12,7 +12,7 @@ from pinn_cli.central_interval import HALF_WIDTH_90
 from pinn_cli.errors import InputError
 from pinn_cli.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
-from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.network.mlp import Mlp, MlpNetwork
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force
@@ -30,7 +30,8 @@ from pinn_cli.training.stepwise import train
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
 SOFT = 0.1
-# Precision of the weights at which training begins; it follows the weights by factors of ten at most.
+# Precision of the weights at which training begins, over the square of the readout's gain; it follows the weights by
+# factors of ten at most.
 FIRST_PRECISION = 100.0
 
 
@@ -72,17 +73,18 @@ class QuasiNewton(Training):
         """See :meth:`Training.solve`."""
         if problem.priors is not None:
             raise InputError("training", "quasi_newton", "gauss_newton with scheme=bayesian", "it gives no likelihood")
-        network = design.build(problem.record, torch.float64)
-        if not isinstance(network, MlpNetwork):
+        if not isinstance(design, Mlp):
             hint = f"the residuals of network={design.name} are nearly linear in its weights"
             raise InputError("training", "quasi_newton", "gauss_newton for this network", hint)
+        every = targets(problem.record, problem.chain, run.device)
+        collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
+        network = design.build(problem.record, torch.float64, len(collocation.target.physics_time))
         network.reset(run.seed)
+        gain = network.make_nearly_linear()
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
         history = History("quasi-newton", run.progress, self.iterations, 1)
-        every = targets(problem.record, problem.chain, run.device)
-        collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
-        search = self._search(problem, collocation, network, parameters, history)
+        search = self._search(problem, collocation, network, gain, parameters, history)
         try:
             train(search, run)
         finally:
@@ -99,6 +101,7 @@ class QuasiNewton(Training):
         problem: Problem,
         collocation: Collocation,
         network: MlpNetwork,
+        gain: float,
         parameters: LearnedParameters,
         history: History,
     ) -> FunctionSpaceSearch:
@@ -106,7 +109,8 @@ class QuasiNewton(Training):
         rows = ResidualRows(
             problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised"
         )
-        levels = Levels(noise_model(collocation, SOFT * force, CONTINUITY_TOLERANCE * velocity), FIRST_PRECISION)
+        noise = noise_model(collocation, SOFT * force, CONTINUITY_TOLERANCE * velocity)
+        levels = Levels(noise, FIRST_PRECISION * gain**2)
         return FunctionSpaceSearch(
             network, parameters, rows, levels, force, self.iterations, self.tolerance, self.learn_spread, history
         )

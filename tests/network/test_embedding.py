@@ -58,3 +58,37 @@ def test_an_embedded_network_starts_around_rest(record):
 def test_an_unknown_embedding_is_an_input_error():
     with pytest.raises(InputError, match=r"network.embedding=wavelet: must be"):
         Mlp(embedding="wavelet")  # type: ignore[arg-type]
+
+
+def test_points_tell_features_beyond_the_band_apart(record):
+    band = embedding("fourier", record, torch.float64).count
+    assert embedding("fourier", record, torch.float64, 10 * band).count == 2 * np.ceil(1.5 * band / 2)
+    few = int(1.2 * band)
+    assert band < embedding("fourier", record, torch.float64, few).count < few
+    assert embedding("fourier", record, torch.float64, band // 2).count == band
+
+
+def test_a_network_made_nearly_linear_is_linear_in_its_weights(record):
+    """Half a step of its weights makes half the change, to a thousandth."""
+    network = Mlp(1, 20, "sine", "exact", "fourier").build(record)
+    gain = network.make_nearly_linear()
+    readout = network.weights[-1]
+    gram = readout @ readout.T
+    torch.testing.assert_close(gram, float(gram[0, 0]) * torch.eye(len(gram)).to(gram))
+    time = torch.tensor(record.time)
+    motions = []
+    with torch.no_grad():
+        direction = torch.randn(network.weights[0].shape, generator=torch.Generator().manual_seed(0)).double() / gain
+        for share in (0.0, 0.5, 1.0):
+            network.weights[0].add_((0.5 if share else 0.0) * 0.1 * direction)
+            motions.append(network(time).displacement)
+    whole, half = motions[2] - motions[0], motions[1] - motions[0]
+    assert float((whole - 2.0 * half).abs().max()) < 2e-3 * float(whole.abs().max())
+    assert float((motions[0] / network.amplitude).mean(0).abs().max()) < 0.1
+
+
+def test_a_network_of_the_time_alone_is_left_as_it_is(record):
+    network = Mlp(2, 8, "sine", "exact").build(record)
+    before = [weight.clone() for weight in network.parameters()]
+    assert network.make_nearly_linear() == 1.0
+    assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))

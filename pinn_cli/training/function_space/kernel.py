@@ -22,9 +22,6 @@ from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.base import States
 from pinn_cli.network.mlp import MlpNetwork
 
-# Rows and columns that are made symmetric at a time.
-BLOCK = 512
-
 Layers = list[tuple[Tensor, Tensor]]
 """A direction or position in the space of weights: weight and bias of every layer."""
 
@@ -104,45 +101,82 @@ def _states(network: MlpNetwork, output: Tensor) -> States:
 
 
 def kernel(blocks: list[Block]) -> Tensor:
-    """J J' over all blocks' residuals, in their order, (M, M)."""
+    """J J' over all blocks' residuals, in their order, (M, M): its lower triangle; above it there may be zeros."""
     sizes = [block.size for block in blocks]
-    out = blocks[0].inputs[0].new_empty(sum(sizes), sum(sizes))
+    out = blocks[0].inputs[0].new_zeros(sum(sizes), sum(sizes))
     places = [slice(sum(sizes[:i]), sum(sizes[: i + 1])) for i in range(len(sizes))]
     for i, (here, rows) in enumerate(zip(blocks, places, strict=True)):
-        _symmetric_part(here, out[rows, rows])
         for there, columns in zip(blocks[:i], places[:i], strict=True):
-            out[rows, columns] = cross_kernel(here, there)
-            out[columns, rows] = out[rows, columns].T
+            _fill(out[rows, columns], here, there, lower=False)
+        _fill(out[rows, rows], here, here, lower=True)
     return out
-
-
-def _symmetric_part(block: Block, out: Tensor) -> None:
-    """The kernel of one block with itself, written to (M, M): half of the products, and their transposes."""
-    half = _products(block, block, lambda q, p: 1.0 if p > q else 0.5 if p == q else 0.0)
-    for start in range(0, len(half), BLOCK):
-        here, rest = slice(start, start + BLOCK), slice(start, None)
-        both = half[here, rest] + half[rest, here].T
-        out[here, rest], out[rest, here] = both, both.T
-
-
-def _products(here: Block, there: Block, factor: Callable[[int, int], float]) -> Tensor:
-    """Sum over layers and pairs of derivatives, each times a factor, (M_here, M_there)."""
-    points = [block.inputs[0].shape[1] for block in (here, there)]
-    total = here.inputs[0].new_zeros(here.rows, points[0], there.rows, points[1])
-    for layer in range(len(here.inputs)):
-        left, right = here.sensitivity[layer], there.sensitivity[layer]
-        for q in range(len(left)):
-            for p in range(len(right)):
-                if factor(q, p):
-                    gram = here.inputs[layer][q] @ there.inputs[layer][p].T + float(q == p == 0)
-                    product = left[q].flatten(0, 1) @ right[p].flatten(0, 1).T
-                    total.addcmul_(product.view(total.shape), gram[None, :, None, :], value=factor(q, p))
-    return total.view(here.size, there.size)
 
 
 def cross_kernel(here: Block, there: Block) -> Tensor:
     """J_here J_there', (M_here, M_there)."""
-    return _products(here, there, lambda q, p: 1.0)
+    out = here.inputs[0].new_empty(here.size, there.size)
+    _fill(out, here, there, lower=False)
+    return out
+
+
+def _fill(out: Tensor, here: Block, there: Block, lower: bool) -> None:
+    """Write the kernel of two blocks, (M_here, M_there), one pair of rows after the other, which fits a cache.
+
+    Args:
+        out: Where to.
+        here: The block of the rows.
+        there: That of the columns.
+        lower: Whether the pairs in which the second row comes after the first are left as they are.
+    """
+    terms = _terms(here, there)
+    points, others = here.inputs[0].shape[1], there.inputs[0].shape[1]
+    total, product = (out.new_empty(points, others) for _ in range(2))
+    for row in range(here.rows):
+        for other in range(row + 1 if lower else there.rows):
+            total.zero_()
+            for term in terms:
+                units = term.units(row, other)
+                if units is not None:
+                    torch.mm(term.left[row][:, units], term.right[other][:, units].T, out=product)
+                    total.addcmul_(product, term.gram)
+            out[row * points : (row + 1) * points, other * others : (other + 1) * others] = total
+
+
+@dataclass(frozen=True, eq=False)
+class _Term:
+    """One layer and pair of derivatives in the kernel of two blocks.
+
+    Attributes:
+        left, right: (R, P, fan out), their sensitivities.
+        gram: (P_left, P_right), products of what the layer gets.
+        active: Of both, by row, the units that it depends on.
+    """
+
+    left: Tensor
+    right: Tensor
+    gram: Tensor
+    active: tuple[list[set[int]], list[set[int]]]
+
+    def units(self, row: int, other: int) -> slice | list[int] | None:
+        """The units that both rows depend on: an equation of motion looks at three outputs; None: there are none."""
+        both = self.active[0][row] & self.active[1][other]
+        return slice(None) if len(both) == self.left.shape[2] else sorted(both) or None
+
+
+def _terms(here: Block, there: Block) -> list[_Term]:
+    terms = []
+    for a, b, left, right in zip(here.inputs, there.inputs, here.sensitivity, there.sensitivity, strict=True):
+        active = [[_active(d) for d in side] for side in (left, right)]
+        for q in range(len(left)):
+            for p in range(len(right)):
+                gram = a[q] @ b[p].T + float(q == p == 0)
+                terms.append(_Term(left[q], right[p], gram, (active[0][q], active[1][p])))
+    return terms
+
+
+def _active(sensitivity: Tensor) -> list[set[int]]:
+    """By row of (R, P, fan out), which units it depends on anywhere."""
+    return [set(units.nonzero()[:, 0].tolist()) for units in sensitivity.ne(0).any(1)]
 
 
 def prior_variance(block: Block) -> Tensor:

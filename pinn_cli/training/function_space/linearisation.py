@@ -25,11 +25,15 @@ class Step:
     Attributes:
         weights: From the present weights to the proposed ones.
         parameters: The proposed distances of the parameters from their prescribed values, in prior deviations, (p,).
+        residual: What the linearised residuals become, (M,).
+        loss: What the loss would become if it were that of the linearised residuals.
         factor: Cholesky factor of I + J J' / damping + J_p J_p', (M, M).
     """
 
     weights: Layers
     parameters: Tensor
+    residual: Tensor
+    loss: float
     factor: Tensor
 
 
@@ -44,7 +48,7 @@ class Linearisation:
 
     Attributes:
         residual: r, (M,).
-        kernel: J J', (M, M).
+        kernel: J J', (M, M), its lower triangle.
         by_parameter: J_p, (M, p), by the parameters in prior standard deviations.
     """
 
@@ -97,7 +101,8 @@ class Linearisation:
         weights = [
             (share * w - dw / total, share * b - db / total) for (w, b), (dw, db) in zip(to_start, pulled, strict=True)
         ]
-        return Step(weights, -(self.by_parameter.T @ multiplier), factor)
+        # The residuals of a regularised least-squares problem are its multipliers, and their product its least loss.
+        return Step(weights, -(self.by_parameter.T @ multiplier), multiplier, float(target @ multiplier), factor)
 
     def kept(self, factor: Tensor, seed: int) -> Tensor:
         """(M,) diagonal of the inverse of a step's system: how much of each residual the fit leaves free, from 0 to 1.

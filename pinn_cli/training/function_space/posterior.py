@@ -13,7 +13,10 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.base import States
+from pinn_cli.network.embedding import BAND_MARGIN
+from pinn_cli.physics import physics_residual
 from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.record.subset import uniform_subset
 from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
 from pinn_cli.training.function_space.linearisation import Linearisation
@@ -30,18 +33,48 @@ class FunctionSpacePosterior:
         search: At its solution.
 
     Attributes:
-        covariance: (p, p), of the uncertain parameters, in prior standard deviations, the motion integrated out.
+        noise: That of the search, its discrepancy widened for its colour: a model error that fills a part of the band
+            has fewer independent values, and larger ones, than there are points.
+        covariance: (p, p), of the uncertain parameters, in prior standard deviations: the motion integrated out, and
+            what misfit may have added to each (:func:`pinn_cli.training.parameter_posterior.coherent_misfit`).
     """
 
     def __init__(self, search: FunctionSpaceSearch) -> None:
         self.search, self.precision = search, search.levels.precision
-        self.linear = Linearisation(search.network, search.parameters, search.rows, search.levels.noise)
+        self.columns = tuple((p.kind, p.dof) for p in search.parameters.uncertain)
+        self.unit = search.parameters.prior_deviation(search.levels.noise.spread)
+        self.noise = search.levels.noise.widened(self._occupied())
+        self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
         system = self.linear.kernel / self.precision
         system.diagonal().add_(1.0)
         self.factor = torch.linalg.cholesky(system)
         by_parameter = self.linear.by_parameter
         solved = torch.cholesky_solve(by_parameter, self.factor)
-        self.covariance = torch.linalg.inv(torch.eye(solved.shape[1]).to(solved) + by_parameter.T @ solved)
+        covariance = torch.linalg.inv(torch.eye(solved.shape[1]).to(solved) + by_parameter.T @ solved)
+        self.covariance = covariance + self._coherent_misfit().square().diag()
+
+    @torch.no_grad()
+    def _occupied(self) -> float:
+        """Share of the band that the forces out of balance fill."""
+        search, target = self.search, self.search.rows.target
+        states = search.network(target.physics_time)
+        residual = physics_residual(states, target, search.rows.chain, self._values())
+        enforced = target.unforced if bool(target.unforced.any()) else target.equation
+        step = float(target.physics_time[1] - target.physics_time[0])
+        top = min(0.5 / step, BAND_MARGIN * search.network.cycles / search.network.span)
+        return occupied_band(residual[:, enforced].cpu().numpy(), step, top)
+
+    @torch.no_grad()
+    def _coherent_misfit(self) -> Tensor:
+        """(p,), in prior standard deviations, what the model leaves out and each parameter may have taken in."""
+        search, target = self.search, self.search.rows.target
+        states = search.network(target.physics_time)
+        force = search.rows.force_by_parameter(self.columns, states, self._values()) * self.unit
+        # That on its own connection: a parameter stands first in the equation of its own DOF.
+        dofs = torch.tensor([dof for _, dof in self.columns], dtype=torch.long, device=force.device)
+        own = force.square().mean(0).sqrt()[dofs, torch.arange(len(dofs), device=force.device)]
+        hidden = self.noise.misfit(1, 1) / own.clamp(min=torch.finfo(own.dtype).tiny)
+        return hidden / torch.hypot(torch.ones_like(hidden), hidden)
 
     def std(self, observation_time: Tensor, physics_time: Tensor, time: np.ndarray) -> Response:
         """Standard deviations of every quantity, (N, n).
@@ -63,10 +96,8 @@ class FunctionSpacePosterior:
         network = self.search.network
         moved, _, _ = linearised(network, observation_time[samples], motion)
         acting, _, states = linearised(network, physics_time[samples], force)
-        columns = tuple((p.kind, p.dof) for p in self.search.parameters.uncertain)
-        unit = self.search.parameters.prior_deviation(self.search.levels.noise.spread)
-        by_parameter = self.search.rows.force_by_parameter(columns, states, parameters) * unit
-        of_motion = self._variance(moved, torch.zeros(moved.size, len(columns)).to(by_parameter))
+        by_parameter = self.search.rows.force_by_parameter(self.columns, states, parameters) * self.unit
+        of_motion = self._variance(moved, torch.zeros(moved.size, len(self.columns)).to(by_parameter))
         of_force = self._variance(acting, by_parameter.transpose(0, 1).flatten(0, 1))
         rows = torch.cat((of_motion, of_force)).clamp(min=0.0).sqrt().cpu().numpy()
         every = np.array([np.interp(time, time[samples], row) for row in rows]).reshape(len(QUANTITIES), -1, len(time))

@@ -24,15 +24,20 @@ from pinn_cli.training.stepwise import Stepwise
 SHARES = (1.0, 0.5, 0.25)
 # Factors on the damping where no share helps, and where the whole step did; tries in one iteration.
 MORE_DAMPING, LESS_DAMPING, TRIES = 10.0, 0.1, 8
-# Relative decrease of the loss in one iteration below which noise levels follow the residuals.
-SETTLED_ENOUGH = 0.7
+# Noise levels follow the residuals once a loss is what the linearised residuals promised, up to a factor, or falls no
+# further than by a part in one iteration.
+KEPT_PROMISE, SETTLED_ENOUGH = 1.5, 0.7
 # Most that a level may fall or rise at once: the linearisation reaches no further.
 LARGEST_FALL, LARGEST_RISE = 0.1, 4.0
-# Relative change of the discrepancy below which it has settled. Without model error it may fall for ever; then this
-# many whole steps without a gain are enough, and one less where it has.
-LEVEL_TOLERANCE, PATIENCE = 0.2, 4
-# A discrepancy below this fraction of the force is below what the best load cells tell.
-FINEST_DISCREPANCY = 3e-4
+# Relative change below which levels have settled. Without model error the discrepancy may fall for ever; then this many
+# steps without a gain are enough.
+LEVEL_TOLERANCE, PATIENCE = 0.1, 4
+# The same of the parameters' spread, which a few parameters tell to some tens of percent.
+SPREAD_TOLERANCE = 0.2
+# A discrepancy below this fraction of the force is below what the best load cells tell; one below that fraction of a
+# load cell's own noise makes no motion better known. Stiffer physics only leaves it to the parameters to make up for
+# what the network cannot follow.
+FINEST_DISCREPANCY, FINEST_OF_NOISE = 3e-4, 0.02
 
 
 @dataclass
@@ -93,7 +98,7 @@ class FunctionSpaceSearch(Stepwise):
         self.network, self.parameters, self.rows, self.levels, self.largest = network, parameters, rows, levels, largest
         self.iterations, self.tolerance, self.learn_spread, self.history = iterations, tolerance, learn_spread, history
         self.start: Layers = [(w.clone(), b.clone()) for w, b in layers(network)]
-        self.damping, self.iteration, self.idle, self.stop_reason = 0.0, 0, 0.0, ""
+        self.damping, self.iteration, self.idle, self.stop_reason = 0.0, 0, 0, ""
 
     def step(self) -> bool:
         """See :meth:`Stepwise.step`."""
@@ -103,13 +108,14 @@ class FunctionSpaceSearch(Stepwise):
         if self.iteration == 0:
             self._note(before)
         linear = Linearisation(self.network, self.parameters, self.rows, self.levels.noise)
-        factor, whole, after = self._improve(linear, before)
+        step, after = self._improve(linear, before)
         self.iteration += 1
-        if factor is None:
+        if step is None:
             self.stop_reason = "no step improves it"
-        elif after.total > (1.0 - SETTLED_ENOUGH) * before.total:
-            settled = self._settle(linear, factor, after)
-            self._judge(after.total > (1.0 - self.tolerance) * before.total, whole, settled)
+        elif after.total < KEPT_PROMISE * step.loss or after.total > (1.0 - SETTLED_ENOUGH) * before.total:
+            settled = self._settle(linear, step, after)
+            least = (1.0 - self.tolerance) * before.total
+            self._judge(after.total > least, step.loss > least, settled)
         if self.iteration == self.iterations and not self.stop_reason:
             self.stop_reason = "iteration limit"
         self._note(after)
@@ -135,11 +141,11 @@ class FunctionSpaceSearch(Stepwise):
         parameters = self.parameters
         return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.levels.noise.spread)
 
-    def _improve(self, linear: Linearisation, before: Loss) -> tuple[Tensor | None, bool, Loss]:
-        """Take the first step that lowers the loss.
+    def _improve(self, linear: Linearisation, before: Loss) -> tuple[Step | None, Loss]:
+        """Take the first step, or share of it, that lowers the loss.
 
         Returns:
-            Its factor, None where there is none, whether it was a whole one, and the loss that it leads to.
+            The step, None where there is none, and the loss that was reached.
         """
         here = [(w.clone(), b.clone()) for w, b in layers(self.network)]
         to_start = [(w0 - w, b0 - b) for (w0, b0), (w, b) in zip(self.start, here, strict=True)]
@@ -150,12 +156,11 @@ class FunctionSpaceSearch(Stepwise):
                 self._move(here, moved, step, share)
                 after = self.loss()
                 if after.total < before.total:
-                    whole = share == 1.0
-                    self.damping = self._lower(self.damping) if whole else self.damping
-                    return step.factor, whole, after
+                    self.damping = self._lower(self.damping) if share == 1.0 else self.damping
+                    return step, after
             self.damping = max(MORE_DAMPING * self.damping, self.levels.precision)
         self._move(here, moved, step, 0.0)
-        return None, False, before
+        return None, before
 
     def _lower(self, damping: float) -> float:
         """Less, and none at all once it is a small part of the prior's precision."""
@@ -171,26 +176,30 @@ class FunctionSpaceSearch(Stepwise):
         parameters.moved.copy_(moved + share * (proposed - moved))
         parameters.respect_bounds()
 
-    def _settle(self, linear: Linearisation, factor: Tensor, after: Loss) -> bool:
+    def _settle(self, linear: Linearisation, step: Step, after: Loss) -> bool:
         """Have the levels follow residuals, weights and parameters (MacKay 1992).
 
         Returns:
-            Whether the discrepancy stays where it is.
+            Whether they stay where they are.
         """
-        kept = linear.kept(factor, self.iteration)
+        kept = linear.kept(step.factor, self.iteration)
         first = self.rows.observed_count * self.rows.points
-        forces = kept[first : first + self.rows.force_count * self.rows.points].sum()
-        excess = after.forces / max(float(forces), 1.0)
+        forces = slice(first, first + self.rows.force_count * self.rows.points)
+        free = max(float(kept[forces].sum()), 1.0)
+        excess, promised = after.forces / free, float(step.residual[forces].square().sum()) / free
+        # Forces that the next step will balance say nothing against the model.
+        excess = max(1.0, promised) if excess > 1.0 else excess
         unknowns = len(kept) - float(kept.sum())
-        before = self.levels.noise
-        self.levels.noise = self._following(before, linear, factor, excess)
-        self.levels.precision *= float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
-        return bool(abs(np.log(self.levels.noise.discrepancy / before.discrepancy)) < LEVEL_TOLERANCE)
+        before, noise = self.levels.noise, self._following(self.levels.noise, linear, step.factor, excess)
+        growth = float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
+        self.levels.noise, self.levels.precision = noise, growth * self.levels.precision
+        changes = np.abs(np.log([growth, noise.discrepancy / before.discrepancy, noise.spread / before.spread]))
+        return bool(changes[:2].max() < LEVEL_TOLERANCE and changes[2] < SPREAD_TOLERANCE)
 
-    def _judge(self, gained_nothing: bool, whole: bool, settled: bool) -> None:
-        """End once neither the loss nor the levels move any more; a short step that gained little counts for half."""
-        self.idle = self.idle + (1.0 if whole else 0.5) if gained_nothing else 0.0
-        if self.idle >= PATIENCE or (self.idle >= PATIENCE - 1 and settled):
+    def _judge(self, gained_nothing: bool, nothing_to_gain: bool, settled: bool) -> None:
+        """End once the levels stay and the residuals promise nothing, or nothing was gained for long."""
+        self.idle = self.idle + 1 if gained_nothing else 0
+        if self.idle >= PATIENCE or (nothing_to_gain and settled):
             self.stop_reason = "converged"
 
     def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:
@@ -200,16 +209,24 @@ class FunctionSpaceSearch(Stepwise):
         """
         change = excess if excess < 1.0 else np.sqrt(excess)
         level = noise.discrepancy * float(np.clip(change, LARGEST_FALL, LARGEST_RISE))
-        following = noise.with_discrepancy(max(level, FINEST_DISCREPANCY * self.largest))
+        following = noise.with_discrepancy(max(level, self._finest(noise)))
         believed = ~self.parameters.unknown
         if not self.learn_spread or not bool(believed.any()):
             return following
         x = (noise.spread * self._standardised())[believed].cpu().numpy()
         variance = noise.spread**2 * linear.parameter_variance(factor)[believed].cpu().numpy()
-        spread = updated_spread(x, variance, noise.spread)
+        change = updated_spread(x, variance, noise.spread) / noise.spread
+        # Parameters that hardly move from where they are believed to be let their spread fall a little at a time.
+        spread = noise.spread * max(change**2 if change < 1.0 else change, LARGEST_FALL)
         # How far off a search has the parameters that is far from its end says nothing about how far off they are.
         far = level > SUSPICIOUS_DISCREPANCY * self.largest
         return following.with_spread(min(spread, max(1.0, noise.spread)) if far else spread)
+
+    def _finest(self, noise: NoiseModel) -> float:
+        """The least discrepancy that is looked for, N."""
+        measured = noise.force[np.isfinite(noise.force)]
+        of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
+        return max(FINEST_DISCREPANCY * self.largest, of_noise)
 
     def _note(self, loss: Loss) -> None:
         noise = self.levels.noise

@@ -25,7 +25,7 @@ SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
 
 def uncertain(chain, share: float = 0.05) -> tuple[UncertainParameter, ...]:
-    values = {kind: float(chain.parameters[kind][1]) for kind in ("c", "k", "kappa")}
+    values = {kind: float(chain.parameters[kind][1]) for kind in ("c", "k", "kappa") if kind in chain.parameters}
     return tuple(UncertainParameter(kind, 1, value, share * value) for kind, value in values.items())
 
 
@@ -178,3 +178,18 @@ def test_it_is_what_the_configuration_says(composed: Compose):
     config = RunConfig.read(composed("network=mlp", "training=quasi_newton"))
     assert isinstance(config.training, QuasiNewton)
     assert vars(config.training) == vars(QuasiNewton())
+
+
+def covered(estimate: Estimate, quantity: str) -> float:
+    error = getattr(estimate.response, quantity) - getattr(truth(), quantity)
+    return float(np.mean(np.abs(error) <= 1.96 * getattr(estimate.std, quantity)))
+
+
+def test_bands_cover_under_a_wrong_model():
+    """A linear chain, where the true one is Duffing's."""
+    chain = small_chain("linear")
+    given = Problem(chain, problem(snr_db=50.0).record, uncertain(chain, 0.075)[:2])
+    estimate = solved(given)
+    assert all(covered(estimate, quantity) > 0.85 for quantity in QUANTITIES)
+    k = next(p for p in estimate.parameters if p.name == "k_2")
+    assert abs(k.estimate - 15.0) < 3.0 * k.std
