@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -10,6 +11,7 @@ from omegaconf import DictConfig
 
 from pinn_cli.command_line import execute
 from pinn_cli.config import RunConfig
+from pinn_cli.identity import flattened
 from pinn_cli.resume import asked_to_resume, is_finished, stored_score
 from pinn_cli.stages import Stages
 
@@ -31,6 +33,8 @@ def run(composed: DictConfig) -> float | None:
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.posterior.find import find_posterior
         from pinn_cli.report.run_report import Results, write_report
+        from pinn_cli.tracking.base import Job
+        from pinn_cli.tracking.follow import follow
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.training.run_checkpoints import open_checkpoints
         from pinn_cli.validation.base import Estimator
@@ -41,20 +45,24 @@ def run(composed: DictConfig) -> float | None:
         record = config.observe(measurements.record)
     with stages("problem"):
         problem = config.scheme.problem(prescribed, record)
-    with stages("estimate"):
-        checkpoints = open_checkpoints(config, directory)
-        context = RunContext(config.device, config.seed, directory, sys.stderr.isatty(), checkpoints)
-        estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
-        config.validation.check(problem, estimator)
-        estimate = config.training.solve(problem, config.network, context)
-    with stages("posterior"):
-        posterior = find_posterior(config.posterior, problem, estimate, context)
-    with stages("validation"):
-        score = config.validation.score(problem, estimate, estimator)
-    with stages("baseline"):
-        baseline = config.baseline.solve(problem, context)
-    results = Results(record, measurements.truth, estimate, baseline, posterior, score)
-    print(write_report(config, results, directory, stages))
+    job = Job(directory, f"{config.case}/{directory.name}", flattened(composed), config.labels("pinn"))
+    with follow(config.tracking, job, resuming) as tracked:
+        with stages("estimate"):
+            checkpoints = open_checkpoints(config, directory)
+            context = RunContext(config.device, config.seed, directory, sys.stderr.isatty(), checkpoints)
+            estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
+            config.validation.check(problem, estimator)
+            estimate = config.training.solve(problem, config.network, replace(context, watch=tracked.row))
+        with stages("posterior"):
+            posterior = find_posterior(config.posterior, problem, estimate, context)
+        with stages("validation"):
+            score = config.validation.score(problem, estimate, estimator)
+        with stages("baseline"):
+            baseline = config.baseline.solve(problem, context)
+        results = Results(record, measurements.truth, estimate, baseline, posterior, score)
+        print(write_report(config, results, directory, stages))
+        with stages("tracking"):
+            tracked.results()
     print(directory)
     return stored_score(directory)
 

@@ -86,7 +86,7 @@ class QuasiNewton(Training):
         network.reset(run.seed)
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
-        history = History("quasi-newton", run.progress, self.iterations, 1)
+        history = History("quasi-newton", run.progress, self.iterations, 1, run.watch)
         collocation = collocate(problem, self.collocation_points, self.most_residuals, run.device)
         search = self._search(problem, collocation, network, parameters, history)
         try:
