@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pinn_cli.scheme.base import Scheme
     from pinn_cli.system.chain import Chain
     from pinn_cli.system.model_error import ModelError
+    from pinn_cli.tracking.base import Tracking
     from pinn_cli.training.base import Training
     from pinn_cli.validation.base import Validation
 
@@ -48,6 +49,7 @@ NODES = (
     "posterior",
     "validation",
     "baseline",
+    "tracking",
 )
 
 # Where the file of a training, a user's own perhaps, does not say.
@@ -90,6 +92,7 @@ class RunConfig:
         posterior: How the distribution of the parameters is found, with scheme=bayesian.
         validation: How the estimate is scored without the truth.
         baseline: What the network is compared with.
+        tracking: What else keeps a record of the run.
         identity: Which run this is, for its checkpoints and results.
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
         figures: Whether they are drawn; None: unless the run is a job of a sweep.
@@ -109,6 +112,7 @@ class RunConfig:
     posterior: Posterior
     validation: Validation
     baseline: Baseline
+    tracking: Tracking
     identity: Identity
     resume: str | None
     figures: bool | None
@@ -137,6 +141,7 @@ class RunConfig:
         source = _source(config, chain, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation", "baseline")
         estimation = {name: build(config[name], name) for name in names}
+        estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again["figures"] = _figures(config)
         return cls(case, seed, device, threads, chain, model_error, source, **estimation, **again)

@@ -13,7 +13,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 # Where and how a run is made, which may differ from one start of it to the next.
-LEFT_OUT = ("device", "threads", "resume", "figures", "training.checkpoint_every_s")
+LEFT_OUT = ("device", "threads", "resume", "figures", "tracking", "training.checkpoint_every_s")
 PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
 
 
@@ -38,8 +38,7 @@ class Identity:
             config: Resolvable, without its `hydra` node.
             base: The folder that relative paths of data start from; None: the current one.
         """
-        settings = dict(_flat(OmegaConf.to_container(config, resolve=True)))
-        settings = {name: value for name, value in settings.items() if name not in LEFT_OUT}
+        settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
         path = OmegaConf.select(config, "data.path")
         content = None if path is None else _content((base or Path()) / str(path))
         if content:
@@ -69,6 +68,16 @@ class Identity:
             for name in sorted(now.keys() | was.keys())
             if now.get(name) != was.get(name)
         ]
+
+
+def is_left_out(name: str) -> bool:
+    """Whether a setting is one of `LEFT_OUT`, or belongs to a group that is."""
+    return any(name == other or name.startswith(f"{other}.") for other in LEFT_OUT)
+
+
+def flattened(config: DictConfig) -> dict[str, str]:
+    """Every setting of a composed configuration by the name that a user types, as text."""
+    return dict(_flat(OmegaConf.to_container(config, resolve=True)))
 
 
 def _flat(node: Any, name: str = "") -> Iterator[tuple[str, str]]:

@@ -21,7 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from pinn_cli.errors import InputError
-from pinn_cli.identity import LEFT_OUT, Identity
+from pinn_cli.identity import LEFT_OUT, Identity, is_left_out
 from pinn_cli.quoting import quoted
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
@@ -63,7 +63,7 @@ class StoredRun:
                 hint = "the same command again goes on with a sweep" if name == "multirun" else ""
                 raise InputError("resume", directory, f"null, auto or never with --{name}", hint)
         for override in others:
-            if _name(override) not in BESIDE:
+            if _name(override) == "resume" or not is_left_out(_name(override)):
                 hint = f"a run that goes on keeps its own configuration: drop {override}"
                 raise InputError("resume", directory, f"given alone or with {', '.join(BESIDE)}", hint)
         return cls._read(directory, others)
@@ -102,7 +102,7 @@ class StoredRun:
         """The run's own, with what may differ taken from the command line's."""
         config = self.config.copy()
         for name in ("resume", *map(_name, self.given)):
-            OmegaConf.update(config, name, OmegaConf.select(composed, name), force_add=True)
+            OmegaConf.update(config, name, OmegaConf.select(composed, name), force_add=True, merge=False)
         return config
 
     def finished(self) -> bool:

@@ -18,7 +18,7 @@ from pinn_cli.report import published
 from pinn_cli.report.parameters import true_value
 
 REFERENCE_SIGNALS = Path(__file__).parents[2] / "shared" / "data" / "reference_signals"
-GROUPS = ("system", "excitation", "model_error", "data", "scheme", "network", "training", "baseline")
+GROUPS = ("system", "excitation", "model_error", "data", "scheme", "network", "training", "validation", "baseline")
 PAPER = [name.removeprefix("paper/") for name in option_names("experiment") if name.startswith("paper/")]
 
 

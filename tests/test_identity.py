@@ -13,7 +13,8 @@ CSV = ("data=csv", "data.path=rig.csv")
 
 
 @pytest.mark.parametrize(
-    "override", ["threads=2", "device=cuda", "resume=auto", "training.checkpoint_every_s=1", "noise.snr_db=50"]
+    "override",
+    ["threads=2", "device=cuda", "resume=auto", "training.checkpoint_every_s=1", "noise.snr_db=50", "tracking=mlflow"],
 )
 def test_where_and_how_it_is_made_makes_no_other_run(composed: Compose, override: str) -> None:
     assert Identity.of(composed(override)) == Identity.of(composed())

@@ -17,7 +17,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.identity import LEFT_OUT
+from pinn_cli.identity import is_left_out
 
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
 LONGEST = 100
@@ -50,7 +50,7 @@ def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
         overrides: As Hydra hands them to the job.
         swept: Settings that tell the jobs apart.
     """
-    kept = sorted(override for override in overrides if key(override) not in LEFT_OUT)
+    kept = sorted(override for override in overrides if not is_left_out(key(override)))
     own = ",".join(override for override in kept if key(override) in swept) or "job"
     shared = [override for override in kept if key(override) not in swept]
     safe = re.sub(r"[^\w.+=,~-]", "_", own, flags=re.ASCII)
@@ -61,7 +61,7 @@ def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
 
 def sweep_name(overrides: Iterable[str], params: dict[str, Any]) -> str:
     """Of a sweep, by its overrides and its sweeper's `params`: the swept settings and a digest of all."""
-    kept = sorted(override for override in overrides if key(override) not in LEFT_OUT)
+    kept = sorted(override for override in overrides if not is_left_out(key(override)))
     short = "-".join(re.split(r"[./@]", name)[-1] for name in swept_settings(kept, params))
     return f"{short[: LONGEST - _DIGEST - 1] or 'sweep'}_{_digest([*kept, json.dumps(params, sort_keys=True)])}"
 

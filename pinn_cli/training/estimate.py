@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,6 +76,7 @@ class RunContext:
         directory: The run's directory, for what a stage keeps; None in a library call that keeps nothing.
         progress: Whether to draw a progress bar (never when the output is no terminal).
         checkpoints: Of the trainings; None in a library call that keeps none.
+        watch: Called with each row of the history as it comes; it must not change it.
     """
 
     device: str = "cpu"
@@ -82,3 +84,4 @@ class RunContext:
     directory: Path | None = None
     progress: bool = field(default=False)
     checkpoints: Checkpoints | None = None
+    watch: Callable[[Mapping[str, float]], None] | None = None

@@ -70,7 +70,7 @@ class GaussNewton(Training):
         network = (design.refined() if problem.identifies else design).build(problem.record)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
-        history = History(run.progress)
+        history = History(run.progress, run.watch)
         equations = NormalEquations(network, problem, run.device)
         evidence = Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
         trained = self._train(evidence, problem, network)

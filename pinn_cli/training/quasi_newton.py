@@ -83,7 +83,7 @@ class QuasiNewton(Training):
         gain = network.make_nearly_linear()
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
-        history = History("quasi-newton", run.progress, self.iterations, 1)
+        history = History("quasi-newton", run.progress, self.iterations, 1, run.watch)
         search = self._search(problem, collocation, network, gain, parameters, history)
         try:
             train(search, run)

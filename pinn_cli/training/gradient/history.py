@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pandas as pd
@@ -14,8 +14,16 @@ from tqdm import tqdm
 class History:
     """A row of weighted loss terms and weights every so many iterations and at the end, and the progress bar."""
 
-    def __init__(self, name: str, progress: bool, iterations: int, every: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        progress: bool,
+        iterations: int,
+        every: int,
+        watch: Callable[[Mapping[str, float]], None] | None = None,
+    ) -> None:
         self.rows: list[dict[str, float]] = []
+        self.watch = watch
         self.iterations, self.every = iterations, every
         self.started = time.perf_counter()
         disable = None if progress else True
@@ -36,6 +44,8 @@ class History:
         losses = {f"loss_{name}": _number(term) for name, term in terms.items()}
         factors = {f"weight_{name}": weight for name, weight in weights.items()}
         self.rows.append({"iteration": iteration, "seconds": self.seconds, **losses, **factors})
+        if self.watch is not None:
+            self.watch(self.rows[-1])
         self.bar.set_postfix({name.removeprefix("loss_"): f"{loss:.2g}" for name, loss in losses.items()})
 
     def close(self) -> None:

@@ -93,7 +93,8 @@ class GradientTraining(Training):
         # What one run finds is no business of the next.
         weights = deepcopy(self.weights)
         objective = Objective(losses, self.network(shifted, design, run), parameters, weights)
-        history = History(self.name, run.progress, self.iterations * self.stages, self.history_every)
+        steps = self.iterations * self.stages
+        history = History(self.name, run.progress, steps, self.history_every, run.watch)
         descent = Descent(
             objective, self.optimiser(objective), history, self.iterations, self.stages, self.physics_growth,
             self.name, self.remedy,

@@ -1,0 +1,96 @@
+"""What a tracking is: somebody else's record of a run, which changes nothing of it."""
+
+from __future__ import annotations
+
+import importlib.util
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from pinn_cli.errors import InputError
+from pinn_cli.tracking.outcome import Outcome
+
+# How a run may end.
+FINISHED, FAILED, INTERRUPTED = "finished", "failed", "interrupted"
+
+
+@dataclass(frozen=True)
+class Job:
+    """The run that is tracked.
+
+    Attributes:
+        directory: Of the run.
+        name: What a list of runs calls it.
+        settings: Every setting by the name that a user types, as text.
+        labels: What runs are told apart by: case, scheme, number of DOFs, ...
+    """
+
+    directory: Path
+    name: str
+    settings: Mapping[str, str]
+    labels: Mapping[str, object]
+
+
+class Tracker(ABC):
+    """One run as a tracker sees it.
+
+    Attributes:
+        key: What finds it again, kept in the run's directory.
+    """
+
+    key: str
+
+    @abstractmethod
+    def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
+        """Note rows of the history: ``iteration``, ``seconds``, ``loss_*``, ``weight_*``."""
+
+    @abstractmethod
+    def results(self, outcome: Outcome) -> None:
+        """Note what came of it."""
+
+    @abstractmethod
+    def end(self, status: str, reason: str) -> None:
+        """Note how it ended, `FINISHED`, `FAILED` or `INTERRUPTED`, and why; nothing follows."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Take it away: its input was no use."""
+
+
+class Tracking(ABC):
+    """Where runs are tracked. A new one is a file here and a file in ``conf/tracking``.
+
+    Attributes:
+        name: The name of the config group's choice.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def open(self, job: Job, known: str | None) -> Tracker | None:
+        """Begin to track a run; None where nothing is tracked.
+
+        Args:
+            job: The run.
+            known: Key of the tracked run that this one goes on with; None for a new one.
+
+        Raises:
+            InputError: The tracker cannot be reached.
+        """
+
+
+def require(package: str, choice: str) -> None:
+    """Refuse a choice of the group whose package is not installed.
+
+    Raises:
+        InputError: It is not.
+    """
+    try:
+        found = importlib.util.find_spec(package) is not None
+    except ModuleNotFoundError:
+        found = False
+    if not found:
+        allowed = "none, or a choice whose packages are installed"
+        raise InputError("tracking", choice, allowed, f"pip install 'pinn-cli[{choice}]'")

@@ -1,0 +1,66 @@
+"""What came of a run, read from the files that it left."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+# Not copied: what only this program reads, and is large, and what other trackers wrote.
+LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", "tracking.json", "tensorboard", "chains")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of a run that has ended.
+
+    Attributes:
+        metrics: Name to value, finite: ``fitness_percent/displacement``, ``error_percent/k_2``, ``seconds/total``, ...
+        figures: As PNG.
+        files: Files and folders to keep.
+    """
+
+    metrics: dict[str, float]
+    figures: list[Path]
+    files: list[Path]
+
+    @classmethod
+    def read(cls, directory: Path) -> Outcome:
+        """Of the run in a directory."""
+        metrics = {**_fitness(directory), **_errors(directory), **_record(directory)}
+        finite = {name: float(value) for name, value in metrics.items() if pd.notna(value)}
+        files = [entry for entry in sorted(directory.iterdir()) if entry.name not in LEFT_OUT]
+        return cls(finite, sorted((directory / "figures").glob("*.png")), files)
+
+
+def _fitness(directory: Path) -> dict[str, float]:
+    """Of all DOFs, by quantity; a baseline's under its own name."""
+    table = pd.read_csv(directory / "fitness.csv")
+    table = table[table["group"] == "all"]
+    return {
+        f"{_of(row['estimator'])}{column}/{row['quantity']}": row[column]
+        for _, row in table.iterrows()
+        for column in ("fitness_percent", "range_fitness_percent")
+    }
+
+
+def _errors(directory: Path) -> dict[str, float]:
+    table = pd.read_csv(directory / "parameters.csv")
+    return {
+        f"{_of(row['estimator'])}error_percent/{row['parameter']}": row["error_percent"] for _, row in table.iterrows()
+    }
+
+
+def _of(estimator: str) -> str:
+    return "" if estimator == "pinn" else f"{estimator}/"
+
+
+def _record(directory: Path) -> dict[str, float]:
+    record = json.loads((directory / "run.json").read_text(encoding="utf-8"))
+    found = {f"seconds/{name}": value for name, value in record["seconds"].items()}
+    numbers = record["training"].items()
+    found |= {f"training/{name}": v for name, v in numbers if isinstance(v, int | float) and not isinstance(v, bool)}
+    score = record.get("validation", {}).get("score")
+    return found if score is None else {**found, "validation_score": score}

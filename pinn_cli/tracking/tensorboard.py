@@ -1,0 +1,110 @@
+"""Tracking with TensorBoard: event files in the run's directory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pinn_cli.errors import InputError
+from pinn_cli.tracking.base import Job, Tracker, Tracking, require
+from pinn_cli.tracking.outcome import Outcome
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard.writer import SummaryWriter
+
+FOLDER = "tensorboard"
+
+
+class TensorboardTracking(Tracking):
+    """Scalars by iteration, figures as images, the settings as text and as hyperparameters.
+
+    Args:
+        directory: Where the event files of all runs go, in a folder for each; None: into the run's own directory.
+        base: The folder that a relative directory starts from; None: the current one.
+
+    Raises:
+        InputError: TensorBoard is not installed, or the directory is none.
+    """
+
+    name = "tensorboard"
+
+    def __init__(self, directory: str | None = None, base: Path | None = None) -> None:
+        require("tensorboard", self.name)
+        if directory is not None and (not isinstance(directory, str) or not directory):
+            raise InputError("tracking.directory", directory, "null or a folder")
+        self.directory = None if directory is None else (base or Path()).absolute() / directory
+
+    def open(self, job: Job, known: str | None) -> TensorboardTracker:
+        """See :meth:`Tracking.open`."""
+        place = job.directory / FOLDER if self.directory is None else self.directory / job.name
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            from torch.utils.tensorboard import SummaryWriter
+
+            if known is None:
+                for events in place.glob("events.out.tfevents.*"):  # of a run that this one replaces
+                    events.unlink()
+            writer = SummaryWriter(log_dir=str(place))
+        except OSError as error:
+            hint = f"{place}: {error.strerror}"
+            raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
+        tracker = TensorboardTracker(writer, place, job, known or str(place))
+        if known is None:
+            tracker.settings()
+        return tracker
+
+
+class TensorboardTracker(Tracker):
+    """One folder of event files."""
+
+    def __init__(self, writer: SummaryWriter, place: Path, job: Job, key: str) -> None:
+        self.writer, self.place, self.job, self.key = writer, place, job, key
+
+    def settings(self) -> None:
+        """Note them as text."""
+        table = ["| setting | value |", "| --- | --- |", *(f"| {n} | {v} |" for n, v in self.job.settings.items())]
+        self.writer.add_text("settings", "\n".join(table))
+        self.writer.flush()
+
+    def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
+        """See :meth:`Tracker.rows`: the step is the iteration."""
+        for row in rows:
+            for name, value in row.items():
+                if name != "iteration":
+                    self.writer.add_scalar(_grouped(name), value, int(row["iteration"]))
+        self.writer.flush()
+
+    def results(self, outcome: Outcome) -> None:
+        """See :meth:`Tracker.results`."""
+        import numpy as np
+        from matplotlib.image import imread
+        from torch.utils.tensorboard.summary import hparams
+
+        metrics = {f"results/{name}": value for name, value in outcome.metrics.items()}
+        # SummaryWriter.add_hparams would make another run of them, beside this one.
+        for summary in hparams(dict(self.job.settings), metrics):
+            self.writer._get_file_writer().add_summary(summary)
+        for name, value in metrics.items():
+            self.writer.add_scalar(name, value, 0)
+        for figure in outcome.figures:
+            self.writer.add_image(figure.stem, np.asarray(imread(figure))[..., :3], 0, dataformats="HWC")
+        self.writer.flush()
+
+    def end(self, status: str, reason: str) -> None:
+        """See :meth:`Tracker.end`."""
+        self.writer.add_text("status", f"{status}: {reason}" if reason else status)
+        self.writer.close()
+
+    def forget(self) -> None:
+        """See :meth:`Tracker.forget`."""
+        self.writer.close()
+        for events in self.place.glob("events.out.tfevents.*"):
+            events.unlink()
+        self.place.rmdir()
+
+
+def _grouped(name: str) -> str:
+    """``loss_physics`` as ``loss/physics``: one panel for all losses, one for all weights."""
+    kind, _, rest = name.partition("_")
+    return f"{kind}/{rest}" if rest else name

@@ -1,0 +1,180 @@
+"""What a tracker is told of a run, by a tracker that notes it; and that it can do the run no harm."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from calls import PinnRun
+from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
+
+from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.tracking.base import Job, Tracker, Tracking, require
+from pinn_cli.tracking.follow import FILE, Followed, follow
+from pinn_cli.tracking.none import NoTracking
+from pinn_cli.tracking.outcome import Outcome
+
+
+class Notes(Tracker):
+    """Notes what it is told."""
+
+    def __init__(self, key: str = "one", broken: bool = False) -> None:
+        self.key, self.broken, self.told = key, broken, list[tuple[object, ...]]()
+
+    def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
+        if self.broken:
+            raise OSError("disk full")
+        self.told.append(("rows", [row["iteration"] for row in rows]))
+
+    def results(self, outcome: Outcome) -> None:
+        self.told.append(("results", outcome))
+
+    def end(self, status: str, reason: str) -> None:
+        self.told.append(("end", status, reason))
+
+    def forget(self) -> None:
+        self.told.append(("forget",))
+
+
+class Noting(Tracking):
+    name = "noting"
+
+    def __init__(self) -> None:
+        self.opened: list[Notes] = []
+        self.known: list[str | None] = []
+
+    def open(self, job: Job, known: str | None) -> Notes:
+        self.opened.append(Notes(known or f"run {len(self.opened)}"))
+        self.known.append(known)
+        return self.opened[-1]
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Job:
+    return Job(tmp_path, "case/run", {"seed": "0"}, {"case": "case"})
+
+
+def row(iteration: int) -> dict[str, float]:
+    return {"iteration": iteration, "seconds": 0.1, "loss_physics": 1.0 / iteration}
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (None, ("end", "finished", "")),
+        (DivergenceError("diverged at iteration 7"), ("end", "failed", "diverged at iteration 7")),
+        (RuntimeError("a defect"), ("end", "failed", "a defect")),
+        (KeyboardInterrupt("SIGINT"), ("end", "interrupted", "SIGINT")),
+        (InputError("seed", 2, "another"), ("forget",)),
+    ],
+    ids=["done", "diverged", "a defect", "interrupted", "unusable"],
+)
+def test_how_it_ends(job: Job, error: BaseException | None, told: tuple[object, ...]) -> None:
+    tracking = Noting()
+    with contextlib.suppress(BaseException), follow(tracking, job, resuming=False) as tracked:
+        tracked.row(row(1))
+        if error is not None:
+            raise error
+    assert tracking.opened[0].told[-1] == told
+    assert (job.directory / FILE).exists() == (told != ("forget",))
+
+
+def test_a_run_that_goes_on_is_the_same_tracked_run_and_no_row_comes_twice(job: Job) -> None:
+    tracking = Noting()
+    with contextlib.suppress(KeyboardInterrupt), follow(tracking, job, resuming=False) as tracked:
+        for iteration in (1, 2, 3):
+            tracked.row(row(iteration))
+        raise KeyboardInterrupt
+    with follow(tracking, job, resuming=True) as tracked:
+        for iteration in (2, 3, 4):  # from a checkpoint that is older than what was told
+            tracked.row(row(iteration))
+    with follow(tracking, job, resuming=False):
+        pass
+    assert tracking.known == [None, "run 0", None]
+    assert tracking.opened[0].told[0] == ("rows", [1, 2, 3])
+    assert tracking.opened[1].told[0] == ("rows", [4])
+
+
+def test_a_tracker_of_another_kind_does_not_go_on_with_it(job: Job) -> None:
+    (job.directory / FILE).write_text(json.dumps({"tracking": "mlflow", "key": "x", "logged": 5}))
+    tracking = Noting()
+    with follow(tracking, job, resuming=True) as tracked:
+        tracked.row(row(1))
+    assert tracking.known == [None]
+    assert tracking.opened[0].told[0] == ("rows", [1])
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{", '{"tracking": "noting"}', '{"tracking": "noting", "key": 1, "logged": "x"}']
+)
+def test_a_damaged_file_is_no_run_to_go_on_with(job: Job, content: str) -> None:
+    (job.directory / FILE).write_text(content)
+    tracking = Noting()
+    with follow(tracking, job, resuming=True):
+        pass
+    assert tracking.known == [None]
+
+
+def test_a_tracker_that_breaks_is_told_once_and_the_run_goes_on(job: Job, caplog: pytest.LogCaptureFixture) -> None:
+    time = iter(range(0, 10_000, 100))
+    tracked = Followed(Notes(broken=True), job.directory, "noting", clock=lambda: float(next(time)))
+    for iteration in (1, 2, 3):
+        tracked.row(row(iteration))
+    assert [record.message for record in caplog.records] == ["tracking=noting: disk full; the run goes on"]
+
+
+def test_rows_come_in_batches(job: Job) -> None:
+    now = [0.0]
+    notes = Notes()
+    tracked = Followed(notes, job.directory, "noting", clock=lambda: now[0])
+    for iteration in range(1, 8):
+        now[0] += 1.0
+        tracked.row(row(iteration))
+    assert notes.told == [("rows", [1, 2, 3, 4, 5])]
+
+
+def test_nothing_is_tracked_by_none(job: Job) -> None:
+    with follow(NoTracking(), job, resuming=True) as tracked:
+        tracked.row(row(1))
+        tracked.results()
+    assert list(job.directory.iterdir()) == []
+
+
+def test_a_package_that_is_missing_is_named() -> None:
+    with pytest.raises(InputError, match=r"tracking=mlflow: must be none.*pip install 'pinn-cli\[mlflow\]'"):
+        require("a_package_that_nobody_has", "mlflow")
+
+
+def test_a_run_is_followed_from_start_to_end(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Interrupted and gone on with: one tracked run, every row of the history once, the numbers of an untracked run."""
+    without_figures(monkeypatch)
+    tracking, steps = Noting(), Steps(monkeypatch)
+    monkeypatch.setattr(NoTracking, "open", lambda self, job, known: tracking.open(job, known))
+    steps.signal_at(10, signal.SIGINT)
+    assert pinn_run(*ADAM, "hydra.run.dir=run").status == 130
+    steps.undisturbed()
+    assert pinn_run("resume=run").status == 0
+    monkeypatch.undo()
+    without_figures(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    assert pinn_run(*ADAM, "hydra.run.dir=plain").status == 0
+    assert_same_numbers(tmp_path / "run", tmp_path / "plain")
+    assert tracking.known == [None, "run 0"]
+    told = [entry for notes in tracking.opened for entry in notes.told]
+    iterations = [iteration for kind, *rest in told if kind == "rows" for iteration in rest[0]]  # type: ignore[attr-defined]
+    assert iterations == pd.read_csv(tmp_path / "run" / "history.csv")["iteration"].tolist()
+    assert [entry[1] for entry in told if entry[0] == "end"] == ["interrupted", "finished"]
+    (outcome,) = (entry[1] for entry in told if entry[0] == "results")
+    assert isinstance(outcome, Outcome)
+    fitness = pd.read_csv(tmp_path / "run" / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
+    assert outcome.metrics["fitness_percent/velocity"] == fitness["all", "velocity"]
+    assert {"error_percent/k_1", "seconds/total", "training/iterations"} <= set(outcome.metrics)
+    assert "fitness.csv" in {file.name for file in outcome.files}
+    assert "checkpoint.pt" not in {file.name for file in outcome.files}

@@ -1,0 +1,63 @@
+"""Event files of a run, read back by TensorBoard's own reader."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from calls import PinnRun
+from interrupted_runs import ADAM, Steps
+
+from pinn_cli.errors import InputError
+
+pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
+
+
+def events(folder: Path) -> Any:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    found = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0, "tensors": 0})
+    found.Reload()
+    return found
+
+
+def test_an_interrupted_run_is_one_run_in_the_end(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    steps = Steps(monkeypatch)
+    steps.signal_at(10, signal.SIGINT)
+    assert pinn_run(*ADAM, "tracking=tensorboard", "hydra.run.dir=run").status == 130
+    steps.undisturbed()
+    outcome = pinn_run("resume=run")
+    assert outcome.status == 0, outcome.err
+    found = events(tmp_path / "run" / "tensorboard")
+    history = pd.read_csv(tmp_path / "run" / "history.csv")
+    assert [e.step for e in found.Scalars("loss/observation")] == history["iteration"].tolist()
+    assert found.Scalars("loss/observation")[-1].value == pytest.approx(history["loss_observation"].iloc[-1], rel=1e-5)
+    assert found.Scalars("results/fitness_percent/velocity")
+    tags = found.Tags()
+    assert {"response", "history"} <= set(tags["images"])
+    assert {"settings/text_summary", "status/text_summary"} <= set(tags["tensors"])
+    assert "_hparams_/experiment" in found.PluginTagToContent("hparams")
+    text = found.Tensors("settings/text_summary")[0].tensor_proto.string_val[0].decode()
+    assert "| system.ndof | 3 |" in text
+
+
+def test_a_folder_of_its_own(pinn_run: PinnRun, tmp_path: Path) -> None:
+    run = pinn_run(*ADAM, "tracking=tensorboard", "tracking.directory=boards", "hydra.run.dir=run")
+    assert run.status == 0, run.err
+    assert list((tmp_path / "boards" / "default" / "run").glob("events.out.tfevents.*"))
+    assert not (tmp_path / "run" / "tensorboard").exists()
+
+
+def test_impossible_settings_are_named(pinn_run: PinnRun, tmp_path: Path) -> None:
+    from pinn_cli.tracking.tensorboard import TensorboardTracking
+
+    with pytest.raises(InputError, match=r"tracking\.directory"):
+        TensorboardTracking(5)  # type: ignore[arg-type]
+    (tmp_path / "file").write_text("")
+    outcome = pinn_run(*ADAM, "tracking=tensorboard", "tracking.directory=file")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
