@@ -176,7 +176,12 @@ def _has_collected(options: Namespace) -> bool:
     directory = collect.asked_for(options)
     if directory is None:
         return False
-    print(Collection.of(Sweep.read(directory)).text())
+    sweep = Sweep.read(directory)
+    print(Collection.of(sweep).text())
+    if sweep.is_search:
+        from pinn_cli.search.report import report_search
+
+        print(report_search(directory))
     print(directory)
     return True
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from pinn_cli.config import RunConfig
 from pinn_cli.identity import flattened
 from pinn_cli.resume import RESULT, asked_to_resume, is_finished, stored_score
 from pinn_cli.stages import Stages
+
+Watch = Callable[[Mapping[str, float]], None]
 
 
 def run(composed: DictConfig) -> float | None:
@@ -34,10 +37,23 @@ def run(composed: DictConfig) -> float | None:
             print(f"finished before, nothing to do\n{directory}")
         return stored_score(directory)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.posterior.find import find_posterior
-        from pinn_cli.report.run_report import Results, write_report
         from pinn_cli.tracking.base import Job
         from pinn_cli.tracking.follow import follow
+    job = Job(directory, f"{config.case}/{directory.name}", flattened(composed), config.labels("pinn"))
+    with follow(config.tracking, job, resuming) as tracked:
+        text = _carry_out(config, directory, stages, in_sweep, tracked.row)
+        with stages("tracking"):
+            tracked.results()
+    if not in_sweep:
+        print(f"{text}\n{directory}")
+    return stored_score(directory)
+
+
+def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool, watch: Watch) -> str:
+    """From the system to the report, which it returns as text."""
+    with stages("imports"):
+        from pinn_cli.posterior.find import find_posterior
+        from pinn_cli.report.run_report import Results, write_report
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.training.run_checkpoints import open_checkpoints
         from pinn_cli.validation.base import Estimator
@@ -48,30 +64,22 @@ def run(composed: DictConfig) -> float | None:
         record = config.observe(measurements.record)
     with stages("problem"):
         problem = config.scheme.problem(prescribed, record)
-    job = Job(directory, f"{config.case}/{directory.name}", flattened(composed), config.labels("pinn"))
-    with follow(config.tracking, job, resuming) as tracked:
-        with stages("estimate"):
-            (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
-            checkpoints = open_checkpoints(config, directory)
-            shown = sys.stderr.isatty() and not in_sweep
-            context = RunContext(config.device, config.seed, directory, shown, checkpoints)
-            estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
-            config.validation.check(problem, estimator)
-            estimate = config.training.solve(problem, config.network, replace(context, watch=tracked.row))
-        with stages("posterior"):
-            posterior = find_posterior(config.posterior, problem, estimate, context)
-        with stages("validation"):
-            score = config.validation.score(problem, estimate, estimator)
-        with stages("baseline"):
-            baseline = config.baseline.solve(problem, context)
-        results = Results(record, measurements.truth, estimate, baseline, posterior, score)
-        drawn = config.figures if config.figures is not None else not in_sweep
-        text = write_report(config, results, directory, stages, drawn)
-        with stages("tracking"):
-            tracked.results()
-    if not in_sweep:
-        print(f"{text}\n{directory}")
-    return stored_score(directory)
+    with stages("estimate"):
+        (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
+        checkpoints = open_checkpoints(config, directory)
+        context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
+        estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
+        config.validation.check(problem, estimator)
+        estimate = config.training.solve(problem, config.network, replace(context, watch=watch))
+    with stages("posterior"):
+        posterior = find_posterior(config.posterior, problem, estimate, context)
+    with stages("validation"):
+        score = config.validation.score(problem, estimate, estimator)
+    with stages("baseline"):
+        baseline = config.baseline.solve(problem, context)
+    results = Results(record, measurements.truth, estimate, baseline, posterior, score)
+    drawn = config.figures if config.figures is not None else not in_sweep
+    return write_report(config, results, directory, stages, drawn)
 
 
 def main() -> None:
