@@ -12,7 +12,7 @@ from calls import SMALL
 from fake_posteriors import DUFFING, make_findings, make_samples
 
 from pinn_cli.config import RunConfig
-from pinn_cli.report import run_report
+from pinn_cli.report import figures, run_report
 from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import COLUMNS
 from pinn_cli.stages import Stages
@@ -22,7 +22,7 @@ from pinn_cli.stages import Stages
 def reported(composed, make_case, tmp_path, monkeypatch):
     """Report the small estimate with these parameters unknown; returns the folder and the text."""
     # They are tested where they are drawn, and take seconds.
-    monkeypatch.setattr(run_report, "write_figures", lambda *_, **__: [])
+    monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
 
     def report(*unknown: str, **changes: object):
         case = make_case(ndof=3, observed=2)
@@ -67,7 +67,7 @@ def test_the_columns_of_parameters_csv_are_agreed(reported, unknown):
 
 
 def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case, tmp_path, monkeypatch):
-    monkeypatch.setattr(run_report, "write_figures", lambda *_, **__: [])
+    monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
     case = make_case(ndof=3, observed=3)
     start = [replace(case.estimate.parameters[0], name=name) for name in DUFFING]
     samples = make_samples()

@@ -56,7 +56,7 @@ def search(pinn_run: PinnRun) -> Callable[..., int]:
 
 
 def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Callable[..., int], tmp_path: Path) -> None:
-    assert search() == 3  # some trials diverged
+    assert search() == 0  # though some trials diverged
     trials = read(tmp_path)
     assert trials["trial"].tolist() == list(range(7))
     failed = trials["network.degree"] == 3
@@ -126,7 +126,7 @@ def test_the_evidence_compares_no_networks(pinn_run: PinnRun) -> None:
 def test_a_search_without_any_score_says_so(pinn_run: PinnRun) -> None:
     overrides = ["network.degree=3", "network.knots_per_period=interval(2.0,8.0)", "hydra.sweeper.n_trials=2"]
     outcome = pinn_run("--multirun", "hydra/sweeper=search", "validation=heldout", *overrides, task=score)
-    assert outcome.status == 3
+    assert outcome.status == 2
     assert outcome.err.splitlines()[-1].endswith("every trial failed")
 
 
