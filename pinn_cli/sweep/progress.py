@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 import threading
 import time
@@ -59,6 +60,8 @@ class Progress:
     def _watch(self) -> None:
         while not self._stop.wait(EVERY_S):
             self._look()
+            if 2 * len(self._waiting) <= self._total:  # two seconds that the end of the sweep would take otherwise
+                importlib.import_module("pinn_cli.sweep.figure")
 
     def _look(self) -> None:
         for name, place in list(self._waiting.items()):

@@ -1,0 +1,27 @@
+"""How the C library hands memory out and takes it back. Nothing slow is imported here."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+
+# glibc's mallopt: from this size on, blocks are mapped one by one (32 MiB is the most that it takes); and how much free
+# memory at the end of the heap is kept.
+_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -3, -1
+_LARGEST_BLOCK, _KEPT = 32 * 2**20, 2**31 - 1
+
+
+def keep_freed_memory() -> None:
+    """Have freed blocks used again rather than given back to the system, on glibc; elsewhere nothing happens.
+
+    Residuals and their derivatives are arrays of 0.1 to 30 MiB that come and go by the thousand. Mapped anew, each has
+    to be cleared by the kernel page by page: a quarter of the time of Gauss-Newton at 6 DOFs. Peak memory is the same.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):  # another C library
+        return
+    mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK)
+    mallopt(_M_TRIM_THRESHOLD, _KEPT)
