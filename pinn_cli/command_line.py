@@ -177,7 +177,7 @@ def _has_collected(options: Namespace) -> bool:
     if directory is None:
         return False
     sweep = Sweep.read(directory)
-    print(Collection.of(sweep).text())
+    print(Collection.of(sweep, sweep.jobs()).text())
     if sweep.is_search:
         from pinn_cli.search.report import report_search
 
@@ -191,7 +191,8 @@ def _collect(jobs: Jobs) -> None:
     sweep = ended_sweep()
     if sweep is None:
         return
-    begun = [job for job in sweep.jobs() if job.status != NOT_STARTED]
+    found = sweep.jobs()
+    begun = [job for job in found if job.status != NOT_STARTED]
     if jobs.full_error:
         for kept in filter(None, (failure.Failure.read(job.directory) for job in begun)):
             print(kept.traceback, file=sys.stderr)
@@ -202,7 +203,7 @@ def _collect(jobs: Jobs) -> None:
         for reason in dict.fromkeys(job.reason for job in begun):
             jobs.tell(reason)
         return
-    collection = Collection.of(sweep)
+    collection = Collection.of(sweep, found)
     if not sweep.is_search:  # in which trials may fail
         jobs.status = max(jobs.status, collection.exit_status)
     print(collection.text())

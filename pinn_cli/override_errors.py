@@ -13,6 +13,7 @@ from yaml import YAMLError
 
 from pinn_cli.config_names import option_names, options_with, setting_names
 from pinn_cli.errors import InputError
+from pinn_cli.quoting import setting_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -117,8 +118,8 @@ def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> Inpu
 
 def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None) -> InputError:
     """`system.ndfo=3` or `sytem=linear`: no such setting; name the likeliest one, and those beside it."""
-    name = next((n for n in map(_name, overrides) if n == key or n.startswith(f"{key}.")), key)
-    kept = [override for override in overrides if _name(override) != name and not override.startswith("hydra.")]
+    name = next((n for n in map(setting_of, overrides) if n == key or n.startswith(f"{key}.")), key)
+    kept = [override for override in overrides if setting_of(override) != name and not override.startswith("hydra.")]
     known = setting_names(kept, config_dir)
     beside = [other for other in known if other.rpartition(".")[0] == name.rpartition(".")[0]]
     allowed = f"one of the settings {', '.join(beside)}" if beside else "a setting that pinn-run --cfg job lists"
@@ -131,7 +132,7 @@ def _unresolved(key: str, error: BaseException, overrides: Sequence[str]) -> Inp
     """`case=${nothing}`, or a value that Hydra's own settings have no use for."""
     for override in overrides:
         if "${" in override:
-            return InputError(_name(override), override.partition("=")[2], "resolvable", _first_line(error))
+            return InputError(setting_of(override), override.partition("=")[2], "resolvable", _first_line(error))
     return InputError(key, _given(key, overrides), "of the type that Hydra expects", _first_line(error))
 
 
@@ -149,12 +150,8 @@ def _as_told(error: BaseException, overrides: Sequence[str]) -> InputError:
     return InputError("overrides", " ".join(overrides) or "(none)", "such that a configuration follows", str(error))
 
 
-def _name(override: str) -> str:
-    return override.partition("=")[0].lstrip("+~")
-
-
 def _given(key: str, overrides: Sequence[str]) -> str:
-    return next((o.partition("=")[2] for o in overrides if _name(o) == key), "(from a config file)")
+    return next((o.partition("=")[2] for o in overrides if setting_of(o) == key), "(from a config file)")
 
 
 def _first_line(error: BaseException) -> str:

@@ -10,3 +10,8 @@ def quoted(value: str) -> str:
     # A backslash is itself but before a quotation mark, where it is written twice.
     escaped = re.sub(r"(\\*)('|$)", lambda found: found[1] * 2 + ("\\'" if found[2] else ""), value)
     return f"'{escaped}'"
+
+
+def setting_of(override: str) -> str:
+    """The setting that an override is about, whatever it does with it: `seed` of `seed=0`, `++seed=0` and `~seed`."""
+    return override.partition("=")[0].lstrip("+~")

@@ -22,7 +22,7 @@ from yaml import YAMLError
 
 from pinn_cli.errors import InputError
 from pinn_cli.identity import LEFT_OUT, Identity, is_left_out
-from pinn_cli.quoting import quoted
+from pinn_cli.quoting import quoted, setting_of
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
 ALLOWED = "null, auto, never, or the directory of a run"
@@ -53,7 +53,7 @@ class StoredRun:
         Raises:
             InputError: There is no such run, or something else is asked for along with it.
         """
-        named = [override for override in options.overrides if _name(override) == "resume"]
+        named = [override for override in options.overrides if setting_of(override) == "resume"]
         directory = named[-1].partition("=")[2].strip("'\"") if named else ""
         if directory in ("", "null", AUTO, NEVER):
             return None
@@ -63,7 +63,7 @@ class StoredRun:
                 hint = "the same command again goes on with a sweep" if name == "multirun" else ""
                 raise InputError("resume", directory, f"null, auto or never with --{name}", hint)
         for override in others:
-            if _name(override) == "resume" or not is_left_out(_name(override)):
+            if setting_of(override) == "resume" or not is_left_out(setting_of(override)):
                 hint = f"a run that goes on keeps its own configuration: drop {override}"
                 raise InputError("resume", directory, f"given alone or with {', '.join(BESIDE)}", hint)
         return cls._read(directory, others)
@@ -101,7 +101,7 @@ class StoredRun:
     def configuration(self, composed: DictConfig) -> DictConfig:
         """The run's own, with what may differ taken from the command line's."""
         config = self.config.copy()
-        for name in ("resume", *map(_name, self.given)):
+        for name in ("resume", *map(setting_of, self.given)):
             OmegaConf.update(config, name, OmegaConf.select(composed, name), force_add=True, merge=False)
         return config
 
@@ -174,10 +174,6 @@ def _has_fixed_directory() -> bool:
     hydra = OmegaConf.to_container(HydraConfig.get(), resolve=False)
     sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     return "${now:" not in hydra["sweep" if sweep else "run"]["dir"]  # type: ignore[index,call-overload]
-
-
-def _name(override: str) -> str:
-    return override.partition("=")[0].lstrip("+~")
 
 
 def resume_command(directory: Path) -> str:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import yaml
 
-from pinn_cli.sweep.directories import job_name, key, swept_settings
+from pinn_cli.quoting import setting_of
+from pinn_cli.sweep.directories import job_name, swept_settings
 from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import Sweep
 
@@ -32,7 +33,7 @@ def made_sweep(directory: Path, overrides: Sequence[str], tables: Mapping[str, s
     hydra = {"overrides": {"task": list(overrides)}, "sweep": {"subdir": SUBDIRECTORY}, "sweeper": {"_target_": BASIC}}
     (directory / "multirun.yaml").write_text(yaml.safe_dump({"hydra": hydra}))
     swept = swept_settings(overrides)
-    shared = [override for override in overrides if key(override) not in swept]
+    shared = [override for override in overrides if setting_of(override) not in swept]
     for own, table in tables.items():
         job = directory / job_name([own, *shared], swept)
         (job / ".hydra").mkdir(parents=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-import yaml
+
+from pinn_cli.sweep.jobs import job_directories, stored_overrides
 
 if TYPE_CHECKING:
     from optuna.study import Study
@@ -32,7 +34,7 @@ def trials_table(study: Study, directory: Path) -> pd.DataFrame:
         study: Of the search.
         directory: Of the sweep, which the column ``directory`` starts from.
     """
-    jobs = {_key(_overrides(file)): file.parent.parent for file in directory.rglob(".hydra/overrides.yaml")}
+    jobs = {_key(stored_overrides(job)): job for job in job_directories(directory)}
     rows = [_row(trial, jobs.get(_key(overrides_of(trial))), directory) for trial in study.get_trials(deepcopy=False)]
     settings = dict.fromkeys(name for row in rows for name in row if name not in LEADING)
     return pd.DataFrame(rows, columns=[*LEADING, *settings])
@@ -64,12 +66,7 @@ def _read(job: Path | None, name: str) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _overrides(file: Path) -> list[str]:
-    content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    return [str(line) for line in content] if isinstance(content, list) else []
-
-
-def _key(overrides: list[str]) -> tuple[str, ...]:
+def _key(overrides: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(overrides))
 
 

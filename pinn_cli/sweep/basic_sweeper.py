@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from pinn_cli.sweep.directories import key
+from pinn_cli.quoting import setting_of
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 
@@ -40,5 +40,5 @@ def representatives(batch: Sequence[Sequence[str]]) -> list[Sequence[str]]:
     for job in batch:
         for override in job:
             value = override.partition("=")[2]
-            chosen.setdefault(key(override) if _NUMBER.fullmatch(value) else override, job)
+            chosen.setdefault(setting_of(override) if _NUMBER.fullmatch(value) else override, job)
     return [list(job) for job in dict.fromkeys(tuple(job) for job in chosen.values())]

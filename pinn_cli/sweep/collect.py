@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.errors import InputError
-from pinn_cli.sweep.directories import key
+from pinn_cli.quoting import setting_of
 from pinn_cli.sweep.jobs import FAILED, STATUSES, Job, Sweep
 
 if TYPE_CHECKING:
@@ -33,9 +33,8 @@ class Collection:
     summary: pandas.DataFrame | None
 
     @classmethod
-    def of(cls, sweep: Sweep) -> Collection:
-        """Look at every job, and write what the sweep's directory holds about all of them."""
-        jobs = sweep.jobs()
+    def of(cls, sweep: Sweep, jobs: list[Job]) -> Collection:
+        """Write what the sweep's directory holds about all its jobs."""
         if not any(job.ended for job in jobs):
             return cls(jobs, None)
         # Two seconds of imports, not for --help.
@@ -95,7 +94,7 @@ def asked_for(options: Namespace) -> Path | None:
     Raises:
         InputError: Something else is asked for along with it.
     """
-    named = [override for override in options.overrides if key(override) == "collect"]
+    named = [override for override in options.overrides if setting_of(override) == "collect"]
     if not named:
         return None
     directory = named[-1].partition("=")[2].strip("'\"")

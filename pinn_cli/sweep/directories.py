@@ -18,6 +18,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.identity import is_left_out
+from pinn_cli.quoting import setting_of
 
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
 LONGEST = 100
@@ -30,14 +31,13 @@ def parse(override: str) -> Override:
     return OverridesParser.create().parse_override(override)
 
 
-def key(override: str) -> str:
-    """The setting that an override is about."""
-    return override.partition("=")[0].lstrip("+~")
-
-
 def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:
     """Settings that take more than one value in a sweep, by its overrides as typed and its sweeper's `params`."""
-    return list(dict.fromkeys([key(o) for o in overrides if parse(o).is_sweep_override()] + [key(p) for p in params]))
+    return list(
+        dict.fromkeys(
+            [setting_of(o) for o in overrides if parse(o).is_sweep_override()] + [setting_of(p) for p in params]
+        )
+    )
 
 
 def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
@@ -50,9 +50,9 @@ def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
         overrides: As Hydra hands them to the job.
         swept: Settings that tell the jobs apart.
     """
-    kept = sorted(override for override in overrides if not is_left_out(key(override)))
-    own = ",".join(override for override in kept if key(override) in swept) or "job"
-    shared = [override for override in kept if key(override) not in swept]
+    kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
+    own = ",".join(override for override in kept if setting_of(override) in swept) or "job"
+    shared = [override for override in kept if setting_of(override) not in swept]
     safe = re.sub(r"[^\w.+=,~-]", "_", own, flags=re.ASCII)
     if safe != own or len(own) > LONGEST:
         return f"{safe[: LONGEST - _DIGEST - 1]}_{_digest(kept)}"
@@ -61,7 +61,7 @@ def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:
 
 def sweep_name(overrides: Iterable[str], params: dict[str, Any]) -> str:
     """Of a sweep, by its overrides and its sweeper's `params`: the swept settings and a digest of all."""
-    kept = sorted(override for override in overrides if not is_left_out(key(override)))
+    kept = sorted(override for override in overrides if not is_left_out(setting_of(override)))
     short = "-".join(re.split(r"[./@]", name)[-1] for name in swept_settings(kept, params))
     return f"{short[: LONGEST - _DIGEST - 1] or 'sweep'}_{_digest([*kept, json.dumps(params, sort_keys=True)])}"
 

@@ -17,8 +17,9 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.errors import InputError
+from pinn_cli.quoting import setting_of
 from pinn_cli.resume import RESULT
-from pinn_cli.sweep.directories import job_name, key, parse, swept_settings
+from pinn_cli.sweep.directories import job_name, parse, swept_settings
 from pinn_cli.sweep.failure import Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
@@ -113,25 +114,25 @@ class Sweep:
     @cached_property
     def fixed(self) -> set[str]:
         """Settings that were given one value for all jobs."""
-        return {key(override) for override in self.overrides if not parse(override).is_sweep_override()}
+        return {setting_of(override) for override in self.overrides if not parse(override).is_sweep_override()}
 
     def jobs(self) -> list[Job]:
         """Every job that is expected or has a directory, in the sweep's order; later additions by name."""
-        found = {_name(path, self.directory): path for path in _job_directories(self.directory)}
+        found = {_name(path, self.directory): path for path in job_directories(self.directory)}
         jobs = []
         for name, overrides in self.expected.items():
             place = found.pop(name, None)
             jobs.append(Job(self.directory / name, overrides) if place is None else Job.read(place, overrides))
         others = (found[name] for name in sorted(found, key=_natural))
-        return [*jobs, *(Job.read(place, _overrides(place)) for place in others)]
+        return [*jobs, *(Job.read(place, stored_overrides(place)) for place in others)]
 
     def columns(self, job: Job) -> dict[str, str]:
         """The job's swept settings and their values, as text."""
-        swept = [override for override in job.overrides if key(override) not in self.fixed]
-        return {key(override): parse(override).get_value_element_as_str() for override in swept}
+        swept = [override for override in job.overrides if setting_of(override) not in self.fixed]
+        return {setting_of(override): parse(override).get_value_element_as_str() for override in swept}
 
 
-def _job_directories(sweep: Path) -> Iterator[Path]:
+def job_directories(sweep: Path) -> Iterator[Path]:
     """Directories below the sweep's that Hydra prepared for a job; nothing is looked for below those."""
     for place, folders, _ in os.walk(sweep):
         if (Path(place) / OVERRIDES).is_file():
@@ -139,7 +140,8 @@ def _job_directories(sweep: Path) -> Iterator[Path]:
             yield Path(place)
 
 
-def _overrides(directory: Path) -> tuple[str, ...]:
+def stored_overrides(directory: Path) -> tuple[str, ...]:
+    """Of a job, as Hydra left them in its directory; none where they cannot be read."""
     try:
         content = yaml.load((directory / OVERRIDES).read_text(encoding="utf-8"), _LOADER)
     except (OSError, UnicodeError, yaml.YAMLError):  # cut off while Hydra wrote it: the next start writes it anew

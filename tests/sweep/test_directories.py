@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pinn_cli.sweep.directories import LONGEST, job_name, key, sweep_name, swept_settings
+from pinn_cli.quoting import setting_of
+from pinn_cli.sweep.directories import LONGEST, job_name, sweep_name, swept_settings
 
 
 @pytest.mark.parametrize(
@@ -18,8 +19,8 @@ from pinn_cli.sweep.directories import LONGEST, job_name, key, sweep_name, swept
     ],
 )
 def test_a_job_is_named_by_what_tells_it_apart(overrides: list[str], name: str) -> None:
-    assert job_name(overrides, [*map(key, overrides)]) == name
-    assert job_name(overrides[::-1], [*map(key, overrides)]) == name
+    assert job_name(overrides, [*map(setting_of, overrides)]) == name
+    assert job_name(overrides[::-1], [*map(setting_of, overrides)]) == name
 
 
 def test_what_all_jobs_share_is_a_digest() -> None:
