@@ -126,10 +126,7 @@ def simulate(
 
     def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
         # z = {u, v} is (2, ndof).
-        dz = np.empty_like(z)
-        dz[0] = z[1]
-        dz[1] = chain.acceleration(z[0], z[1], f, parameters)
-        return dz
+        return np.array((z[1], chain.acceleration(z[0], z[1], f, parameters)))
 
     force = excitation_force(time)
     with np.errstate(over="ignore", invalid="ignore"):
