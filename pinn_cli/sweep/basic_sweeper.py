@@ -1,17 +1,24 @@
-"""`hydra/sweeper=basic`: how many jobs are composed before the first one begins."""
+"""`hydra/sweeper=basic`: how its jobs are composed, and how many before the first one begins."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from hydra.types import HydraContext
 
 from pinn_cli.quoting import setting_of
-
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+from pinn_cli.sweep.composing import JobLoader, is_number
 
 
 class Representatives:
     """What is put before Hydra's sweeper; see the module."""
+
+    def setup(self, *, hydra_context: HydraContext, **others: Any) -> None:
+        """Have sweeper and launcher, and with them its workers, compose jobs with a :class:`JobLoader`."""
+        loader = JobLoader(hydra_context.config_loader.get_search_path())
+        super().setup(hydra_context=replace(hydra_context, config_loader=loader), **others)  # type: ignore[misc]
 
     def validate_batch_is_legal(self, batch: Sequence[Sequence[str]]) -> None:
         """Compose a job for every override that occurs, rather than every job: one after the other, before any starts.
@@ -39,6 +46,5 @@ def representatives(batch: Sequence[Sequence[str]]) -> list[Sequence[str]]:
     chosen: dict[str, Sequence[str]] = {}
     for job in batch:
         for override in job:
-            value = override.partition("=")[2]
-            chosen.setdefault(setting_of(override) if _NUMBER.fullmatch(value) else override, job)
+            chosen.setdefault(setting_of(override) if is_number(override) else override, job)
     return [list(job) for job in dict.fromkeys(tuple(job) for job in chosen.values())]

@@ -1,0 +1,98 @@
+"""How the jobs of a sweep are composed: those that differ in numbers only are made from one another.
+
+Hydra composes every job from all its files anew, which takes a tenth of a second and more. A number that a setting is
+given says nothing about which files those are: Hydra itself puts it in at the end. So it is put into a copy here.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl, get_overrides_dirname
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from pinn_cli.quoting import setting_of
+
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+
+# Without the numbers. They are the process's, since launchers send the loader along with every job.
+_composed: dict[Any, DictConfig] = {}
+_KEPT = 64
+
+
+class JobLoader(ConfigLoaderImpl):
+    """Hydra's, with that; see the module."""
+
+    def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
+        """Compose a job.
+
+        Args:
+            master_config: Of the sweep.
+            sweep_overrides: Of the job.
+
+        Raises:
+            Exception: Whatever Hydra says of overrides that cannot be composed.
+        """
+        numbers = own_numbers(sweep_overrides)
+        if numbers:
+            with suppress(OmegaConfBaseException, _NotASettingError):
+                return self._put_into_copy(master_config, sweep_overrides, numbers)
+        return super().load_sweep_config(master_config, sweep_overrides)
+
+    def _put_into_copy(self, master: DictConfig, overrides: list[str], numbers: list[str]) -> DictConfig:
+        config = self._without(master, [override for override in overrides if override not in numbers])
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        for override in parsed:
+            if override.input_line in numbers:
+                if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
+                    raise _NotASettingError  # but a group, with an option that is called by a number
+                OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
+        of_task = [override for override in parsed if not override.is_hydra_override()]
+        config.hydra.overrides.task = [override.input_line for override in of_task]
+        config.hydra.job.override_dirname = get_overrides_dirname(of_task, **config.hydra.job.config.override_dirname)
+        OmegaConf.copy_cache(from_config=master, to_config=config)
+        return config
+
+    def _without(self, master: DictConfig, overrides: list[str]) -> DictConfig:
+        """A copy of what Hydra composes of the other overrides."""
+        sources = tuple((source.provider, source.path) for source in self.get_search_path().get_path())
+        hydra = master.hydra
+        key = (hydra.job.config_name, sources, tuple(hydra.overrides.hydra), os.getcwd(), tuple(overrides))
+        if key not in _composed:
+            if len(_composed) == _KEPT:
+                del _composed[next(iter(_composed))]
+            _composed[key] = super().load_sweep_config(master, overrides)
+        return copy.deepcopy(_composed[key])
+
+
+class _NotASettingError(Exception):
+    pass
+
+
+def is_number(override: str) -> bool:
+    """Whether the override gives a setting a number, as `seed=3` and `+seed=3` do and `scheme=bayesian` does not."""
+    return _NUMBER.fullmatch(override.partition("=")[2]) is not None
+
+
+def own_numbers(overrides: Sequence[str]) -> list[str]:
+    """Those that give a setting a number, where no other override is about the same setting or one above or below it.
+
+    Hydra's own settings are left out, since they may say how a job is composed, and those that are added.
+    """
+    names = [setting_of(override) for override in overrides]
+
+    def is_own(name: str) -> bool:
+        return sum(f"{other}.".startswith(f"{name}.") or f"{name}.".startswith(f"{other}.") for other in names) == 1
+
+    return [
+        override
+        for override, name in zip(overrides, names, strict=True)
+        if is_number(override) and override.startswith(name) and not name.startswith("hydra.") and is_own(name)
+    ]
