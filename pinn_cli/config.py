@@ -19,7 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pinn_cli.errors import InputError
 from pinn_cli.identity import Identity
 from pinn_cli.legal_values import positive_number, whole_number
-from pinn_cli.memory import keep_freed_memory
+from pinn_cli.memory import keep_freed_memory, leave_without_collecting
 from pinn_cli.override_errors import likely
 from pinn_cli.resume import ALLOWED, NEVER
 from pinn_cli.targets import build, check_targets, construct
@@ -136,6 +136,7 @@ class RunConfig:
         identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
         case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
         keep_freed_memory()
+        leave_without_collecting()
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")

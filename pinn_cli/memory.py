@@ -1,9 +1,12 @@
-"""How the C library hands memory out and takes it back. Nothing slow is imported here."""
+"""How memory is handed out and taken back, by the C library and by Python. Nothing slow is imported here."""
 
 from __future__ import annotations
 
+import atexit
 import ctypes
+import gc
 import sys
+from functools import cache
 
 # glibc's mallopt: from this size on, blocks are mapped one by one (32 MiB is the most that it takes); and how much free
 # memory at the end of the heap is kept.
@@ -25,3 +28,12 @@ def keep_freed_memory() -> None:
         return
     mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK)
     mallopt(_M_TRIM_THRESHOLD, _KEPT)
+
+
+@cache  # once is enough, however many jobs a process runs
+def leave_without_collecting() -> None:
+    """Have the process not look for garbage when it ends, which takes half a second after torch is imported.
+
+    The system takes all memory back anyway; files are closed by those who opened them.
+    """
+    atexit.register(gc.freeze)

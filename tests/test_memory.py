@@ -1,4 +1,4 @@
-"""Freed memory is used again."""
+"""Freed memory is used again, and is not looked through when the process ends."""
 
 from __future__ import annotations
 
@@ -32,3 +32,19 @@ def test_blocks_that_come_and_go_are_not_mapped_anew() -> None:
     assert kept < 100
     if given_back < 100:
         pytest.skip("this C library keeps freed memory by itself")
+
+
+ENDING = """
+import atexit, gc, sys
+from pinn_cli.memory import leave_without_collecting
+atexit.register(lambda: print(gc.get_freeze_count() > 0))  # called after those that are registered later
+if sys.argv[1] == "left":
+    leave_without_collecting()
+    leave_without_collecting()
+"""
+
+
+@pytest.mark.parametrize("how", ["left", "collected"])
+def test_the_last_collections_find_nothing(how: str) -> None:
+    said = subprocess.run([sys.executable, "-c", ENDING, how], capture_output=True, check=True, text=True).stdout
+    assert said.strip() == str(how == "left")
