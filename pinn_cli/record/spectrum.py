@@ -25,13 +25,20 @@ def signal_band(x: np.ndarray, step: float) -> float:
 
     Cutting at f leaves out the signal power above f and lets through the noise power below it; their sum is least where
     the cumulative sum of (2 floor - periodogram) is, and that needs no threshold and no smoothing. The floor is the
-    median of the upper half of the usable spectrum, which a signal that is oversampled twice leaves to the noise.
+    median of the upper half of the usable spectrum, which a signal that is oversampled twice leaves to the noise. Of a
+    few hundred samples it comes out at half its value once in a while (257: in one channel of 300), and then all of
+    that noise would pass for signal: what reaches into the half that the floor is read from must be three floors high.
     """
     frequency, power = periodogram(x, step)
     usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
     frequency, power = frequency[usable], power[usable]
     floor = max(np.median(power[len(power) // 2 :]) / np.log(2.0), FINEST_FLOOR * power.mean())
-    return float(frequency[np.argmin(np.cumsum(2.0 * floor - power))])
+
+    def least(floors: float) -> int:
+        return int(np.argmin(np.cumsum(floors * floor - power)))
+
+    last = least(2.0)
+    return float(frequency[last if last < len(power) // 2 else least(3.0)])
 
 
 def record_band(record: Record) -> float:

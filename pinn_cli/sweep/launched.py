@@ -81,7 +81,7 @@ class Launched:
 
     @cached_property
     def config(self) -> DictConfig:
-        """Composed as a worker will, with its `hydra` node: it takes a third of a second."""
+        """Composed as a worker will, with its `hydra` node."""
         config = self.launcher.hydra_context.config_loader.load_sweep_config(self.launcher.config, self.overrides)
         with open_dict(config.hydra.job):
             config.hydra.job.id, config.hydra.job.num = f"job_id_for_{self.number}", self.number

@@ -47,6 +47,22 @@ def test_the_band_of_white_noise_holds_little_of_it():
     assert np.median(found) < 0.02 * 0.5 / STEP
 
 
+@pytest.mark.parametrize("samples", [129, 257, 513])
+def test_the_noise_of_a_short_channel_does_not_pass_for_signal(samples):
+    rng, taken_in = np.random.default_rng(0), 0
+    for _ in range(1000):
+        phase = 2.0 * np.pi * (np.outer([0.02, 0.05, 0.08], np.arange(samples)) + rng.uniform(size=(3, 1)))
+        taken_in += signal_band(10.0 * np.sin(phase).sum(axis=0) + rng.normal(size=samples), 1.0) > 0.2
+    assert taken_in <= 3  # with two floors throughout it is 34 where there are 129
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+def test_a_signal_that_reaches_where_the_floor_is_read_is_kept(noise):
+    band = 0.5 / STEP  # up to Nyquist; a third of the bins of the upper half hold signal
+    x = banded(0.1, 0.55 * band)[:, 0] + white(noise)[:, 0]
+    assert signal_band(x, STEP) == pytest.approx(0.55 * band, rel=0.03)
+
+
 def test_the_band_does_not_depend_on_the_unit():
     x = banded(0.1, 2.0)[:, 0] + white(0.05)[:, 0]
     assert signal_band(1e-6 * x, STEP) == signal_band(x, STEP)
