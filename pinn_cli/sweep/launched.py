@@ -98,12 +98,15 @@ class Launched:
         task = self._task()
         return asked_to_resume(going_on(task), self.directory) and is_finished(self.directory, task, Path.cwd())
 
+    def begun_since(self, moment: float) -> bool:
+        """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
+        with suppress(OSError):  # not begun at all
+            return (self.directory / OVERRIDES).stat().st_mtime >= moment
+        return False
+
     def under_way_since(self, moment: float) -> bool:
         """Whether it was begun after that moment, seconds since the epoch, and has not ended."""
-        with suppress(OSError):  # not begun
-            if (self.directory / OVERRIDES).stat().st_mtime >= moment - 1.0:
-                return Job.read(self.directory, self.overrides).status == UNFINISHED
-        return False
+        return self.begun_since(moment - 1.0) and Job.read(self.directory, self.overrides).status == UNFINISHED
 
     def returned(self, value: float | None = None) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for."""

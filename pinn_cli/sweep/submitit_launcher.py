@@ -1,7 +1,8 @@
 """`hydra/launcher=submitit_slurm` and `submitit_local`: Hydra's plugin, but no job that is lost takes others along.
 
-Beyond that, jobs that are finished are not sent again, several short ones can share a task, and a task that is asked to
-make room (SIGUSR2) comes back once the step under way is done and its checkpoint written.
+Beyond that, jobs that are finished are not sent again, several short ones can share a task, those behind one that is
+killed are sent again, and a task that is asked to make room (SIGUSR2) comes back once the step under way is done
+and its checkpoint written.
 """
 
 from __future__ import annotations
@@ -13,21 +14,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import submitit
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
 from hydra_plugins.hydra_submitit_launcher import submitit_launcher as plugin
 from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
 from omegaconf import OmegaConf
+from submitit.core.utils import UncompletedJobError
 
 from pinn_cli.errors import InputError
 from pinn_cli.interruption import Interruption, warning, watched
 from pinn_cli.sweep.cores import at_once
 from pinn_cli.sweep.launched import Launched, to_launch
+from pinn_cli.sweep.slurm_states import FORGOTTEN
 
 log = logging.getLogger(__name__)
 
 # Of the executor itself, rather than of its jobs.
 _OF_EXECUTOR = ("submitit_folder", "max_num_timeout")
+# States of a task that somebody ended on purpose, or may have: nobody knows any more.
+_ON_PURPOSE = ("CANCELLED", FORGOTTEN)
+
+# A task and its jobs, in the order in which it runs them.
+Sent = tuple[Any, list[Launched]]
 
 
 class _Launcher(plugin.BaseSubmititLauncher):
@@ -54,11 +63,13 @@ class _Launcher(plugin.BaseSubmititLauncher):
         Returns:
             What each job returned, in the same order; None for one that was lost.
         """
-        jobs, returns = to_launch(self, job_overrides, initial_job_idx)
-        batches = self._batches(jobs)
-        tasks = self._submit(batches)
-        for place, (batch, task) in enumerate(zip(batches, tasks, strict=True)):
-            returns.update(zip((job.number for job in batch), _results(task, batch, tasks[place + 1 :]), strict=True))
+        left, returns = to_launch(self, job_overrides, initial_job_idx)
+        while left:  # of what is sent, at least one job of each task returns something, or is lost
+            batches = self._batches(left)
+            returns |= _results(list(zip(self._submit(batches), batches, strict=True)))
+            left = [job for job in left if job.number not in returns]
+            if left:
+                print(f"{len(left)} jobs were behind one that was killed: they are sent again", file=sys.stderr)
         return [returns[number] for number in sorted(returns)]
 
     def __call__(self, batch: Sequence[tuple[Any, ...]]) -> list[JobReturn]:
@@ -83,22 +94,16 @@ class _Launcher(plugin.BaseSubmititLauncher):
         return [jobs[start : start + self.jobs_per_task] for start in range(0, len(jobs), self.jobs_per_task)]
 
     def _submit(self, batches: list[list[Launched]]) -> list[Any]:
-        if not batches:
-            return []
-        from submitit.core.utils import FailedJobError, FailedSubmissionError
-
         try:
             executor = self._executor()
             tasks = executor.map_array(self, self._calls(batches))
-        except (RuntimeError, FailedJobError, FailedSubmissionError) as error:  # there is no SLURM, or it refuses
+        except RuntimeError as error:  # there is no SLURM, or it refuses
             hint = " ".join(str(error).split())
             raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error
         self._tell(sum(map(len, batches)), tasks)
         return list(tasks)
 
     def _executor(self) -> Any:
-        import submitit
-
         init = {"folder": self.params["submitit_folder"]}
         if "max_num_timeout" in self.params:
             init[f"{self._EXECUTOR}_max_num_timeout"] = self.params["max_num_timeout"]
@@ -151,20 +156,47 @@ class LocalLauncher(_Launcher):
         return [jobs[start::tasks] for start in range(min(tasks, len(jobs)))]
 
 
-def _results(task: Any, batch: list[Launched], others: list[Any]) -> list[JobReturn]:
-    """What a task's jobs returned, once it has ended; `others` are those to be asked after it."""
-    from submitit.core.utils import FailedJobError, UncompletedJobError
+def _results(sent: list[Sent]) -> dict[int, JobReturn]:
+    """What jobs returned, by their numbers, once their tasks have ended; nothing for those to be sent again."""
+    returns: dict[int, JobReturn] = {}
+    behind: list[tuple[Launched, str]] = []
+    cancelled = False
+    for place, (task, batch) in enumerate(sent):
+        returned, reason = _outcome(task, sent[place + 1 :])
+        if not reason:
+            returns.update(zip((job.number for job in batch), returned, strict=True))
+            continue
+        cancelled |= task.state.startswith(_ON_PURPOSE)
+        spared = _never_begun(task, batch)
+        behind += [(job, reason) for job in spared]
+        returns |= {job.number: job.lost(reason) for job in batch if job not in spared}
+    if cancelled:  # one task or the whole array, which its states do not tell: either way nothing is to come back
+        returns |= {job.number: job.lost(reason) for job, reason in behind}
+    return returns
 
+
+def _outcome(task: Any, others: list[Sent]) -> tuple[list[JobReturn], str]:
+    """What a task's jobs returned, once it has ended, or why it was lost; `others` are to be asked after it."""
     task.wait()
-    ended = [] if task.paths.result_pickle.exists() else [other for other in others if other.done()]
+    ended = [] if task.paths.result_pickle.exists() else [other for other, _ in others if other.done()]
     try:
-        return list(task.results()[0])
-    except (UncompletedJobError, FailedJobError) as error:
+        return list(task.results()[0]), ""
+    except UncompletedJobError as error:
         # submitit gives a slow file system 15 s to show the result of a task that has ended: once, not for each of the
         # hundreds of an array that was cancelled.
         for other in ended:
             other._results_timeout_s = 0
-        return [job.lost(_reason(task, error)) for job in batch]
+        return [], _reason(task, error)
+
+
+def _never_begun(task: Any, batch: list[Launched]) -> list[Launched]:
+    """The jobs behind the one that was under way when their task was lost; none if it began none at all."""
+    submission = task.paths.submitted_pickle
+    if not submission.is_file():
+        return []
+    sent = submission.stat().st_mtime  # by the clock of the file system that has the jobs' files too
+    behind = [job for job in batch if not job.begun_since(sent)]
+    return behind if len(behind) < len(batch) else []
 
 
 def _reason(task: Any, error: Exception) -> str:

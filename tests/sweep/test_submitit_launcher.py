@@ -97,12 +97,16 @@ def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkey
 
 
 class SlurmJob:
-    """A task that was cancelled before it began, as submitit tells of it."""
+    """A task that was lost, unless it has results, as submitit tells of it."""
 
-    job_id, state = "17_0", "CANCELLED by 0"
-    paths = SimpleNamespace(stderr="17_0_0_log.err", result_pickle=Path("17_0_0_result.pkl"))
+    job_id = "17_0"
     _results_timeout_s = 15.0
     waited = 0.0
+
+    def __init__(self, state: str = "CANCELLED by 0", results: list[Any] | None = None) -> None:
+        names = {"submitted_pickle": "17_0_submitted.pkl", "result_pickle": "17_0_0_result.pkl"}
+        self.paths = SimpleNamespace(stderr="17_0_0_log.err", **{name: Path(file) for name, file in names.items()})
+        self.state, self.returned = state, results
 
     def wait(self) -> None:
         pass
@@ -111,8 +115,10 @@ class SlurmJob:
         return True
 
     def results(self) -> list[Any]:
+        if self.returned is not None:
+            return [self.returned]
         SlurmJob.waited += self._results_timeout_s
-        raise UncompletedJobError("Job 17_0 has not produced any output (state: CANCELLED by 0)")
+        raise UncompletedJobError(f"Job 17_0 has not produced any output (state: {self.state})")
 
 
 def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -> None:
@@ -124,6 +130,41 @@ def test_jobs_that_never_began_are_failed_rows(pinn_run: PinnRun, monkeypatch) -
     table = pd.read_csv("sweep/jobs.csv")
     assert list(table["seed"]) == [0, 1]
     assert set(table["reason"]) == {"SLURM job 17_0 ended without a result, state CANCELLED by 0; 17_0_0_log.err"}
+
+
+@pytest.mark.parametrize(
+    ("state", "begun", "sent"),
+    [
+        ("OUT_OF_MEMORY", 2, [[0, 1, 2, 3], [2, 3]]),
+        ("OUT_OF_MEMORY", 4, [[0, 1, 2, 3]]),
+        ("NODE_FAIL", 0, [[0, 1, 2, 3]]),  # the task itself cannot run: nor could another one
+        ("CANCELLED by 0", 2, [[0, 1, 2, 3]]),
+        ("ENDED", 2, [[0, 1, 2, 3]]),  # forgotten by a cluster without accounts: perhaps it was cancelled
+    ],
+)
+def test_jobs_behind_a_killed_one_are_sent_again(state: str, begun: int, sent: list[list[int]], pinn_run, monkeypatch):
+    arrays: list[list[int]] = []
+
+    def submit(launcher: Any, batches: list[list[Any]]) -> list[SlurmJob]:
+        (batch,) = batches
+        arrays.append([job.number for job in batch])
+        if len(arrays) > 1:
+            return [SlurmJob("COMPLETED", [job.returned() for job in batch])]
+        Path("17_0_submitted.pkl").touch()
+        for job in batch[:begun]:
+            (job.directory / ".hydra").mkdir(parents=True)
+            (job.directory / ".hydra" / "overrides.yaml").write_text(f"- seed={job.number}\n")
+        return [SlurmJob(state)]
+
+    monkeypatch.setattr(SlurmLauncher, "_submit", submit)
+    sweep = ("hydra/launcher=slurm", "hydra.launcher.jobs_per_task=4", "hydra.sweep.dir=sweep", "seed=0,1,2,3")
+    done = pinn_run("--multirun", *SMALL, *sweep)
+    assert arrays == sent
+    again = sent[-1] if len(sent) > 1 else []
+    assert ("2 jobs were behind one that was killed" in done.err) is bool(again)
+    table = pd.read_csv("sweep/jobs.csv", keep_default_na=False).set_index("seed")
+    assert set(table.index[table["status"] == "failed"]) == {0, 1, 2, 3} - set(again)
+    assert table["reason"].str.contains(state).sum() == 4 - len(again)
 
 
 @pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])
