@@ -1,9 +1,10 @@
-"""What has become of tasks on a cluster that keeps no accounts: submitit asks `sacct`, and would wait for ever."""
+"""Tasks that are queued, and what became of others where no accounts are kept: submitit would ask `sacct` for ever."""
 
 from __future__ import annotations
 
 import getpass
 import subprocess
+from pathlib import Path
 
 from submitit import SlurmJob
 from submitit.slurm.slurm import SlurmInfoWatcher
@@ -31,8 +32,20 @@ class QueueWatcher(SlurmInfoWatcher):
 
 def learn_states_somehow() -> None:
     """Have submitit ask `squeue` if `sacct` does not answer."""
-    if not _has_accounting():
+    if not isinstance(SlurmJob.watcher, QueueWatcher) and not _has_accounting():
         SlurmJob.watcher = QueueWatcher(delay_s=60)
+
+
+def queued_tasks(folder: Path) -> list[str]:
+    """The names (`17_3`) of this user's tasks that are queued or run, of scripts in a folder; none without SLURM."""
+    listed = ["--noheader", "--array", "--states=PENDING,RUNNING,SUSPENDED", f"--user={getpass.getuser()}"]
+    command = ["squeue", *listed, "--format=%i|%o"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return []
+    tasks = (line.partition("|") for line in done.stdout.splitlines())
+    return [name for name, _, script in tasks if Path(script).parent == folder]
 
 
 def _has_accounting() -> bool:

@@ -1,8 +1,8 @@
 """`hydra/launcher=submitit_slurm` and `submitit_local`: Hydra's plugin, but no job that is lost takes others along.
 
 Beyond that, jobs that are finished are not sent again, several short ones can share a task, those behind one that is
-killed are sent again, and a task that is asked to make room (SIGUSR2) comes back once the step under way is done
-and its checkpoint written.
+killed are sent again, those that a launcher sent before it was killed are waited for, and a task that is asked to make
+room (SIGUSR2) comes back once the step under way is done and its checkpoint written.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import logging
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,13 @@ from hydra.core.utils import JobReturn
 from hydra_plugins.hydra_submitit_launcher import submitit_launcher as plugin
 from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
 from omegaconf import OmegaConf
-from submitit.core.utils import UncompletedJobError
+from submitit.core.utils import JobPaths, UncompletedJobError
 
 from pinn_cli.errors import InputError
 from pinn_cli.interruption import Interruption, warning, watched
 from pinn_cli.sweep.cores import at_once
 from pinn_cli.sweep.launched import Launched, to_launch
-from pinn_cli.sweep.slurm_states import FORGOTTEN
+from pinn_cli.sweep.slurm_states import FORGOTTEN, learn_states_somehow, queued_tasks
 
 log = logging.getLogger(__name__)
 
@@ -64,10 +65,12 @@ class _Launcher(plugin.BaseSubmititLauncher):
             What each job returned, in the same order; None for one that was lost.
         """
         left, returns = to_launch(self, job_overrides, initial_job_idx)
+        sent = self._sent_before(left, {tuple(job): initial_job_idx + n for n, job in enumerate(job_overrides)})
         while left:  # of what is sent, at least one job of each task returns something, or is lost
-            batches = self._batches(left)
-            returns |= _results(list(zip(self._submit(batches), batches, strict=True)))
-            left = [job for job in left if job.number not in returns]
+            under_way = {job.number for _, batch in sent for job in batch}
+            batches = self._batches([job for job in left if job.number not in under_way])
+            returns |= _results([*sent, *zip(self._submit(batches) if batches else [], batches, strict=True)])
+            left, sent = [job for job in left if job.number not in returns], []
             if left:
                 print(f"{len(left)} jobs were behind one that was killed: they are sent again", file=sys.stderr)
         return [returns[number] for number in sorted(returns)]
@@ -89,6 +92,10 @@ class _Launcher(plugin.BaseSubmititLauncher):
         except Interruption:  # what was put off to the end of a step: submitit, which had the signal before, requeues
             signal.raise_signal(signal.SIGUSR2)
             raise
+
+    def _sent_before(self, left: list[Launched], numbers: dict[tuple[str, ...], int]) -> list[Sent]:
+        """Tasks with jobs of those left that a launcher sent before it was killed; the jobs' numbers by overrides."""
+        return []
 
     def _batches(self, jobs: list[Launched]) -> list[list[Launched]]:
         return [jobs[start : start + self.jobs_per_task] for start in range(0, len(jobs), self.jobs_per_task)]
@@ -129,15 +136,40 @@ class SlurmLauncher(_Launcher):
 
     _EXECUTOR = "slurm"
 
-    def _executor(self) -> Any:
-        from pinn_cli.sweep.slurm_states import learn_states_somehow
+    def _sent_before(self, left: list[Launched], numbers: dict[tuple[str, ...], int]) -> list[Sent]:
+        if not left or not left[0].goes_on():
+            return []
+        learn_states_somehow()
+        folder, wanted = self.params["submitit_folder"], {job.number for job in left}
+        sent: list[Sent] = []
+        for name in queued_tasks(JobPaths.get_first_id_independent_folder(folder)):
+            task: Any = submitit.SlurmJob(folder, name)
+            jobs = _jobs_of(task)
+            if all(job in numbers for job in jobs) and any(numbers[job] in wanted for job in jobs):
+                sent.append((task, [Launched(self, list(job), numbers[job]) for job in jobs]))
+        for array in dict.fromkeys(_array(task) for task, _ in sent):
+            print(f"waiting for SLURM job {array}, sent before; scancel {array} cancels it", file=sys.stderr)
+        return sent
 
+    def _executor(self) -> Any:
         learn_states_somehow()
         return super()._executor()
 
     def _tell(self, jobs: int, tasks: list[Any]) -> None:
-        array = tasks[0].job_id.partition("_")[0]
+        array = _array(tasks[0])
         print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
+
+
+def _array(task: Any) -> str:
+    return str(task.job_id).partition("_")[0]
+
+
+def _jobs_of(task: Any) -> list[tuple[str, ...]]:
+    """The overrides of a task's jobs; none where it has ended."""
+    if not task.paths.result_pickle.exists():
+        with suppress(Exception):  # what cannot be read here, the task cannot read either
+            return [tuple(overrides) for overrides, *_ in task.submission().args[0]]
+    return []
 
 
 class LocalLauncher(_Launcher):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import time
 from collections import Counter
@@ -92,14 +93,18 @@ def test_twelve_jobs_survive_a_cancellation_a_requeue_and_the_death_of_their_lau
     sweep = (*LAUNCHER, *TINY, "seed=range(12)")
     launcher = cluster.start(*sweep)
     await_that(lambda: len(list(cluster.folder.glob("sweep/seed=*/run.json"))) >= 2)
-    first, second = cluster.tasks("RUNNING")[:2]
-    cluster.call("scancel", first)
-    cluster.call("scontrol", "requeue", second)
+    cancelled, requeued = cluster.tasks("RUNNING")[:2]
+    cluster.call("scancel", cancelled)
+    cluster.call("scontrol", "requeue", requeued)
     launcher.send_signal(signal.SIGKILL)
     assert launcher.wait() == -signal.SIGKILL
-    assert cluster.tasks()
+    array = cluster.tasks()[0].partition("_")[0]
 
     assert cluster.sweep(*sweep) == 0, cluster.said()
+    assert f"waiting for SLURM job {array}, sent before" in cluster.said()
+    first, *later = map(int, re.findall(r"(\d+) jobs as SLURM job", cluster.said()))
+    assert first == 12
+    assert sum(later) <= 2  # the cancelled one, and the other if it was just being requeued
     table = jobs(cluster)
     assert list(table.index) == list(range(12))
     assert set(table["status"]) == {"finished"}
@@ -107,8 +112,7 @@ def test_twelve_jobs_survive_a_cancellation_a_requeue_and_the_death_of_their_lau
     rows = Counter(fitness["seed"])
     assert sorted(rows) == list(range(12))
     assert len(set(rows.values())) == 1, rows
-    # The first launcher's tasks that were still queued are left to themselves: they find the jobs finished.
-    await_that(lambda: not cluster.tasks())
+    assert not cluster.tasks("PENDING")
     assert not list(cluster.folder.glob("sweep/*/run.lock"))
     assert sum(log(job(cluster, seed)).count("estimate:") for seed in range(12)) <= 14
 

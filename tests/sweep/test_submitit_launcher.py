@@ -167,6 +167,48 @@ def test_jobs_behind_a_killed_one_are_sent_again(state: str, begun: int, sent: l
     assert table["reason"].str.contains(state).sum() == 4 - len(again)
 
 
+@pytest.mark.parametrize(
+    ("resume", "sent"), [((), [[2], [3]]), (("resume=auto",), [[2], [3]]), (("resume=never",), [[0], [1], [2], [3]])]
+)
+def test_tasks_of_a_killed_launcher_are_waited_for(resume: tuple[str, ...], sent, pinn_run, tmp_path, monkeypatch):
+    """17_0 has jobs of this sweep; 17_1 has a result by now, 18 is another sweep's, 19 has a job not asked for."""
+    scripts = {"17_0": "sweep", "17_1": "sweep", "18": "other", "19": "sweep"}
+    listed = "\n".join(f"{task}|{tmp_path}/{place}/.submitit/.submission_file.sh" for task, place in scripts.items())
+    for name, answer in {"sacct": "exit 0", "squeue": f"echo '{listed}'"}.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
+    jobs_of = {"17_0": (0, 1), "17_1": (2,), "18": (3,), "19": (3, 4)}
+    (tmp_path / "17_1_0_result.pkl").touch()
+
+    def queued(folder: str, task: str) -> SlurmJob:
+        assert folder == "sweep/.submitit/%j"
+        calls = [([*SMALL, *resume, f"seed={seed}"], "hydra.sweep.dir", seed) for seed in jobs_of[task]]
+        job = SlurmJob("TIMEOUT")
+        job.job_id, job.submission = task, lambda: SimpleNamespace(args=(calls,))
+        job.paths.result_pickle = tmp_path / f"{task}_0_result.pkl"
+        return job
+
+    arrays: list[list[int]] = []
+
+    def submit(launcher: Any, batches: list[list[Any]]) -> list[SlurmJob]:
+        arrays.extend([job.number for job in batch] for batch in batches)
+        return [SlurmJob("COMPLETED", [job.returned() for job in batch]) for batch in batches]
+
+    monkeypatch.setattr(submitit_launcher.submitit, "SlurmJob", queued)
+    monkeypatch.setattr(SlurmLauncher, "_submit", submit)
+    sweep = ("hydra/launcher=slurm", "hydra.sweep.dir=sweep", "seed=0,1,2,3")
+    done = pinn_run("--multirun", *SMALL, *resume, *sweep)
+    assert arrays == sent
+    waits = len(sent) < 4
+    assert ("waiting for SLURM job 17, sent before; scancel 17 cancels it\n" in done.err) is waits
+    assert done.status == int(waits)
+    if waits:
+        table = pd.read_csv("sweep/jobs.csv", keep_default_na=False).set_index("seed")
+        assert list(table["status"]) == ["failed", "failed", "not started", "not started"]
+        assert table["reason"].str.startswith("SLURM job 17_0 ended without a result, state TIMEOUT").sum() == 2
+
+
 @pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])
 def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, pinn_run, tmp_path, monkeypatch) -> None:
     programs = tmp_path / "bin"
