@@ -117,6 +117,9 @@ class _Launcher(plugin.BaseSubmititLauncher):
         executor = submitit.AutoExecutor(cluster=self._EXECUTOR, **init)
         shared = set(OmegaConf.structured(BaseQueueConf).keys())
         given = {name: value for name, value in self.params.items() if name not in _OF_EXECUTOR}
+        if given.get("additional_parameters"):  # submitit knows no option of sbatch that is not to be given
+            more = given["additional_parameters"].items()
+            given["additional_parameters"] = {name: value for name, value in more if value not in (None, False)}
         executor.update_parameters(**{n if n in shared else f"{self._EXECUTOR}_{n}": v for n, v in given.items()})
         return executor
 

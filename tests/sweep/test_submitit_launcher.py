@@ -225,19 +225,49 @@ def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, p
     assert not (tmp_path / "sweep").exists()
 
 
+STATES = {
+    "17_0": ("RUNNING", False),
+    "17_1": ("CANCELLED by 0", True),
+    "17_2": ("PREEMPTED", True),
+    "17_3": ("PREEMPTED", False),  # and on its way back into the queue
+    "17_4": ("SUSPENDED", False),
+    "17_5": ("CONFIGURING", False),
+    "17_6": ("PENDING", False),
+    "17_7": ("OUT_OF_MEMORY", True),
+}
+
+
 @pytest.mark.parametrize("accounts", [True, False])
-def test_states_of_tasks_without_accounting(accounts: bool, tmp_path: Path, monkeypatch) -> None:
-    listed = "17_0|RUNNING\n17_1|CANCELLED\n17_3|PENDING"
-    for name, answer in {"sacct": f"exit {0 if accounts else 1}", "squeue": f"echo '{listed}'"}.items():
+def test_states_of_tasks(accounts: bool, tmp_path: Path, monkeypatch) -> None:
+    states = {task: state for task, (state, _) in STATES.items()}
+    told = "\n".join(["JobID|State|NodeList", *(f"{task}|{state}|vm" for task, state in states.items())])
+    listed = "\n".join(f"{task}|{state.split()[0]}" for task, state in states.items())
+    programs = {
+        "sacct": f"echo '{told}'" if accounts else "exit 1",
+        "squeue": f"case \"$*\" in *states=all*) echo '{listed}';; *) echo 17_3; echo 17_6;; esac",
+    }
+    for name, answer in programs.items():
         (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
         (tmp_path / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
     learn_states_somehow()
     assert isinstance(SubmititJob.watcher, QueueWatcher) is not accounts
+    tasks = [SubmititJob(tmp_path, task) for task in STATES]
+    assert [task.done() for task in tasks] == [done for _, done in STATES.values()]
+    assert [task.state.split()[0] for task in tasks] == [state.split()[0] for state in states.values()]
     if not accounts:
-        tasks = [SubmititJob(tmp_path, f"17_{number}") for number in range(4)]
-        assert [task.state for task in tasks] == ["RUNNING", "CANCELLED", "ENDED", "PENDING"]
-        assert [task.done() for task in tasks] == [False, True, True, False]
+        assert SubmititJob(tmp_path, "17_8").state == "ENDED"
+    (tmp_path / "squeue").write_text("#!/bin/sh\nexit 1\n")
+    assert not SubmititJob.watcher.is_done("17_2", mode="cache")  # nobody knows whether it comes back
+
+
+def test_an_option_of_sbatch_can_be_left_out(monkeypatch) -> None:
+    given: dict[str, Any] = {}
+    executor = SimpleNamespace(update_parameters=given.update)
+    monkeypatch.setattr(submitit_launcher.submitit, "AutoExecutor", lambda **init: executor)
+    monkeypatch.setattr(submitit_launcher, "learn_states_somehow", lambda: None)
+    SlurmLauncher(submitit_folder="x", additional_parameters={"requeue": False, "mail-type": "END"})._executor()
+    assert given == {"slurm_additional_parameters": {"mail-type": "END"}}
 
 
 @pytest.mark.slow
