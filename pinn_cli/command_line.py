@@ -34,6 +34,7 @@ from pinn_cli import run_directories
 from pinn_cli.command_options import read_options
 from pinn_cli.errors import DivergenceError, InputError
 from pinn_cli.interruption import Interruption, watched
+from pinn_cli.memory import of_this_machine, ran_out
 from pinn_cli.override_errors import explain
 from pinn_cli.resume import StoredRun, going_on, resume_command
 from pinn_cli.run_lock import held
@@ -79,7 +80,10 @@ class Jobs:
     def _alone(self, config: DictConfig, directory: Path) -> float | None:
         try:
             return self.task(config if self.stored is None else self.stored.configuration(config))
-        except (InputError, DivergenceError) as error:
+        except Exception as raised:
+            error = _told(raised)
+            if not isinstance(error, InputError | DivergenceError):
+                raise
             if isinstance(error, InputError):
                 self.unusable.append(directory)
             log.info("%s", error)
@@ -91,7 +95,7 @@ class Jobs:
         try:
             return self.task(going_on(config))
         except Exception as error:
-            kept = failure.Failure.of(error)
+            kept = failure.Failure.of(_told(error))
             log.info("%s", kept.traceback if kept.status == failure.DEFECT else kept.reason)
             kept.write(directory)
             return None
@@ -208,6 +212,15 @@ def _collect(jobs: Jobs) -> None:
         jobs.status = max(jobs.status, collection.exit_status)
     print(collection.text())
     print(sweep.directory)
+
+
+def _told(error: Exception) -> Exception:
+    """The same error, or where memory ran out what a user is told."""
+    if not ran_out(error):
+        return error
+    given = " ".join(HydraConfig.get().overrides.task) or "(none)"
+    allowed = f"such that the run fits into memory; this machine has {of_this_machine() / 2**30:.3g} GiB"
+    return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
 
 
 def scored(result: float | None) -> float | None:

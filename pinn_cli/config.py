@@ -56,6 +56,9 @@ NODES = (
 # Where the file of a training, a user's own perhaps, does not say.
 CHECKPOINT_EVERY_S = 30.0
 
+# More than any machine has cores; libraries set memory aside for each.
+MOST_THREADS = 1024
+
 # Read by the linear algebra libraries when they are first loaded, which is after this module.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -205,14 +208,11 @@ def _case(config: DictConfig) -> str:
 
 
 def _seed(config: DictConfig) -> int:
-    seed = whole_number("seed", config.seed)
-    if seed >= 2**32:
-        raise InputError("seed", seed, f"a whole number below {2**32}")
-    return seed
+    return whole_number("seed", config.seed, most=2**32 - 1)
 
 
 def _threads(config: DictConfig) -> int:
-    return whole_number("threads", config.threads, least=1)
+    return whole_number("threads", config.threads, least=1, most=MOST_THREADS)
 
 
 def _device(config: DictConfig) -> str:
@@ -266,6 +266,7 @@ def _chain(node: DictConfig) -> Chain:
 def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int, base: Path | None) -> Source:
     from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
+    from pinn_cli.record.size import check_size
 
     if config.data.get("kind") != "simulated":
         measured = build(config.data, "data", base=base)
@@ -275,6 +276,7 @@ def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int
         return Source(lambda true: measured.measure(true.ndof), simulated=False, snr_db=None)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
+    check_size(simulation, chain, noise.repeats)
     span = {"ndof": chain.ndof, "duration": simulation.duration, "samples": simulation.samples}
     excitation = build(config.excitation, "excitation", **span)
     simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)

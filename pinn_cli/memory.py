@@ -1,10 +1,11 @@
-"""How memory is handed out and taken back, by the C library and by Python. Nothing slow is imported here."""
+"""How much memory there is, and how the C library and Python take it back. Nothing slow is imported here."""
 
 from __future__ import annotations
 
 import atexit
 import ctypes
 import gc
+import os
 import sys
 from functools import cache
 
@@ -12,6 +13,21 @@ from functools import cache
 # memory at the end of the heap is kept.
 _M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -3, -1
 _LARGEST_BLOCK, _KEPT = 32 * 2**20, 2**31 - 1
+# Where the system does not tell, bytes.
+_UNTOLD = 2**40
+
+
+def of_this_machine() -> int:
+    """All its memory, bytes."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return _UNTOLD
+
+
+def ran_out(error: BaseException) -> bool:
+    """Whether an exception says that there is no memory left: torch has none of its own for that on the CPU."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
 
 
 def keep_freed_memory() -> None:

@@ -28,6 +28,8 @@ EMBEDDED_INPUT = 0.001
 # Times that and over that in a network which is solved for all its weights: with 1 it takes three times as many steps,
 # with 30 a step reaches the loss that it promises. A gradient method would not get along with such unequal scales.
 LINEAR_GAIN = 30.0
+# The list of layers takes memory before anything else does.
+MOST_LAYERS = 1000
 # Units of a hidden layer by default: motions of many DOFs do not pass through few units.
 LEAST_WIDTH, UNITS_PER_DOF = 20, 3
 
@@ -179,7 +181,7 @@ class Mlp(NetworkDesign):
         continuity: Continuity = "penalised",
         embedding: EmbeddingName = "none",
     ) -> None:
-        self.depth = whole_number("network.depth", depth, least=1)
+        self.depth = whole_number("network.depth", depth, least=1, most=MOST_LAYERS)
         self.width = None if width is None else whole_number("network.width", width, least=1)
         self.activation = one_of("network.activation", activation, tuple(ACTIVATIONS))
         if continuity not in ("exact", "penalised"):

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # R-hat compares the halves of every chain, each by its variance.
 FEWEST_DRAWS = 4
+# Each is a sampler with a state of its own.
+MOST_CHAINS = 1000
 
 
 class Sampled(Posterior):
@@ -34,7 +36,7 @@ class Sampled(Posterior):
     """
 
     def __init__(self, chains: int = 4, warmup: int = 1000, draws: int = 1000, target_accept: float = 0.8) -> None:
-        self.chains = whole_number("posterior.chains", chains, least=1)
+        self.chains = whole_number("posterior.chains", chains, least=1, most=MOST_CHAINS)
         self.warmup = whole_number("posterior.warmup", warmup, least=1)
         self.draws = whole_number("posterior.draws", draws, least=FEWEST_DRAWS)
         self.target_accept = fraction("posterior.target_accept", target_accept, "0.8 is usual")

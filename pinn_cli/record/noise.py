@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number, one_of, whole_number
+from pinn_cli.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.record.repeats import Repeats, averaged
 
 STREAMS = ("independent", "shared")
+# Noise of 1e-15 times the signal, which is the last digit of a number.
+LARGEST_SNR_DB = 300
 # Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
 REPEAT_STRIDE = 1000
 
@@ -44,14 +46,15 @@ class Noise:
     repeat_streams: str = "independent"
 
     def __post_init__(self) -> None:
-        if self.snr_db is not None and not is_finite_number(self.snr_db):
-            raise InputError("noise.snr_db", self.snr_db, "a finite number of dB, or null for no noise")
+        if self.snr_db is not None and not (is_finite_number(self.snr_db) and abs(self.snr_db) <= LARGEST_SNR_DB):
+            allowed = f"a number of dB between -{LARGEST_SNR_DB} and {LARGEST_SNR_DB}, or null for no noise"
+            raise InputError("noise.snr_db", self.snr_db, allowed)
         whole_number("seed", self.seed)
         if self.seeds is not None:
             if not isinstance(self.seeds, Mapping) or set(self.seeds) != set(QUANTITIES):
                 raise InputError("noise.seeds", self.seeds, f"null or one seed for each of {', '.join(QUANTITIES)}")
             for quantity, seed in self.seeds.items():
-                whole_number(f"noise.seeds.{quantity}", seed)
+                whole_number(f"noise.seeds.{quantity}", seed, most=LARGEST_LEGACY_SEED)
 
         whole_number("noise.repeats", self.repeats, least=1)
         one_of("noise.repeat_streams", self.repeat_streams, STREAMS)

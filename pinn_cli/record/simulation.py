@@ -46,7 +46,7 @@ class OverflowsError(InputError):
 
     def __init__(self, time: float, samples: int, nonlinearity: str) -> None:
         self.time, self.nonlinearity = time, nonlinearity
-        why = f"the step is too long for this chain, or its {nonlinearity} nonlinearity makes it unstable"
+        why = f"the step is too long for this chain and force, or its {nonlinearity} nonlinearity makes it unstable"
         hint = f"the response overflows at {time:.4g} s: {why}"
         super().__init__("simulation.samples", samples, "enough for a bounded response", hint)
 

@@ -10,15 +10,19 @@ from pinn_cli.legal_values import is_finite_number
 from pinn_cli.scheme.problem import UncertainParameter
 from pinn_cli.system.chain import Chain
 
+# Of a standard deviation over the value: beyond it nothing is believed, and sums lose their last digits.
+LARGEST_UNCERTAINTY = 1000
+
 
 def checked_uncertainty(value: Any) -> float:
     """``scheme.parameter_uncertainty`` as a number.
 
     Raises:
-        InputError: It is none, or negative.
+        InputError: It is none, negative, or so large that nothing is believed.
     """
-    if not is_finite_number(value) or value < 0:
-        raise InputError("scheme.parameter_uncertainty", value, "a number >= 0", "0 holds the parameters fixed")
+    if not is_finite_number(value) or not 0 <= value <= LARGEST_UNCERTAINTY:
+        allowed = f"a number between 0 and {LARGEST_UNCERTAINTY}"
+        raise InputError("scheme.parameter_uncertainty", value, allowed, "0 holds the parameters fixed")
     return float(value)
 
 

@@ -92,18 +92,24 @@ class Launched:
         """Where it lies, or will."""
         return Path(str(self.config.hydra.sweep.dir)) / str(self.config.hydra.sweep.subdir)
 
+    def goes_on(self) -> bool:
+        """Whether it takes up what lies in its directory, as against `resume=never`."""
+        HydraConfig.instance().set_config(self.config)
+        return asked_to_resume(going_on(self._task()), self.directory)
+
     def finished(self) -> bool:
         """Whether it need not be sent anywhere, since all its results lie there."""
-        HydraConfig.instance().set_config(self.config)
-        task = self._task()
-        return asked_to_resume(going_on(task), self.directory) and is_finished(self.directory, task, Path.cwd())
+        return self.goes_on() and is_finished(self.directory, self._task(), Path.cwd())
+
+    def begun_since(self, moment: float) -> bool:
+        """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
+        with suppress(OSError):  # not begun at all
+            return (self.directory / OVERRIDES).stat().st_mtime >= moment
+        return False
 
     def under_way_since(self, moment: float) -> bool:
         """Whether it was begun after that moment, seconds since the epoch, and has not ended."""
-        with suppress(OSError):  # not begun
-            if (self.directory / OVERRIDES).stat().st_mtime >= moment - 1.0:
-                return Job.read(self.directory, self.overrides).status == UNFINISHED
-        return False
+        return self.begun_since(moment - 1.0) and Job.read(self.directory, self.overrides).status == UNFINISHED
 
     def returned(self, value: float | None = None) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for."""

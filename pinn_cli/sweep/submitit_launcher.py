@@ -1,7 +1,8 @@
 """`hydra/launcher=submitit_slurm` and `submitit_local`: Hydra's plugin, but no job that is lost takes others along.
 
-Beyond that, jobs that are finished are not sent again, several short ones can share a task, and a task that is asked to
-make room (SIGUSR2) comes back once the step under way is done and its checkpoint written.
+Beyond that, jobs that are finished are not sent again, several short ones can share a task, those behind one that is
+killed are sent again, those that a launcher sent before it was killed are waited for, and a task that is asked to make
+room (SIGUSR2) comes back once the step under way is done and its checkpoint written.
 """
 
 from __future__ import annotations
@@ -10,24 +11,33 @@ import logging
 import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import submitit
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
 from hydra_plugins.hydra_submitit_launcher import submitit_launcher as plugin
 from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
 from omegaconf import OmegaConf
+from submitit.core.utils import JobPaths, UncompletedJobError
 
 from pinn_cli.errors import InputError
 from pinn_cli.interruption import Interruption, warning, watched
 from pinn_cli.sweep.cores import at_once
 from pinn_cli.sweep.launched import Launched, to_launch
+from pinn_cli.sweep.slurm_states import FORGOTTEN, learn_states_somehow, queued_tasks
 
 log = logging.getLogger(__name__)
 
 # Of the executor itself, rather than of its jobs.
 _OF_EXECUTOR = ("submitit_folder", "max_num_timeout")
+# States of a task that somebody ended on purpose, or may have: nobody knows any more.
+_ON_PURPOSE = ("CANCELLED", FORGOTTEN)
+
+# A task and its jobs, in the order in which it runs them.
+Sent = tuple[Any, list[Launched]]
 
 
 class _Launcher(plugin.BaseSubmititLauncher):
@@ -54,11 +64,15 @@ class _Launcher(plugin.BaseSubmititLauncher):
         Returns:
             What each job returned, in the same order; None for one that was lost.
         """
-        jobs, returns = to_launch(self, job_overrides, initial_job_idx)
-        batches = self._batches(jobs)
-        tasks = self._submit(batches)
-        for place, (batch, task) in enumerate(zip(batches, tasks, strict=True)):
-            returns.update(zip((job.number for job in batch), _results(task, batch, tasks[place + 1 :]), strict=True))
+        left, returns = to_launch(self, job_overrides, initial_job_idx)
+        sent = self._sent_before(left, {tuple(job): initial_job_idx + n for n, job in enumerate(job_overrides)})
+        while left:  # of what is sent, at least one job of each task returns something, or is lost
+            under_way = {job.number for _, batch in sent for job in batch}
+            batches = self._batches([job for job in left if job.number not in under_way])
+            returns |= _results([*sent, *zip(self._submit(batches) if batches else [], batches, strict=True)])
+            left, sent = [job for job in left if job.number not in returns], []
+            if left:
+                print(f"{len(left)} jobs were behind one that was killed: they are sent again", file=sys.stderr)
         return [returns[number] for number in sorted(returns)]
 
     def __call__(self, batch: Sequence[tuple[Any, ...]]) -> list[JobReturn]:
@@ -79,32 +93,33 @@ class _Launcher(plugin.BaseSubmititLauncher):
             signal.raise_signal(signal.SIGUSR2)
             raise
 
+    def _sent_before(self, left: list[Launched], numbers: dict[tuple[str, ...], int]) -> list[Sent]:
+        """Tasks with jobs of those left that a launcher sent before it was killed; the jobs' numbers by overrides."""
+        return []
+
     def _batches(self, jobs: list[Launched]) -> list[list[Launched]]:
         return [jobs[start : start + self.jobs_per_task] for start in range(0, len(jobs), self.jobs_per_task)]
 
     def _submit(self, batches: list[list[Launched]]) -> list[Any]:
-        if not batches:
-            return []
-        from submitit.core.utils import FailedJobError, FailedSubmissionError
-
         try:
             executor = self._executor()
             tasks = executor.map_array(self, self._calls(batches))
-        except (RuntimeError, FailedJobError, FailedSubmissionError) as error:  # there is no SLURM, or it refuses
+        except RuntimeError as error:  # there is no SLURM, or it refuses
             hint = " ".join(str(error).split())
             raise InputError("hydra/launcher", self._EXECUTOR, "one that takes these jobs", hint) from error
         self._tell(sum(map(len, batches)), tasks)
         return list(tasks)
 
     def _executor(self) -> Any:
-        import submitit
-
         init = {"folder": self.params["submitit_folder"]}
         if "max_num_timeout" in self.params:
             init[f"{self._EXECUTOR}_max_num_timeout"] = self.params["max_num_timeout"]
         executor = submitit.AutoExecutor(cluster=self._EXECUTOR, **init)
         shared = set(OmegaConf.structured(BaseQueueConf).keys())
         given = {name: value for name, value in self.params.items() if name not in _OF_EXECUTOR}
+        if given.get("additional_parameters"):  # submitit knows no option of sbatch that is not to be given
+            more = given["additional_parameters"].items()
+            given["additional_parameters"] = {name: value for name, value in more if value not in (None, False)}
         executor.update_parameters(**{n if n in shared else f"{self._EXECUTOR}_{n}": v for n, v in given.items()})
         return executor
 
@@ -124,15 +139,40 @@ class SlurmLauncher(_Launcher):
 
     _EXECUTOR = "slurm"
 
-    def _executor(self) -> Any:
-        from pinn_cli.sweep.slurm_states import learn_states_somehow
+    def _sent_before(self, left: list[Launched], numbers: dict[tuple[str, ...], int]) -> list[Sent]:
+        if not left or not left[0].goes_on():
+            return []
+        learn_states_somehow()
+        folder, wanted = self.params["submitit_folder"], {job.number for job in left}
+        sent: list[Sent] = []
+        for name in queued_tasks(JobPaths.get_first_id_independent_folder(folder)):
+            task: Any = submitit.SlurmJob(folder, name)
+            jobs = _jobs_of(task)
+            if all(job in numbers for job in jobs) and any(numbers[job] in wanted for job in jobs):
+                sent.append((task, [Launched(self, list(job), numbers[job]) for job in jobs]))
+        for array in dict.fromkeys(_array(task) for task, _ in sent):
+            print(f"waiting for SLURM job {array}, sent before; scancel {array} cancels it", file=sys.stderr)
+        return sent
 
+    def _executor(self) -> Any:
         learn_states_somehow()
         return super()._executor()
 
     def _tell(self, jobs: int, tasks: list[Any]) -> None:
-        array = tasks[0].job_id.partition("_")[0]
+        array = _array(tasks[0])
         print(f"{jobs} jobs as SLURM job {array} of {len(tasks)} tasks; scancel {array} cancels it", file=sys.stderr)
+
+
+def _array(task: Any) -> str:
+    return str(task.job_id).partition("_")[0]
+
+
+def _jobs_of(task: Any) -> list[tuple[str, ...]]:
+    """The overrides of a task's jobs; none where it has ended."""
+    if not task.paths.result_pickle.exists():
+        with suppress(Exception):  # what cannot be read here, the task cannot read either
+            return [tuple(overrides) for overrides, *_ in task.submission().args[0]]
+    return []
 
 
 class LocalLauncher(_Launcher):
@@ -151,20 +191,47 @@ class LocalLauncher(_Launcher):
         return [jobs[start::tasks] for start in range(min(tasks, len(jobs)))]
 
 
-def _results(task: Any, batch: list[Launched], others: list[Any]) -> list[JobReturn]:
-    """What a task's jobs returned, once it has ended; `others` are those to be asked after it."""
-    from submitit.core.utils import FailedJobError, UncompletedJobError
+def _results(sent: list[Sent]) -> dict[int, JobReturn]:
+    """What jobs returned, by their numbers, once their tasks have ended; nothing for those to be sent again."""
+    returns: dict[int, JobReturn] = {}
+    behind: list[tuple[Launched, str]] = []
+    cancelled = False
+    for place, (task, batch) in enumerate(sent):
+        returned, reason = _outcome(task, sent[place + 1 :])
+        if not reason:
+            returns.update(zip((job.number for job in batch), returned, strict=True))
+            continue
+        cancelled |= task.state.startswith(_ON_PURPOSE)
+        spared = _never_begun(task, batch)
+        behind += [(job, reason) for job in spared]
+        returns |= {job.number: job.lost(reason) for job in batch if job not in spared}
+    if cancelled:  # one task or the whole array, which its states do not tell: either way nothing is to come back
+        returns |= {job.number: job.lost(reason) for job, reason in behind}
+    return returns
 
+
+def _outcome(task: Any, others: list[Sent]) -> tuple[list[JobReturn], str]:
+    """What a task's jobs returned, once it has ended, or why it was lost; `others` are to be asked after it."""
     task.wait()
-    ended = [] if task.paths.result_pickle.exists() else [other for other in others if other.done()]
+    ended = [] if task.paths.result_pickle.exists() else [other for other, _ in others if other.done()]
     try:
-        return list(task.results()[0])
-    except (UncompletedJobError, FailedJobError) as error:
+        return list(task.results()[0]), ""
+    except UncompletedJobError as error:
         # submitit gives a slow file system 15 s to show the result of a task that has ended: once, not for each of the
         # hundreds of an array that was cancelled.
         for other in ended:
             other._results_timeout_s = 0
-        return [job.lost(_reason(task, error)) for job in batch]
+        return [], _reason(task, error)
+
+
+def _never_begun(task: Any, batch: list[Launched]) -> list[Launched]:
+    """The jobs behind the one that was under way when their task was lost; none if it began none at all."""
+    submission = task.paths.submitted_pickle
+    if not submission.is_file():
+        return []
+    sent = submission.stat().st_mtime  # by the clock of the file system that has the jobs' files too
+    behind = [job for job in batch if not job.begun_since(sent)]
+    return behind if len(behind) < len(batch) else []
 
 
 def _reason(task: Any, error: Exception) -> str:

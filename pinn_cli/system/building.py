@@ -8,13 +8,16 @@ import numpy as np
 import torch
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, is_finite_number, whole_number
+from pinn_cli.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
 from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pinn_cli.system.nonlinearity.base import Nonlinearity
+
+# The list of a parameter's values takes memory before anything else does.
+MOST_DOFS = 10**5
 
 
 def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float]) -> Chain:
@@ -29,7 +32,7 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
         InputError: Naming ``system.<parameter>``: ndof is no positive integer; a parameter is missing, unknown, of the
             wrong length, not finite or of a sign that makes no sense.
     """
-    ndof = whole_number("system.ndof", ndof, least=1)
+    ndof = whole_number("system.ndof", ndof, least=1, most=MOST_DOFS)
     names = (*LINEAR_PARAMETERS, *nonlinearity.parameters)
     for name, value in parameters.items():
         if name not in names:
@@ -48,6 +51,9 @@ def _per_connection(name: str, value: Any, ndof: int) -> list[float]:
     numbers = [value] * ndof if is_finite_number(value) else entries(value)
     if not numbers or not all(is_finite_number(number) for number in numbers):
         raise InputError(f"system.{name}", value, f"a finite number or a list of {ndof} finite numbers")
+    for number in numbers:
+        if not is_usable_number(number):
+            raise InputError(f"system.{name}", number, f"0 or {USABLE}")
     if len(numbers) != ndof:
         allowed = f"a number or a list of {ndof} numbers (system.ndof={ndof})"
         raise InputError(f"system.{name}", list(numbers), allowed, f"it has {len(numbers)}")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import os
+import re
 import signal
 import time
 from collections import Counter
@@ -71,18 +74,37 @@ def test_preempted_and_requeued_jobs_go_on_and_a_cancelled_one_takes_no_other_al
         assert_same_numbers(cluster.folder / "alone" / job(cluster, seed).name, job(cluster, seed))
 
 
+def test_jobs_behind_a_killed_one_of_the_same_task_run_all_the_same(cluster: Cluster) -> None:
+    sweep = (*LAUNCHER, *LONGER, "hydra.launcher.jobs_per_task=4", "seed=range(4)")
+    launcher = cluster.start(*sweep)
+    await_that(lambda: bool(list(cluster.folder.glob("sweep/seed=1_*/checkpoint.previous.pt"))))
+    os.kill(json.loads((job(cluster, 1) / "run.lock").read_text())["pid"], signal.SIGKILL)
+    assert launcher.wait() == 1, cluster.said()
+    assert "2 jobs were behind one that was killed" in cluster.said()
+    table = jobs(cluster)
+    assert list(table["status"]) == ["finished", "failed", "finished", "finished"]
+    assert "state FAILED" in table["reason"][1]
+    assert cluster.sweep(*sweep) == 0, cluster.said()
+    assert [log(job(cluster, seed)).count("estimate:") for seed in range(4)] == [1, 1, 1, 1]
+    assert "going on from the checkpoint" in log(job(cluster, 1))
+
+
 def test_twelve_jobs_survive_a_cancellation_a_requeue_and_the_death_of_their_launcher(cluster: Cluster) -> None:
     sweep = (*LAUNCHER, *TINY, "seed=range(12)")
     launcher = cluster.start(*sweep)
     await_that(lambda: len(list(cluster.folder.glob("sweep/seed=*/run.json"))) >= 2)
-    first, second = cluster.tasks("RUNNING")[:2]
-    cluster.call("scancel", first)
-    cluster.call("scontrol", "requeue", second)
+    cancelled, requeued = cluster.tasks("RUNNING")[:2]
+    cluster.call("scancel", cancelled)
+    cluster.call("scontrol", "requeue", requeued)
     launcher.send_signal(signal.SIGKILL)
     assert launcher.wait() == -signal.SIGKILL
-    assert cluster.tasks()
+    array = cluster.tasks()[0].partition("_")[0]
 
     assert cluster.sweep(*sweep) == 0, cluster.said()
+    assert f"waiting for SLURM job {array}, sent before" in cluster.said()
+    first, *later = map(int, re.findall(r"(\d+) jobs as SLURM job", cluster.said()))
+    assert first == 12
+    assert sum(later) <= 2  # the cancelled one, and the other if it was just being requeued
     table = jobs(cluster)
     assert list(table.index) == list(range(12))
     assert set(table["status"]) == {"finished"}
@@ -90,19 +112,19 @@ def test_twelve_jobs_survive_a_cancellation_a_requeue_and_the_death_of_their_lau
     rows = Counter(fitness["seed"])
     assert sorted(rows) == list(range(12))
     assert len(set(rows.values())) == 1, rows
-    # The first launcher's tasks that were still queued are left to themselves: they find the jobs finished.
-    await_that(lambda: not cluster.tasks())
+    assert not cluster.tasks("PENDING")
     assert not list(cluster.folder.glob("sweep/*/run.lock"))
     assert sum(log(job(cluster, seed)).count("estimate:") for seed in range(12)) <= 14
 
 
 def test_a_cancelled_array_is_known_soon_and_runs_again(cluster: Cluster) -> None:
-    launcher = cluster.start(*LAUNCHER, *TINY, "seed=range(8)")
+    launcher = cluster.start(*LAUNCHER, "hydra.launcher.jobs_per_task=2", *TINY, "seed=range(8)")
     await_that(lambda: len(list(cluster.folder.glob("sweep/seed=*/pinn-run.log"))) >= 1)
     start = time.monotonic()
     cluster.call("scancel", cluster.tasks()[0].partition("_")[0])
     assert launcher.wait() == 1, cluster.said()
     assert time.monotonic() - start < 90.0
+    assert "sent again" not in cluster.said()
     table = jobs(cluster)
     assert len(table) == 8
     assert set(table["status"]) <= {"failed", "finished"}

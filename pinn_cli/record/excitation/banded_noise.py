@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import one_of, positive_number, whole_number
+from pinn_cli.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, one_of, positive_number, whole_number
 from pinn_cli.record.excitation.base import Excitation, checked_band
 
 if TYPE_CHECKING:
@@ -53,8 +53,9 @@ class BandedNoise(Excitation):
     ) -> None:
         super().__init__(ndof, duration, samples, dofs)
         self.band = checked_band(band, self.nyquist)
-        self.seed = whole_number("excitation.seed", seed)
         self.phases = one_of("excitation.phases", phases, PHASES)
+        most = LARGEST_LEGACY_SEED if phases == "authors" else LARGEST_WHOLE
+        self.seed = whole_number("excitation.seed", seed, most=most)
         self.period = self.duration * (samples / (samples - 1) if phases == "authors" else 1.0)
         self.bins = self._bins_in_band()
         self.amplitude = self._amplitude(rms)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, is_finite_number, is_whole_number, positive_number, whole_number
+from pinn_cli.legal_values import USABLE, entries, is_usable_number, is_whole_number, positive_number, whole_number
 from pinn_cli.record.record import MINIMUM_SAMPLES, dof_mask
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ class Excitation(ABC):
 def checked_band(band: Sequence[float], nyquist: float) -> tuple[float, float]:
     """The band as (low, high) in Hz, 0 <= low < high <= nyquist, or an InputError naming ``excitation.band``."""
     pair = entries(band)
-    if len(pair) != 2 or not all(is_finite_number(x) for x in pair) or not 0 <= pair[0] < pair[1]:
-        raise InputError("excitation.band", band, "[low, high] in Hz with 0 <= low < high")
+    if len(pair) != 2 or not all(is_usable_number(x) for x in pair) or not 0 <= pair[0] < pair[1]:
+        raise InputError("excitation.band", band, f"[low, high] in Hz with 0 <= low < high, 0 or {USABLE}")
     if pair[1] > nyquist:
         allowed = f"at most the Nyquist frequency of the record, {nyquist:.4g} Hz"
         raise InputError("excitation.band", band, allowed, "take more simulation.samples or a lower band")

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, is_finite_number, one_of, whole_number
+from pinn_cli.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, entries, is_finite_number, one_of, whole_number
 from pinn_cli.system.model_error.base import ModelError
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.chain import Chain
 
 DRAWS = ("independent", "authors")
+# So that the seeds of a thousand connections are still seeds.
+MOST_STRIDE = 10**6
 
 
 class PerturbedModelError(ModelError):
@@ -42,10 +44,11 @@ class PerturbedModelError(ModelError):
     def __init__(
         self, seed: int = 0, bounds: Sequence[float] = (0.05, 0.10), draws: str = "independent", seed_stride: int = 1
     ) -> None:
-        self.seed = whole_number("model_error.seed", seed)
         self.low, self.high = _checked_bounds(bounds)
         self.draws = one_of("model_error.draws", draws, DRAWS)
-        self.seed_stride = whole_number("model_error.seed_stride", seed_stride)
+        most = LARGEST_LEGACY_SEED if draws == "authors" else LARGEST_WHOLE
+        self.seed = whole_number("model_error.seed", seed, most=most)
+        self.seed_stride = whole_number("model_error.seed_stride", seed_stride, most=MOST_STRIDE)
 
     def chains(self, nominal: Chain) -> tuple[Chain, Chain]:
         """See :meth:`ModelError.chains`."""

@@ -1,0 +1,84 @@
+"""Numbers on the command line that no run can use: one line with the setting and what is allowed, and no files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from calls import PinnRun
+
+from pinn_cli.errors import InputError
+from pinn_cli.memory import ran_out
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.record.size import MOST_STEPS, check_size
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.nonlinearity import Linear
+
+SIZE = "between 1e-30 and 1e+30 in size"
+SETTINGS = {
+    "noise.snr_db=-1e9": "noise.snr_db=-1000000000.0: must be a number of dB between -300 and 300, or null for no ",
+    "noise.snr_db=1e9": "noise.snr_db=1000000000.0: must be a number of dB between -300 and 300, or null for no ",
+    "noise.repeats=1000000000": "noise.repeats=1000000000: must be at most ",
+    "simulation.duration=1e300": f"simulation.duration=1e+300: must be a finite number > 0, {SIZE}",
+    "simulation.duration=1e-300": f"simulation.duration=1e-300: must be a finite number > 0, {SIZE}",
+    "simulation.samples=3": "simulation.samples=3: must be a whole number >= 16",
+    "simulation.samples=1000000000": "simulation.samples=1000000000: must be at most ",
+    f"simulation.samples=1{'0' * 400}": f"simulation.samples=1{'0' * 400}: must be a whole number <= {2**63 - 1}",
+    "system.ndof=1000000000": "system.ndof=1000000000: must be a whole number <= 100000",
+    "system.ndof=100000": "simulation.samples=4096: must be at most ",
+    "system.k=1e300": f"system.k=1e+300: must be 0 or {SIZE}",
+    f"system.k=1{'0' * 400}": f"system.k=1{'0' * 400}: must be a finite number or a list of 6 finite numbers",
+    "system.k=1e12": "system.k=1000000000000.0: must be small enough for 10 kg not to have a natural frequency above ",
+    "system.c=1e12": "system.c=1000000000000.0: must be small enough for 10 kg not to have a decay above ",
+    "system.m=1e-12": "system.k=15.0: must be small enough for 1e-12 kg not to have a natural frequency above ",
+    "excitation.rms=1e300": f"excitation.rms=1e+300: must be a finite number > 0, {SIZE}",
+    "excitation.rms=1e-300": f"excitation.rms=1e-300: must be a finite number > 0, {SIZE}",
+    "excitation.band=[1e-320,1]": "excitation.band=[1e-320, 1]: must be [low, high] in Hz with 0 <= low < high",
+    "scheme.parameter_uncertainty=1e300": "scheme.parameter_uncertainty=1e+300: must be a number between 0 and 1000",
+    "network.intervals=1000000000000": "overrides=network.intervals=1000000000000: must be such that the run fits into",
+    "threads=1000000000": "threads=1000000000: must be a whole number <= 1024",
+    "seed=4294967296": "seed=4294967296: must be a whole number <= 4294967295",
+}
+
+
+@pytest.mark.parametrize(("override", "told"), SETTINGS.items())
+def test_a_number_that_no_run_can_use(pinn_run: PinnRun, tmp_path: Path, override: str, told: str) -> None:
+    outcome = pinn_run(override)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    assert outcome.err.startswith(f"pinn-run: {told}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def chain(ndof: int = 1, **parameters: float):
+    return build_chain(ndof, Linear(), **{"m": 1.0, "c": 0.0, "k": 1.0, **parameters})
+
+
+def test_a_chain_is_as_stiff_as_the_steps_allow() -> None:
+    # Gershgorin's bound is sqrt(2 k / m) for one mass, and a step takes 0.2 of its period over 2 pi.
+    simulation = Simulation(duration=100.0, samples=1001)
+    stiffest = (0.2 * MOST_STEPS / 100.0) ** 2 / 2.0
+    check_size(simulation, chain(k=0.99 * stiffest))
+    with pytest.raises(InputError, match=r"^system\.k=.* 3\.18e\+03 Hz"):
+        check_size(simulation, chain(k=1.01 * stiffest))
+    with pytest.raises(InputError, match=r"^simulation\.substeps=10001: must be at most 10000$"):
+        check_size(Simulation(duration=100.0, samples=1001, substeps=10001), chain())
+
+
+def test_memory_bounds_samples_dofs_and_repeats(monkeypatch) -> None:
+    monkeypatch.setattr("pinn_cli.record.size.of_this_machine", lambda: 40_000_000)
+    check_size(Simulation(duration=100.0, samples=1000), chain(100), repeats=12)
+    with pytest.raises(InputError, match=r"^simulation\.samples=1001: must be at most 1000 with system.ndof=100; "):
+        check_size(Simulation(duration=100.0, samples=1001), chain(100))
+    with pytest.raises(InputError, match=r"^noise\.repeats=13: must be at most 12 with this record"):
+        check_size(Simulation(duration=100.0, samples=1000), chain(100), repeats=13)
+    with pytest.raises(InputError, match=r"^system\.ndof=10000: must be at most 100; "):
+        check_size(Simulation(duration=100.0, samples=1000), chain(10000))
+
+
+def test_what_libraries_say_when_memory_runs_out() -> None:
+    with pytest.raises(RuntimeError) as raised:
+        torch.empty(2**55)
+    assert ran_out(raised.value)
+    assert ran_out(MemoryError())
+    assert not ran_out(RuntimeError("shapes do not fit"))
