@@ -35,6 +35,12 @@ class Outcome:
         return cls(finite, sorted((directory / "figures").glob("*.png")), files)
 
 
+def history(directory: Path) -> list[dict[str, float]]:
+    """Rows of the history of the run in a directory, as it went through them."""
+    table = pd.read_csv(directory / "history.csv")
+    return [{str(name): float(v) for name, v in row.items() if pd.notna(v)} for row in table.to_dict("records")]
+
+
 def _fitness(directory: Path) -> dict[str, float]:
     """Of all DOFs, by quantity; a baseline's under its own name."""
     table = pd.read_csv(directory / "fitness.csv")
