@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pandas as pd
 
-# Not copied: what only this program reads, and is large, and what other trackers wrote.
-LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", "tracking.json", "tensorboard", "chains")
+from pinn_cli.run_lock import FILE as LOCK
+from pinn_cli.tracking.told import FILE as TOLD
+
+# Not copied: what only this program reads, and is large or gone when the run is, and what other trackers wrote.
+LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", TOLD, LOCK, "tensorboard", "chains")
 
 
 @dataclass(frozen=True)
