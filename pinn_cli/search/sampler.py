@@ -72,7 +72,7 @@ class SearchSampler(BaseSampler):
         self.validation = validation.rpartition(".")[2]
         if self.validation == NO_VALIDATION:
             raise InputError(
-                "validation", "none", "heldout or evidence in a search", "it is the score that is minimised"
+                "validation", "none", "heldout, forecast or evidence in a search", "it is the score that is minimised"
             )
         kept = [override for override in overrides if not is_left_out(setting_of(override))]
         self.made_of = sorted([*kept, *(f"{name}={choice}" for name, choice in (params or {}).items())])

@@ -167,7 +167,7 @@ def test_where_and_how_trials_run_may_change(search: Callable[..., int], tmp_pat
 def test_a_search_needs_a_score(pinn_run: PinnRun, tmp_path: Path) -> None:
     outcome = pinn_run("--multirun", "hydra/sweeper=search", *SPACE, task=score)
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
-    assert "validation=none: must be heldout or evidence in a search" in outcome.err
+    assert "validation=none: must be heldout, forecast or evidence in a search" in outcome.err
     assert not list(tmp_path.rglob("search.db"))
 
 
