@@ -16,6 +16,7 @@ from pinn_cli.config import RunConfig
 from pinn_cli.identity import flattened
 from pinn_cli.resume import RESULT, asked_to_resume, is_finished, stored_score
 from pinn_cli.stages import Stages
+from pinn_cli.tracking.told import is_told
 
 Watch = Callable[[Mapping[str, float]], None]
 
@@ -31,7 +32,8 @@ def run(composed: DictConfig) -> float | None:
     in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
-        config = None if resuming and is_finished(directory, composed, base) else RunConfig.read(composed, base)
+        finished = resuming and is_finished(directory, composed, base)
+        config = None if finished and is_told(directory, composed) else RunConfig.read(composed, base)
     if config is None:
         if not in_sweep:
             print(f"finished before, nothing to do\n{directory}")
@@ -39,9 +41,13 @@ def run(composed: DictConfig) -> float | None:
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.tracking.base import Job
         from pinn_cli.tracking.follow import follow
-    job = Job(directory, f"{config.case}/{directory.name}", flattened(composed), config.labels("pinn"))
+    name, which = f"{config.case}/{directory.name}", config.identity.configuration
+    job = Job(directory, name, flattened(composed), config.labels("pinn"), which)
     with follow(config.tracking, job, resuming) as tracked:
-        text = _carry_out(config, directory, stages, in_sweep, tracked.row)
+        if finished:
+            text = f"finished before; tracking={config.tracking.name} has it now"
+        else:
+            text = _carry_out(config, directory, stages, in_sweep, tracked.row)
         with stages("tracking"):
             tracked.results()
     if not in_sweep:

@@ -23,6 +23,7 @@ from yaml import YAMLError
 from pinn_cli.errors import InputError
 from pinn_cli.identity import LEFT_OUT, Identity, is_left_out
 from pinn_cli.quoting import quoted, setting_of
+from pinn_cli.tracking.told import is_told
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
 ALLOWED = "null, auto, never, or the directory of a run"
@@ -106,8 +107,10 @@ class StoredRun:
         return config
 
     def finished(self) -> bool:
-        """Whether it has all its results."""
-        return is_finished(self.directory, self.config, self.cwd)
+        """Whether there is nothing to do: it has all its results, and so has its tracker; another one was not given."""
+        retracked = any(setting_of(override).partition(".")[0] == "tracking" for override in self.given)
+        told = not retracked and is_told(self.directory, self.config)
+        return told and is_finished(self.directory, self.config, self.cwd)
 
     def enter(self) -> None:
         """Make its paths mean what they meant, if that folder is still there."""

@@ -1,4 +1,4 @@
-"""One process at a time in a run's directory: a second one waits until the first has ended.
+"""One process at a time in a run's directory, or wherever else: a second one waits until the first has ended.
 
 The operating system holds the lock for an open file (`flock`) and gives it back when the process ends, however it ends,
 so that nothing is left over from a kill. Between machines it holds where the file system's locks do: NFS, GPFS, Lustre
@@ -36,8 +36,20 @@ def held(directory: Path) -> Iterator[None]:
     Args:
         directory: Exists. While the block runs, its `run.lock` says who is in there.
     """
-    file = directory / FILE
-    descriptor = _acquire(file)
+    with locked(directory / FILE, f"waiting for another process to leave {directory}", EVERY_S):
+        yield
+
+
+@contextmanager
+def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None]:
+    """Have one process at a time in the block, of those that name the same file.
+
+    Args:
+        file: Made where it is missing, and removed at the end; its folder exists. While the block runs it says whose.
+        waiting: What the log is told where the process has to wait; empty: nothing.
+        every_s: Seconds from one look to the next.
+    """
+    descriptor = _acquire(file, waiting, every_s)
     try:
         yield
     finally:
@@ -47,28 +59,27 @@ def held(directory: Path) -> Iterator[None]:
             os.close(descriptor)
 
 
-def _acquire(file: Path) -> int | None:
+def _acquire(file: Path, waiting: str, every_s: float) -> int | None:
     """The locked file, or None where there are no locks."""
-    waited = False
     while True:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            locked = _try(descriptor)
+            taken = _try(descriptor)
         except OSError as error:
             os.close(descriptor)
             if error.errno not in _NONE:
                 raise
             file.unlink(missing_ok=True)
-            log.warning("%s is on a file system without locks: start no second run in it", file.parent)
+            log.warning("%s is on a file system without locks: have no two processes write there", file.parent)
             return None
-        if locked and _is_there(file, descriptor):
+        if taken and _is_there(file, descriptor):
             break
-        if not locked and not waited:
-            log.warning("waiting for another process to leave %s: %s", file.parent, _owner(descriptor))
-            waited = True
+        if not taken and waiting:
+            log.warning("%s: %s", waiting, _owner(descriptor))
+            waiting = ""
         os.close(descriptor)
-        if not locked:
-            time.sleep(EVERY_S)
+        if not taken:
+            time.sleep(every_s)
     os.ftruncate(descriptor, 0)
     os.write(descriptor, json.dumps(_this_process()).encode())
     return descriptor

@@ -165,6 +165,15 @@ class Record:
             acceleration=blanked("acceleration"),
         )
 
+    def until(self, samples: int) -> Record:
+        """The record's first samples; the scatter of repeats, which is known of the whole, is shared out evenly."""
+        histories = {name: getattr(self, name)[:samples] for name in ("time", *QUANTITIES)}
+        repeats = self.repeats
+        if repeats is not None:
+            left = samples / repeats.samples
+            repeats = replace(repeats, samples=samples, square={q: left * s for q, s in repeats.square.items()})
+        return replace(self, **histories, repeats=repeats)
+
 
 @dataclass(frozen=True, eq=False)
 class Truth:

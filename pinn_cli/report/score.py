@@ -9,7 +9,11 @@ import numpy as np
 if TYPE_CHECKING:
     from pinn_cli.validation.base import Score
 
-UNITS = {"heldout": "nats per withheld sample, 0 at best", "evidence": "nats, up to a constant of the network"}
+UNITS = {
+    "heldout": "nats per withheld sample, 0 at best",
+    "forecast": "log of error over noise, 0 at best",
+    "evidence": "nats, up to a constant of the network",
+}
 
 
 def score_record(name: str, score: Score | None) -> dict[str, Any]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
+import sys
 from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, read_write
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from pinn_cli.search.study import NAME, address, load, take_up
-
-SWEEPER = "hydra_plugins.hydra_optuna_sweeper"
+from pinn_cli.sweep.directories import swept_settings
+from pinn_cli.sweep.jobs import SEARCHER, is_search
 
 
 class Search(Callback):
@@ -24,14 +25,19 @@ class Search(Callback):
         directory = Path(config.hydra.sweep.dir)
         directory.mkdir(parents=True, exist_ok=True)  # SQLite makes no folders
         # The sweeper warns of every failed trial, which the job itself has told; the storage tells what it is made of.
-        logging.getLogger(SWEEPER).setLevel(logging.CRITICAL)
+        logging.getLogger(SEARCHER).setLevel(logging.CRITICAL)
         logging.getLogger("alembic").setLevel(logging.WARNING)
         try:
             study = load(directory)
         except ImportError:  # of the sweeper's package: Hydra meets it next, and says what is missing
             return
-        with read_write(config):
+        if config.hydra.sweeper.n_jobs == 1 and not str(config.hydra.launcher.get("_target_")).endswith(
+            "BasicLauncher"
+        ):
+            print("one trial at a time: hydra.sweeper.n_jobs=2 has two at once", file=sys.stderr)
+        with read_write(config), open_dict(config):
             _complete(config.hydra.sweeper, directory)
+            _inform(config)
             if study is not None:
                 config.hydra.sweeper.n_trials = max(0, config.hydra.sweeper.n_trials - take_up(study))
 
@@ -51,6 +57,19 @@ def _complete(sweeper: DictConfig, directory: Path) -> None:
         sweeper.max_failure_rate = 1.0
 
 
-def is_search(config: DictConfig) -> bool:
-    """Whether Optuna is the sweeper."""
-    return str(config.hydra.sweeper.get("_target_")).startswith(SWEEPER)
+def _inform(config: DictConfig) -> None:
+    """Tell our sampler what only the whole configuration knows."""
+    sampler, params = config.hydra.sweeper.get("sampler"), config.hydra.sweeper.get("params") or {}
+    if not str(sampler.get("_target_")).startswith("pinn_cli."):
+        return
+    searched = swept_settings(map(str, config.hydra.overrides.task), map(str, params))
+    sampler.configured = {name: _configured(config, name) for name in searched}
+    sampler.trials = config.hydra.sweeper.n_trials
+
+
+def _configured(config: DictConfig, name: str) -> Any:
+    """What a setting, or a config group, is without the search; None where that is no single value."""
+    value = OmegaConf.select(config, name)
+    if isinstance(value, DictConfig):
+        return OmegaConf.select(config, "hydra.runtime.choices").get(name)
+    return None if OmegaConf.is_config(value) else value

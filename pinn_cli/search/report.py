@@ -61,6 +61,7 @@ def _text(trials: pd.DataFrame, settings: list[str], shares: dict[str, float], c
     lines = [
         "# Search", "",
         counted, "",
+        *_first(trials.iloc[0]),
         "The best settings:", "", "```", command, "```", "",
         f"![Score of every trial, and against every setting]({FIGURE}.png)", "",
         "How much of the ranks of the scores each setting explains by itself:", "",
@@ -72,6 +73,12 @@ def _text(trials: pd.DataFrame, settings: list[str], shares: dict[str, float], c
         rows = [[str(row["trial"]), str(row["reason"] or "")] for _, row in failed.iterrows()]
         lines += ["", "Failed:", "", *_table(rows, ["trial", "reason"])]
     return "\n".join(lines)
+
+
+def _first(trial: pd.Series) -> list[str]:
+    if trial["state"] != "done":
+        return []
+    return [f"Trial 0, with the settings as configured where the search may choose them: {trial['score']:.5g}.", ""]
 
 
 def _cells(row: pd.Series, settings: list[str]) -> list[str]:

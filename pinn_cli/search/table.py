@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pinn_cli.identity import is_left_out
+from pinn_cli.quoting import setting_of
 from pinn_cli.sweep.jobs import job_directories, stored_overrides
 
 if TYPE_CHECKING:
@@ -67,7 +69,8 @@ def _read(job: Path | None, name: str) -> dict[str, Any]:
 
 
 def _key(overrides: Iterable[str]) -> tuple[str, ...]:
-    return tuple(sorted(overrides))
+    """Settings that do not tell a job from others may change when a search goes on."""
+    return tuple(sorted(override for override in overrides if not is_left_out(setting_of(override))))
 
 
 def importance(values: pd.Series, score: pd.Series) -> float:

@@ -24,6 +24,8 @@ from pinn_cli.sweep.failure import Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
 OVERRIDES = Path(".hydra") / "overrides.yaml"
+# The package of Hydra's plugin.
+SEARCHER = "hydra_plugins.hydra_optuna_sweeper"
 # libyaml's parser, where PyYAML was built with it: a thousand files in a second less.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -72,7 +74,7 @@ class Sweep:
         directory: Of the sweep.
         overrides: As typed for the whole sweep (`seed=0,1`).
         expected: The jobs' names and overrides in their order; empty if only its sweeper knows them.
-        is_search: Whether its sweeper chooses the jobs by what earlier ones return.
+        is_search: See :func:`is_search`.
     """
 
     directory: Path
@@ -90,7 +92,8 @@ class Sweep:
         arguments = [*(f"{name}={value}" for name, value in params.items()), *overrides]
         jobs = BasicSweeper.split_arguments([*map(parse, arguments)], None)[0] if named and basic else []
         swept = swept_settings(arguments, map(str, params))
-        return cls(directory, tuple(arguments), {job_name(job, swept): tuple(job) for job in jobs}, not basic)
+        expected = {job_name(job, swept): tuple(job) for job in jobs}
+        return cls(directory, tuple(arguments), expected, is_search(config))
 
     @classmethod
     def read(cls, directory: Path) -> Sweep:
@@ -130,6 +133,11 @@ class Sweep:
         """The job's swept settings and their values, as text."""
         swept = [override for override in job.overrides if setting_of(override) not in self.fixed]
         return {setting_of(override): parse(override).get_value_element_as_str() for override in swept}
+
+
+def is_search(config: Any) -> bool:
+    """Whether the sweep of a configuration, with its `hydra` node, is one whose jobs Optuna chooses by their scores."""
+    return str(config.hydra.sweeper.get("_target_")).startswith(SEARCHER)
 
 
 def job_directories(sweep: Path) -> Iterator[Path]:

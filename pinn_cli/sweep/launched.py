@@ -19,10 +19,11 @@ from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from pinn_cli.resume import asked_to_resume, going_on, is_finished
+from pinn_cli.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.sweep.basic_sweeper import composing_few
 from pinn_cli.sweep.failure import DEFECT, Failure
 from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep
+from pinn_cli.tracking.told import is_told
 
 # The plugins' launchers, and ours in their place, which are imported only if they are used.
 _IN_PLACE_OF = {
@@ -61,7 +62,7 @@ def to_launch(
     found = {job.overrides for job in sweep.jobs() if job.status == FINISHED}
     jobs = [Launched(launcher, list(overrides), first + n) for n, overrides in enumerate(job_overrides)]
     finished = [job for job in jobs if tuple(job.overrides) in found and job.finished()]
-    returns = {job.number: job.returned() for job in finished}
+    returns = {job.number: job.returned(finished=True) for job in finished}
     return [job for job in jobs if job.number not in returns], returns
 
 
@@ -98,8 +99,9 @@ class Launched:
         return asked_to_resume(going_on(self._task()), self.directory)
 
     def finished(self) -> bool:
-        """Whether it need not be sent anywhere, since all its results lie there."""
-        return self.goes_on() and is_finished(self.directory, self._task(), Path.cwd())
+        """Whether it need not be sent anywhere, since all its results lie there and its tracker has them."""
+        task = self._task()
+        return self.goes_on() and is_finished(self.directory, task, Path.cwd()) and is_told(self.directory, task)
 
     def begun_since(self, moment: float) -> bool:
         """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
@@ -111,21 +113,22 @@ class Launched:
         """Whether it was begun after that moment, seconds since the epoch, and has not ended."""
         return self.begun_since(moment - 1.0) and Job.read(self.directory, self.overrides).status == UNFINISHED
 
-    def returned(self, value: float | None = None) -> JobReturn:
-        """What a sweeper gets for a job that no worker returned anything for."""
+    def returned(self, finished: bool) -> JobReturn:
+        """What a sweeper gets for a job that no worker returned anything for: the score in its directory, if any."""
         result = JobReturn(overrides=self.overrides, cfg=self._task(), hydra_cfg=self.config)
-        result.status, result.return_value = JobStatus.COMPLETED, value
+        result.status, result.return_value = JobStatus.COMPLETED, stored_score(self.directory) if finished else None
         return result
 
     def lost(self, reason: str) -> JobReturn:
         """Note that its worker was, unless it had all its results by then or says itself why it failed."""
-        if not self.finished() and Failure.read(self.directory) is None:
+        finished = self.finished()
+        if not finished and Failure.read(self.directory) is None:
             overrides = self.directory / ".hydra" / "overrides.yaml"
             if not overrides.is_file():  # it had not begun: without this the directory is no job's
                 overrides.parent.mkdir(parents=True, exist_ok=True)
                 OmegaConf.save(self.config.hydra.overrides.task, overrides)
             Failure(DEFECT, reason, reason).write(self.directory)
-        return self.returned()
+        return self.returned(finished)
 
     def _task(self) -> DictConfig:
         config = self.config.copy()

@@ -11,6 +11,7 @@ from typing import ClassVar
 
 from pinn_cli.errors import InputError
 from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.tracking.told import Told
 
 # How a run may end.
 FINISHED, FAILED, INTERRUPTED = "finished", "failed", "interrupted"
@@ -25,22 +26,24 @@ class Job:
         name: What a list of runs calls it.
         settings: Every setting by the name that a user types, as text.
         labels: What runs are told apart by: case, scheme, number of DOFs, ...
+        configuration: Digest of the settings that its numbers depend on.
     """
 
     directory: Path
     name: str
     settings: Mapping[str, str]
     labels: Mapping[str, object]
+    configuration: str
 
 
 class Tracker(ABC):
     """One run as a tracker sees it.
 
     Attributes:
-        key: What finds it again, kept in the run's directory.
+        logged: Iteration of the last row that it has, where it knows that better than the run's directory; or None.
     """
 
-    key: str
+    logged: float | None = None
 
     @abstractmethod
     def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
@@ -69,16 +72,21 @@ class Tracking(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def open(self, job: Job, known: str | None) -> Tracker | None:
+    def open(self, job: Job, told: Told, known: bool) -> Tracker | None:
         """Begin to track a run; None where nothing is tracked.
 
         Args:
             job: The run.
-            known: Key of the tracked run that this one goes on with; None for a new one.
+            told: Which tracked run it is, by its key, and how far.
+            known: Whether there may be such a tracked run, to go on with: an earlier start may have been killed before
+                it was made, or on the way.
 
         Raises:
             InputError: The tracker cannot be reached.
         """
+
+    def abandon(self, key: str) -> None:  # noqa: B027
+        """Note that a tracked run was cut off and that nothing goes on with it, where that is kept."""
 
 
 def require(package: str, choice: str) -> None:

@@ -1,32 +1,29 @@
 """A run under the eyes of a tracker: its rows as they come, what came of it, and how it ended.
 
 A tracker may fail, when its disk is full or its server is gone; the run goes on, and the log says so once. Only one
-that cannot be reached at the start is an error, as nothing is lost then.
+that cannot be reached at the start is an error, as nothing is lost then. What a tracker missed, by its own failure or
+since the run was killed, it is told when the run goes on, or by the same command again once the run has finished.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from pinn_cli.errors import InputError
-from pinn_cli.report.writing import write_json
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, Job, Tracker, Tracking
-from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.tracking.outcome import Outcome, history
+from pinn_cli.tracking.told import FILE, NONE, Told
 
 log = logging.getLogger(__name__)
 
-# In the run's directory: which tracked run it is, and how far.
-FILE = "tracking.json"
 # Seconds from one batch of rows to the next: a database is not to be written to at each iteration.
 EVERY_S = 5.0
-# Iteration of the last row where there is none; a history may begin at 0.
-NOTHING = -1.0
 
 
 class Followed:
@@ -35,60 +32,61 @@ class Followed:
     Args:
         tracker: None where nothing is tracked.
         directory: Of the run.
-        name: Of the tracking.
-        logged: Iteration of the last row that the tracker has, when a run goes on.
+        told: Which tracked run it is, and how far.
         clock: In seconds.
     """
 
     def __init__(
-        self,
-        tracker: Tracker | None,
-        directory: Path,
-        name: str,
-        logged: float = NOTHING,
-        clock: Callable[[], float] = time.monotonic,
+        self, tracker: Tracker | None, directory: Path, told: Told, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.tracker, self.directory, self.name, self.logged, self.clock = tracker, directory, name, logged, clock
+        self.tracker, self.directory, self.told, self.clock = tracker, directory, told, clock
         self._waiting: list[dict[str, float]] = []
         self._flushed = clock()
         self._complained = False
-        if tracker is not None:
-            self._keep()
+        self._complete = False
 
     def row(self, row: Mapping[str, float]) -> None:
         """Note a row of the history; one that the tracker had before an interruption is passed over."""
-        if self.tracker is None or row["iteration"] <= self.logged:
+        last = self._waiting[-1]["iteration"] if self._waiting else self.told.logged
+        if self.tracker is None or row["iteration"] <= last:
             return
         self._waiting.append(dict(row))
         if self.clock() - self._flushed >= EVERY_S:
             self.flush()
 
     def flush(self) -> None:
-        """Hand over the rows that wait."""
-        rows, self._waiting, self._flushed = self._waiting, [], self.clock()
-        if self.tracker is not None and rows and self._tried(lambda tracker: tracker.rows(rows)):
-            self.logged = rows[-1]["iteration"]
-            self._keep()
+        """Hand over the rows that wait; they wait on if the tracker fails."""
+        rows, self._flushed = self._waiting, self.clock()
+        if rows and self._tried(lambda tracker: tracker.rows(rows)):
+            self._waiting = []
+            self._keep(logged=rows[-1]["iteration"])
 
     def results(self) -> None:
-        """Hand over what the run has left in its directory."""
+        """Hand over what the run has left in its directory, and the rows that the tracker missed."""
+        if self.tracker is None:
+            return
+        for row in history(self.directory):
+            self.row(row)
         self.flush()
-        self._tried(lambda tracker: tracker.results(Outcome.read(self.directory)))
+        handed = self._tried(lambda tracker: tracker.results(Outcome.read(self.directory)))
+        self._complete = handed and not self._waiting
 
     def end(self, status: str, reason: str = "") -> None:
         """Say how it ended."""
         self.flush()
-        self._tried(lambda tracker: tracker.end(status, reason))
+        ended = self._tried(lambda tracker: tracker.end(status, reason))
+        if ended and self._complete and status == FINISHED:
+            self._keep(ended=True)
 
     def forget(self) -> None:
         """Leave no trace of it."""
         self._tried(lambda tracker: tracker.forget())
-        (self.directory / FILE).unlink(missing_ok=True)
-
-    def _keep(self) -> None:
         if self.tracker is not None:
-            content = {"tracking": self.name, "key": self.tracker.key, "logged": self.logged}
-            write_json(content, self.directory / FILE)
+            (self.directory / FILE).unlink(missing_ok=True)
+
+    def _keep(self, **changes: float | bool) -> None:
+        self.told = replace(self.told, **changes)  # type: ignore[arg-type]
+        self.told.write(self.directory)
 
     def _tried(self, call: Callable[[Tracker], None]) -> bool:
         if self.tracker is None:
@@ -97,7 +95,7 @@ class Followed:
             call(self.tracker)
         except Exception as error:
             if not self._complained:
-                log.warning("tracking=%s: %s; the run goes on", self.name, str(error).partition("\n")[0])
+                log.warning("tracking=%s: %s; the run goes on", self.told.tracking, str(error).partition("\n")[0])
             self._complained = True
             return False
         return True
@@ -110,19 +108,25 @@ def follow(tracking: Tracking, job: Job, resuming: bool) -> Iterator[Followed]:
     Args:
         tracking: Where.
         job: The run.
-        resuming: Whether it may go on with the tracked run that its directory names.
+        resuming: Whether it may go on with the tracked run that its directory names, if that is of the same settings.
 
     Raises:
         InputError: The tracker cannot be reached.
     """
-    known = _known(job.directory, tracking.name) if resuming else {}
-    tracker = tracking.open(job, known.get("key"))
-    same = tracker is not None and tracker.key == known.get("key")
-    followed = Followed(tracker, job.directory, tracking.name, float(known["logged"]) if same else NOTHING)
+    before = Told.read(job.directory)
+    before = before if before is not None and before.tracking == tracking.name else None
+    known = resuming and before is not None and before.configuration == job.configuration
+    followed = _opened(tracking, job, before if known else None)
+    if before is not None and not known:
+        with suppress(Exception):
+            tracking.abandon(before.key)
     try:
         yield followed
-    except InputError:
-        followed.forget()
+    except InputError as error:
+        if known:
+            followed.end(FAILED, str(error).partition("\n")[0])
+        else:
+            followed.forget()
         raise
     except Exception as error:
         followed.end(FAILED, str(error).partition("\n")[0] or type(error).__name__)
@@ -133,11 +137,17 @@ def follow(tracking: Tracking, job: Job, resuming: bool) -> Iterator[Followed]:
     followed.end(FINISHED)
 
 
-def _known(directory: Path, name: str) -> dict[str, Any]:
-    """The tracked run that a directory names; empty where there is none of this tracking."""
+def _opened(tracking: Tracking, job: Job, before: Told | None) -> Followed:
+    """The tracked run that the directory names, or a new one, whose key is written down before it is made."""
+    told = Told(tracking.name, job.configuration, uuid.uuid4().hex) if before is None else replace(before, ended=False)
+    if tracking.name != NONE:
+        told.write(job.directory)
     try:
-        content = json.loads((directory / FILE).read_text(encoding="utf-8"))
-        found = {"key": str(content["key"]), "logged": float(content["logged"])}
-        return found if content["tracking"] == name else {}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
+        tracker = tracking.open(job, told, before is not None)
+    except InputError:
+        if before is None and tracking.name != NONE:
+            (job.directory / FILE).unlink(missing_ok=True)
+        raise
+    if tracker is not None and tracker.logged is not None:
+        told = replace(told, logged=tracker.logged)
+    return Followed(tracker, job.directory, told)

@@ -6,21 +6,28 @@ import logging
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
+from sqlite3 import connect
 from typing import TYPE_CHECKING, TypeVar
 
 from pinn_cli.errors import InputError
+from pinn_cli.report.writing import replacing
+from pinn_cli.run_lock import locked
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, Job, Tracker, Tracking, require
-from pinn_cli.tracking.file_lock import alone
 from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.tracking.told import NOTHING, Told
 
 if TYPE_CHECKING:
+    from mlflow.entities import Run
     from mlflow.tracking import MlflowClient
 
 Result = TypeVar("Result")
 
 SQLITE = "sqlite:///"
 STATUS = {FINISHED: "FINISHED", FAILED: "FAILED", INTERRUPTED: "KILLED"}
+# Tag with the key that the run's directory has.
+KEY = "key"
 # What MLflow takes in one request, and how long a text may be.
 MOST_METRICS, MOST_PARAMS, LONGEST = 1000, 100, 500
 # A database that other processes write to is tried again for so long.
@@ -64,47 +71,64 @@ class MlflowTracking(Tracking):
         beside = None if self.database is None else self.database.with_name(f"{self.database.stem}-artifacts")
         self.artifacts = beside if artifacts is None else start / artifacts
 
-    def open(self, job: Job, known: str | None) -> MlflowTracker:
+    def open(self, job: Job, told: Told, known: bool) -> MlflowTracker:
         """See :meth:`Tracking.open`."""
         try:
-            # MLflow makes its tables step by step; a second process that begins meanwhile fails over half of them.
-            with alone(self.database):
-                client = self._client()
-                experiment = self._experiment(client)
-            run = _patiently(lambda: self._again(client, known)) if known else None
-            return MlflowTracker(client, run or self._new(client, experiment, job), self.files)
+            client, experiment = self._connected()
+            found = _patiently(lambda: _found(client, told.key)) if known else None
+            if found is None:
+                run, params, logged = self._new(client, experiment, job, told.key), {}, NOTHING
+            else:
+                run, params = found.info.run_id, found.data.params
+                logged = _last_row(client, run)
+                _patiently(lambda: client.update_run(run, status="RUNNING"))
+            _log_params(client, run, job.settings, params)
+            return MlflowTracker(client, run, self.files, logged)
         except Exception as error:
             hint = str(error).partition("\n")[0]
             raise InputError("tracking.uri", self.uri, "a store that MLflow can use", hint) from error
 
-    def _client(self) -> MlflowClient:
+    def abandon(self, key: str) -> None:
+        """See :meth:`Tracking.abandon`."""
+        client = self._client()
+        found = _patiently(lambda: _found(client, key))
+        if found is not None and found.info.status == "RUNNING":
+            MlflowTracker(client, found.info.run_id, self.files).end(INTERRUPTED, "cut off; its directory is another's")
+
+    def _connected(self) -> tuple[MlflowClient, str]:
+        """A client, and the number of the experiment; one process at a time, so that there is one database and one."""
+        if self.database is None:
+            client = self._client()
+            return client, self._experiment(client)
+        self.database.parent.mkdir(parents=True, exist_ok=True)
+        with locked(self.database.with_name(f".{self.database.name}.lock")):
+            if not self.database.exists():
+                self._make_tables(self.database)
+            client = self._client()
+            return client, self._experiment(client)
+
+    def _make_tables(self, database: Path) -> None:
+        """Make the database whole: MLflow does it in a thousand steps and cannot go on where it was killed in one."""
+        beside = database.with_name(f".{database.name}.new")
+        beside.unlink(missing_ok=True)
+        self._client(f"{SQLITE}{beside}")
+        # Not renamed: MLflow has it open to the end of the process.
+        with replacing(database) as whole, closing(connect(beside)) as made, closing(connect(whole)) as copy:
+            made.backup(copy)
+        beside.unlink()
+
+    def _client(self, uri: str | None = None) -> MlflowClient:
         # Read when MLflow is first imported. It is to tell nobody of its use, and us of trouble only.
         os.environ["MLFLOW_DISABLE_TELEMETRY"] = os.environ["DO_NOT_TRACK"] = "true"
         os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
         logging.getLogger("alembic").setLevel(logging.WARNING)
         from mlflow.tracking import MlflowClient
 
-        return _patiently(lambda: MlflowClient(tracking_uri=self.uri))
+        return _patiently(lambda: MlflowClient(tracking_uri=uri or self.uri))
 
-    def _again(self, client: MlflowClient, known: str) -> str | None:
-        """The run to go on with; None where the store has lost it."""
-        from mlflow.exceptions import MlflowException
-
-        try:
-            if client.get_run(known).info.lifecycle_stage != "active":
-                return None
-        except MlflowException as error:
-            if error.error_code == "RESOURCE_DOES_NOT_EXIST":
-                return None
-            raise
-        client.update_run(known, status="RUNNING")
-        return known
-
-    def _new(self, client: MlflowClient, experiment: str, job: Job) -> str:
-        tags = {**{n: str(v) for n, v in job.labels.items()}, "directory": str(job.directory)}
-        run: str = _patiently(lambda: client.create_run(experiment, tags=tags, run_name=job.name)).info.run_id
-        _log_params(client, run, job.settings)
-        return run
+    def _new(self, client: MlflowClient, experiment: str, job: Job, key: str) -> str:
+        tags = {**{n: str(v) for n, v in job.labels.items()}, "directory": str(job.directory), KEY: key}
+        return str(_patiently(lambda: client.create_run(experiment, tags=tags, run_name=job.name)).info.run_id)
 
     def _experiment(self, client: MlflowClient) -> str:
         found = _patiently(lambda: client.get_experiment_by_name(self.experiment))
@@ -123,34 +147,38 @@ class MlflowTracking(Tracking):
 class MlflowTracker(Tracker):
     """One run of MLflow."""
 
-    def __init__(self, client: MlflowClient, run: str, files: bool) -> None:
-        self.client, self.key, self.files = client, run, files
+    def __init__(self, client: MlflowClient, run: str, files: bool, logged: float | None = None) -> None:
+        self.client, self.run, self.files, self.logged = client, run, files, logged
 
     def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
-        """See :meth:`Tracker.rows`: the step is the iteration."""
-        self._log([(name, v, int(row["iteration"])) for row in rows for name, v in row.items() if name != "iteration"])
+        """See :meth:`Tracker.rows`: the step is the iteration. A row is there whole or not at all."""
+        at_once = MOST_METRICS // max(len(row) for row in rows)
+        for first in range(0, len(rows), at_once):
+            batch = rows[first : first + at_once]
+            self._log(
+                [(name, v, int(row["iteration"])) for row in batch for name, v in row.items() if name != "iteration"]
+            )
 
     def results(self, outcome: Outcome) -> None:
-        """See :meth:`Tracker.results`."""
-        self._log([(name, value, 0) for name, value in outcome.metrics.items()])
+        """See :meth:`Tracker.results`: what is there of an earlier start is not told twice."""
+        there = _patiently(lambda: self.client.get_run(self.run)).data.metrics
+        self._log([(name, value, 0) for name, value in outcome.metrics.items() if there.get(name) != value])
         for file in outcome.files if self.files else ():
             if file.is_dir():
-                self.client.log_artifacts(self.key, str(file), artifact_path=file.name)
+                self.client.log_artifacts(self.run, str(file), artifact_path=file.name)
             else:
-                self.client.log_artifact(self.key, str(file))
+                self.client.log_artifact(self.run, str(file))
 
     def end(self, status: str, reason: str) -> None:
         """See :meth:`Tracker.end`."""
-        for tag, value in (
-            ("status", status),
-            ("reason", reason[:LONGEST]),
-        ):  # of this end, whatever an earlier one was
-            _patiently(lambda tag=tag, value=value: self.client.set_tag(self.key, tag, value))  # type: ignore[misc]
-        _patiently(lambda: self.client.set_terminated(self.key, STATUS[status]))
+        # Both are of this end, whatever an earlier one was.
+        for tag, value in (("status", status), ("reason", reason[:LONGEST])):
+            _patiently(lambda tag=tag, value=value: self.client.set_tag(self.run, tag, value))  # type: ignore[misc]
+        _patiently(lambda: self.client.set_terminated(self.run, STATUS[status]))
 
     def forget(self) -> None:
         """See :meth:`Tracker.forget`."""
-        _patiently(lambda: self.client.delete_run(self.key))
+        _patiently(lambda: self.client.delete_run(self.run))
 
     def _log(self, metrics: Sequence[tuple[str, float, int]]) -> None:
         from mlflow.entities import Metric
@@ -159,13 +187,27 @@ class MlflowTracker(Tracker):
         entities = [Metric(name, float(value), now, step) for name, value, step in metrics]
         for first in range(0, len(entities), MOST_METRICS):
             batch = entities[first : first + MOST_METRICS]
-            _patiently(lambda batch=batch: self.client.log_batch(self.key, metrics=batch))  # type: ignore[misc]
+            _patiently(lambda batch=batch: self.client.log_batch(self.run, metrics=batch))  # type: ignore[misc]
 
 
-def _log_params(client: MlflowClient, run: str, settings: Mapping[str, str]) -> None:
+def _found(client: MlflowClient, key: str) -> Run | None:
+    """The run with that key; None where there is none, or it was deleted."""
+    everywhere = [experiment.experiment_id for experiment in client.search_experiments()]
+    found = client.search_runs(everywhere, f"tags.{KEY} = '{key}'", max_results=1)
+    return found[0] if found else None
+
+
+def _last_row(client: MlflowClient, run: str) -> float:
+    """Iteration of the last row of the history that the store has."""
+    return float(max((m.step for m in _patiently(lambda: client.get_metric_history(run, "seconds"))), default=NOTHING))
+
+
+def _log_params(client: MlflowClient, run: str, settings: Mapping[str, str], there: Mapping[str, str]) -> None:
+    """Those that are not there: MLflow takes no second value, such as that of a `threads` which has changed."""
     from mlflow.entities import Param
 
-    params = [Param(_legal(name), value[:LONGEST]) for name, value in settings.items()]
+    named = {_legal(name): value[:LONGEST] for name, value in settings.items()}
+    params = [Param(name, value) for name, value in named.items() if name not in there]
     for first in range(0, len(params), MOST_PARAMS):
         batch = params[first : first + MOST_PARAMS]
         _patiently(lambda batch=batch: client.log_batch(run, params=batch))  # type: ignore[misc]

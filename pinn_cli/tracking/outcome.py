@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pandas as pd
 
-# Not copied: what only this program reads, and is large, and what other trackers wrote.
-LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", "tracking.json", "tensorboard", "chains")
+from pinn_cli.run_lock import FILE as LOCK
+from pinn_cli.tracking.told import FILE as TOLD
+
+# Not copied: what only this program reads, and is large or gone when the run is, and what other trackers wrote.
+LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", TOLD, LOCK, "tensorboard", "chains")
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,12 @@ class Outcome:
         finite = {name: float(value) for name, value in metrics.items() if pd.notna(value)}
         files = [entry for entry in sorted(directory.iterdir()) if entry.name not in LEFT_OUT]
         return cls(finite, sorted((directory / "figures").glob("*.png")), files)
+
+
+def history(directory: Path) -> list[dict[str, float]]:
+    """Rows of the history of the run in a directory, as it went through them."""
+    table = pd.read_csv(directory / "history.csv")
+    return [{str(name): float(v) for name, v in row.items() if pd.notna(v)} for row in table.to_dict("records")]
 
 
 def _fitness(directory: Path) -> dict[str, float]:

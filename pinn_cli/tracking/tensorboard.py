@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pinn_cli.errors import InputError
 from pinn_cli.tracking.base import Job, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.tracking.told import NOTHING, Told
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -35,22 +36,24 @@ class TensorboardTracking(Tracking):
             raise InputError("tracking.directory", directory, "null or a folder")
         self.directory = None if directory is None else (base or Path()).absolute() / directory
 
-    def open(self, job: Job, known: str | None) -> TensorboardTracker:
+    def open(self, job: Job, told: Told, known: bool) -> TensorboardTracker:
         """See :meth:`Tracking.open`."""
+        known = known and told.logged > NOTHING  # there may be less than the settings otherwise
         place = job.directory / FOLDER if self.directory is None else self.directory / job.name
         try:
             place.mkdir(parents=True, exist_ok=True)
             from torch.utils.tensorboard import SummaryWriter
 
-            if known is None:
+            if not known:
                 for events in place.glob("events.out.tfevents.*"):  # of a run that this one replaces
                     events.unlink()
-            writer = SummaryWriter(log_dir=str(place))
+            # A reader passes over what lies there of later rows: those that were written, but not noted, before a kill.
+            writer = SummaryWriter(log_dir=str(place), purge_step=int(told.logged) + 1 if known else None)
         except OSError as error:
             hint = f"{place}: {error.strerror}"
             raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
-        tracker = TensorboardTracker(writer, place, job, known or str(place))
-        if known is None:
+        tracker = TensorboardTracker(writer, place, job)
+        if not known:
             tracker.settings()
         return tracker
 
@@ -58,8 +61,8 @@ class TensorboardTracking(Tracking):
 class TensorboardTracker(Tracker):
     """One folder of event files."""
 
-    def __init__(self, writer: SummaryWriter, place: Path, job: Job, key: str) -> None:
-        self.writer, self.place, self.job, self.key = writer, place, job, key
+    def __init__(self, writer: SummaryWriter, place: Path, job: Job) -> None:
+        self.writer, self.place, self.job = writer, place, job
 
     def settings(self) -> None:
         """Note them as text."""

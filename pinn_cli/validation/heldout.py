@@ -49,7 +49,7 @@ class HeldOut(Validation):
         """See :meth:`Validation.check`."""
         observed = np.flatnonzero(problem.record.observed) + 1
         if len(observed) < 2:
-            hint = "with one DOF observed there is none to spare; validation=evidence needs none"
+            hint = "with one DOF observed there is none to spare; validation=forecast withholds blocks of time"
             raise InputError("validation", self.name, "used with sensors on two DOFs or more", hint)
         for dof in self.dofs or ():
             if dof not in observed:

@@ -77,3 +77,28 @@ def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
     assert "its worker was killed" in out
     jobs = pd.read_csv(tmp_path / "sweep" / "jobs.csv").set_index("seed")
     assert jobs["status"].to_dict() == {0: "finished", 1: "failed", 2: "finished", 3: "finished"}
+
+
+@pytest.mark.slow
+def test_workers_share_one_tracker_and_what_is_finished_is_told_to_another(tmp_path: Path) -> None:
+    pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
+    pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
+    from mlflow.tracking import MlflowClient
+
+    for tracking in ("mlflow", "tensorboard"):
+        process = start(tmp_path, *SWEEP, "seed=0,1,2,3", f"tracking={tracking}")
+        out, err = process.communicate(timeout=300)
+        assert process.returncode == 0, err
+        assert "the run goes on" not in err
+        assert "4 jobs: 4 finished" in out
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path / 'outputs' / 'mlflow.db'}")
+    runs = client.search_runs([e.experiment_id for e in client.search_experiments()])
+    assert [run.info.status for run in runs] == ["FINISHED"] * 4
+    assert sorted(run.data.tags["seed"] for run in runs) == list("0123")
+    for run in runs:
+        (job,) = (tmp_path / "sweep").glob(f"seed={run.data.tags['seed']}_*")
+        rows = len((job / "history.csv").read_text().splitlines()) - 1
+        assert len(client.get_metric_history(run.info.run_id, "seconds")) == rows
+        copied = tmp_path / "outputs" / "mlflow-artifacts" / run.info.run_id / "artifacts"
+        assert (copied / "run.json").read_bytes() == (job / "run.json").read_bytes()
+        assert list((job / "tensorboard").glob("events.out.tfevents.*"))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import json
 from pathlib import Path
 
 import pytest
 from calls import SMALL, PinnRun
 from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn
 from hydra.errors import MissingConfigException
 
 from pinn_cli.override_errors import explain
+from pinn_cli.sweep.launched import to_launch
 
 INSTALLED = Plugins.instance().class_name_to_class
 
@@ -51,3 +54,23 @@ def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, 
         "Could not find any running Ray instance.\n"
     )
     assert not Path("sweep").exists()
+
+
+def test_a_finished_trial_of_a_search_returns_its_score(pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
+    """It is sent nowhere by the launchers of SLURM and Ray: without its score the search would take it for failed."""
+    sweep = ("--multirun", *SMALL, "scheme.unobserved_fraction=0.3", "hydra.sweep.dir=sweep", "seed=0,1")
+    sweep += ("validation=heldout", "validation.dofs=[1]")
+    done = pinn_run(*sweep)
+    assert done.status == 0, done.err
+    scores: list[JobReturn] = []
+
+    def launch(launcher, job_overrides, initial_job_idx):
+        left, found = to_launch(launcher, job_overrides, initial_job_idx)
+        assert not left
+        scores.extend(found.values())
+        return list(found.values())
+
+    monkeypatch.setattr(INSTALLED["hydra._internal.core_plugins.basic_launcher.BasicLauncher"], "launch", launch)
+    assert pinn_run(*sweep).status == 0
+    kept = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("seed=*/run.json"))]
+    assert [result.return_value for result in scores] == [run["validation"]["score"] for run in kept]

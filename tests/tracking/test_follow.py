@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -15,16 +16,17 @@ from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 
 from pinn_cli.errors import DivergenceError, InputError
 from pinn_cli.tracking.base import Job, Tracker, Tracking, require
-from pinn_cli.tracking.follow import FILE, Followed, follow
+from pinn_cli.tracking.follow import Followed, follow
 from pinn_cli.tracking.none import NoTracking
 from pinn_cli.tracking.outcome import Outcome
+from pinn_cli.tracking.told import FILE, Told
 
 
 class Notes(Tracker):
     """Notes what it is told."""
 
-    def __init__(self, key: str = "one", broken: bool = False) -> None:
-        self.key, self.broken, self.told = key, broken, list[tuple[object, ...]]()
+    def __init__(self, broken: bool = False) -> None:
+        self.broken, self.told = broken, list[tuple[object, ...]]()
 
     def rows(self, rows: Sequence[Mapping[str, float]]) -> None:
         if self.broken:
@@ -46,17 +48,28 @@ class Noting(Tracking):
 
     def __init__(self) -> None:
         self.opened: list[Notes] = []
-        self.known: list[str | None] = []
+        self.known: list[bool] = []
+        self.keys: list[str] = []
+        self.abandoned: list[str] = []
 
-    def open(self, job: Job, known: str | None) -> Notes:
-        self.opened.append(Notes(known or f"run {len(self.opened)}"))
+    def open(self, job: Job, told: Told, known: bool) -> Notes:
+        assert Told.read(job.directory) == told, "a kill from here on would leave an orphan"
+        self.opened.append(Notes())
         self.known.append(known)
+        self.keys.append(told.key)
         return self.opened[-1]
+
+    def abandon(self, key: str) -> None:
+        self.abandoned.append(key)
 
 
 @pytest.fixture
 def job(tmp_path: Path) -> Job:
-    return Job(tmp_path, "case/run", {"seed": "0"}, {"case": "case"})
+    return Job(tmp_path, "case/run", {"seed": "0"}, {"case": "case"}, "of these settings")
+
+
+def noted(job: Job, notes: Notes, clock: Callable[[], float]) -> Followed:
+    return Followed(notes, job.directory, Told("noting", job.configuration, "a1"), clock)
 
 
 def row(iteration: int) -> dict[str, float]:
@@ -95,43 +108,84 @@ def test_a_run_that_goes_on_is_the_same_tracked_run_and_no_row_comes_twice(job: 
             tracked.row(row(iteration))
     with follow(tracking, job, resuming=False):
         pass
-    assert tracking.known == [None, "run 0", None]
+    assert tracking.known == [False, True, False]
+    assert tracking.keys[0] == tracking.keys[1] != tracking.keys[2]
+    assert tracking.abandoned == tracking.keys[:1]
     assert tracking.opened[0].told[0] == ("rows", [1, 2, 3])
     assert tracking.opened[1].told[0] == ("rows", [4])
 
 
-def test_a_tracker_of_another_kind_does_not_go_on_with_it(job: Job) -> None:
-    (job.directory / FILE).write_text(json.dumps({"tracking": "mlflow", "key": "x", "logged": 5}))
+def test_a_run_of_other_settings_is_another_tracked_run(job: Job) -> None:
     tracking = Noting()
     with follow(tracking, job, resuming=True) as tracked:
         tracked.row(row(1))
-    assert tracking.known == [None]
+    with follow(tracking, replace(job, configuration="of others"), resuming=True) as tracked:
+        tracked.row(row(1))
+    assert tracking.known == [False, False]
+    assert tracking.abandoned == tracking.keys[:1]
+    assert tracking.opened[1].told[0] == ("rows", [1])
+
+
+def test_a_run_that_goes_on_is_not_forgotten_for_unusable_input(job: Job) -> None:
+    tracking = Noting()
+    for _ in range(2):
+        with contextlib.suppress(InputError), follow(tracking, job, resuming=True):
+            if len(tracking.opened) == 2:
+                raise InputError("data.path", "record.csv", "a file", "it is gone")
+    (end,) = tracking.opened[1].told
+    assert end[:2] == ("end", "failed")
+    assert (job.directory / FILE).is_file()
+
+
+def test_a_tracker_of_another_kind_does_not_go_on_with_it(job: Job) -> None:
+    Told("mlflow", job.configuration, "a1", 5.0).write(job.directory)
+    tracking = Noting()
+    with follow(tracking, job, resuming=True) as tracked:
+        tracked.row(row(1))
+    assert tracking.known == [False]
+    assert tracking.abandoned == []
     assert tracking.opened[0].told[0] == ("rows", [1])
 
 
+GOOD = {"tracking": "noting", "configuration": "of these settings", "key": "a1", "logged": 5, "ended": False}
+
+
 @pytest.mark.parametrize(
-    "content", ["", "[]", "{", '{"tracking": "noting"}', '{"tracking": "noting", "key": 1, "logged": "x"}']
+    "content",
+    [
+        "",
+        "[]",
+        "{",
+        '{"tracking": "noting"}',
+        *(json.dumps(GOOD | bad) for bad in ({"logged": "x"}, {"key": "' or 1"})),
+    ],
 )
 def test_a_damaged_file_is_no_run_to_go_on_with(job: Job, content: str) -> None:
     (job.directory / FILE).write_text(content)
     tracking = Noting()
     with follow(tracking, job, resuming=True):
         pass
-    assert tracking.known == [None]
+    assert tracking.known == [False]
 
 
-def test_a_tracker_that_breaks_is_told_once_and_the_run_goes_on(job: Job, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_tracker_that_breaks_is_told_of_once_and_gets_its_rows_when_it_is_back(
+    job: Job, caplog: pytest.LogCaptureFixture
+) -> None:
     time = iter(range(0, 10_000, 100))
-    tracked = Followed(Notes(broken=True), job.directory, "noting", clock=lambda: float(next(time)))
+    notes = Notes(broken=True)
+    tracked = noted(job, notes, lambda: float(next(time)))
     for iteration in (1, 2, 3):
         tracked.row(row(iteration))
     assert [record.message for record in caplog.records] == ["tracking=noting: disk full; the run goes on"]
+    notes.broken = False
+    tracked.row(row(4))
+    assert notes.told == [("rows", [1, 2, 3, 4])]
 
 
 def test_rows_come_in_batches(job: Job) -> None:
     now = [0.0]
     notes = Notes()
-    tracked = Followed(notes, job.directory, "noting", clock=lambda: now[0])
+    tracked = noted(job, notes, lambda: now[0])
     for iteration in range(1, 8):
         now[0] += 1.0
         tracked.row(row(iteration))
@@ -156,7 +210,8 @@ def test_a_run_is_followed_from_start_to_end(
     """Interrupted and gone on with: one tracked run, every row of the history once, the numbers of an untracked run."""
     without_figures(monkeypatch)
     tracking, steps = Noting(), Steps(monkeypatch)
-    monkeypatch.setattr(NoTracking, "open", lambda self, job, known: tracking.open(job, known))
+    monkeypatch.setattr(NoTracking, "name", "noting")
+    monkeypatch.setattr(NoTracking, "open", lambda self, *given: tracking.open(*given))
     steps.signal_at(10, signal.SIGINT)
     assert pinn_run(*ADAM, "hydra.run.dir=run").status == 130
     steps.undisturbed()
@@ -166,7 +221,7 @@ def test_a_run_is_followed_from_start_to_end(
     monkeypatch.chdir(tmp_path)
     assert pinn_run(*ADAM, "hydra.run.dir=plain").status == 0
     assert_same_numbers(tmp_path / "run", tmp_path / "plain")
-    assert tracking.known == [None, "run 0"]
+    assert tracking.known == [False, True]
     told = [entry for notes in tracking.opened for entry in notes.told]
     iterations = [iteration for kind, *rest in told if kind == "rows" for iteration in rest[0]]  # type: ignore[attr-defined]
     assert iterations == pd.read_csv(tmp_path / "run" / "history.csv")["iteration"].tolist()
@@ -177,4 +232,4 @@ def test_a_run_is_followed_from_start_to_end(
     assert outcome.metrics["fitness_percent/velocity"] == fitness["all", "velocity"]
     assert {"error_percent/k_1", "seconds/total", "training/iterations"} <= set(outcome.metrics)
     assert "fitness.csv" in {file.name for file in outcome.files}
-    assert "checkpoint.pt" not in {file.name for file in outcome.files}
+    assert not {"checkpoint.pt", "run.lock", FILE} & {file.name for file in outcome.files}

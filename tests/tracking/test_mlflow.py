@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -11,9 +12,14 @@ from typing import Any
 import pandas as pd
 import pytest
 from calls import SMALL, PinnRun
-from interrupted_runs import ADAM, Steps, without_figures
+from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
 from pinn_cli.errors import InputError
+from pinn_cli.tracking import mlflow as mlflow_tracking
+from pinn_cli.tracking.base import Job
+from pinn_cli.tracking.follow import follow
+from pinn_cli.tracking.mlflow import MlflowTracker, MlflowTracking
+from pinn_cli.tracking.told import Told
 
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 pytest.importorskip("sqlalchemy", reason="the extra mlflow is not installed")
@@ -23,13 +29,14 @@ PROCESSES = 4
 ONE_PROCESS = """
 import sys
 from pathlib import Path
+from pinn_cli.tracking import mlflow as mlflow_tracking
 from pinn_cli.tracking.base import Job
 from pinn_cli.tracking.follow import follow
 from pinn_cli.tracking.mlflow import MlflowTracking
 for number in range(3):
     place = Path(sys.argv[1], str(number))
     place.mkdir(parents=True)
-    job = Job(place, place.parent.name, {"seed": str(number)}, {"case": "many"})
+    job = Job(place, place.parent.name, {"seed": str(number)}, {"case": "many"}, "many")
     with follow(MlflowTracking("sqlite:///shared.db"), job, resuming=False) as tracked:
         for iteration in range(1, 40):
             tracked.row({"iteration": iteration, "loss_physics": 1.0 / iteration})
@@ -74,6 +81,81 @@ def test_an_interrupted_run_is_one_run_in_the_end(
     copied = tmp_path / "outputs" / "mlflow-artifacts" / run.info.run_id / "artifacts"
     assert (copied / "fitness.csv").read_bytes() == (tmp_path / "run" / "fitness.csv").read_bytes()
     assert not (copied / "checkpoint.pt").exists()
+
+
+def killed(*_: object, **__: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_killed_run_leaves_no_run_that_runs_for_ever(tmp_path: Path) -> None:
+    """Killed when it has been made, when a row has been told, and when it was to end: in the end it is one run."""
+    import mlflow.tracking  # noqa: F401 once, rather than in each child
+
+    directory, database = tmp_path / "run", tmp_path / "mlflow.db"
+    directory.mkdir()
+    job = Job(directory, "run", {"seed": "0", "threads": "1"}, {"case": "killed"}, "of these settings")
+
+    def start(kill: str, rows: int, resuming: bool = True) -> None:
+        if kill:
+            setattr(MlflowTracker, kill, killed)
+        tracking = MlflowTracking(f"sqlite:///{database}")
+        with follow(tracking, job, resuming) as tracked:
+            for iteration in range(1, rows + 1):
+                tracked.row({"iteration": iteration, "seconds": 0.1 * iteration, "loss_physics": 1.0 / iteration})
+                if kill == "rows told":
+                    tracked._keep = killed  # type: ignore[method-assign]
+                tracked.flush()
+
+    assert in_a_child(lambda: start("__init__", 0)) == -signal.SIGKILL
+    assert in_a_child(lambda: start("rows told", 4)) == -signal.SIGKILL
+    assert in_a_child(lambda: start("end", 6)) == -signal.SIGKILL
+    assert in_a_child(lambda: start("", 8)) == 0
+    assert in_a_child(lambda: start("end", 2, resuming=False)) == -signal.SIGKILL
+    assert in_a_child(lambda: start("", 2, resuming=False)) == 0
+    last, abandoned, first = runs(database)
+    assert [run.info.status for run in (first, abandoned, last)] == ["FINISHED", "KILLED", "FINISHED"]
+    assert steps_of(database, first, "loss_physics") == list(range(1, 9))
+    assert first.data.params == {"seed": "0", "threads": "1"}
+
+
+@pytest.mark.slow
+def test_a_kill_while_the_tables_are_made_leaves_none(tmp_path: Path) -> None:
+    (tmp_path / ".mlflow.db.new").write_bytes(b"half of them")
+    tracking = MlflowTracking(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    job = Job(tmp_path / "run", "run", {}, {}, "")
+    job.directory.mkdir()
+
+    def start() -> None:
+        mlflow_tracking.replacing = killed  # the tables are there, but the file has not its name
+        tracking.open(job, Told("mlflow", "", "a1"), known=False)
+
+    assert in_a_child(start) == -signal.SIGKILL
+    assert not (tmp_path / "mlflow.db").exists()
+    with follow(tracking, job, resuming=False):
+        pass
+    (run,) = runs(tmp_path / "mlflow.db")
+    assert run.info.status == "FINISHED"
+    assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", "run"}
+
+
+def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """One that was not tracked, or was killed between its last file and the tracker's last call; and only once."""
+    without_figures(monkeypatch)
+    assert pinn_run(*SMALL, "hydra.run.dir=run").status == 0
+    before = {file: file.read_bytes() for file in (tmp_path / "run").glob("*.csv")}
+    outcome = pinn_run("resume=run", "tracking=mlflow", "tracking.uri=sqlite:///here.db")
+    assert outcome.status == 0, outcome.err
+    assert outcome.out.startswith("finished before; tracking=mlflow has it now\n")
+    again = pinn_run(*SMALL, "hydra.run.dir=run", "resume=auto", "tracking=mlflow", "tracking.uri=sqlite:///here.db")
+    assert again.out.startswith("finished before, nothing to do\n")
+    assert before == {file: file.read_bytes() for file in (tmp_path / "run").glob("*.csv")}
+    (run,) = runs(tmp_path / "here.db")
+    assert run.info.status == "FINISHED"
+    history = pd.read_csv(tmp_path / "run" / "history.csv")
+    assert steps_of(tmp_path / "here.db", run, "seconds") == history["iteration"].tolist()
+    assert {"fitness_percent/velocity", "error_percent/k_1"} <= set(run.data.metrics)
+    assert (tmp_path / "here-artifacts" / run.info.run_id / "artifacts" / "response.nc").is_file()
 
 
 def test_a_diverging_run_has_failed(pinn_run: PinnRun, tmp_path: Path) -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 from calls import PinnRun
-from interrupted_runs import ADAM, Steps
+from interrupted_runs import ADAM, Steps, in_a_child
 
+from pinn_cli.command_line import execute
 from pinn_cli.errors import InputError
+from pinn_cli.main import run
+from pinn_cli.training.gradient.descent import Descent
 
 pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
 
@@ -44,6 +49,25 @@ def test_an_interrupted_run_is_one_run_in_the_end(
     assert "_hparams_/experiment" in found.PluginTagToContent("hparams")
     text = found.Tensors("settings/text_summary")[0].tensor_proto.string_val[0].decode()
     assert "| system.ndof | 3 |" in text
+
+
+def test_rows_between_the_last_note_and_a_kill_are_there_once(pinn_run: PinnRun, tmp_path: Path) -> None:
+    """The checkpoint that a killed run goes on from is younger than the last rows that its tracker was told."""
+    command = (*ADAM, "training.history_every=1", "tracking=tensorboard", "hydra.run.dir=run", "resume=auto")
+
+    def killed() -> None:
+        step = Descent.step
+        Descent.step = lambda self: os.kill(os.getpid(), signal.SIGKILL) if self.iteration == 10 else step(self)  # type: ignore[method-assign,func-returns-value,assignment,return-value]
+        sys.argv = ["pinn-run", *command]
+        execute(run)
+
+    os.chdir(tmp_path)
+    assert in_a_child(killed) == -signal.SIGKILL
+    outcome = pinn_run(*command, "figures=false")
+    assert outcome.status == 0, outcome.err
+    history = pd.read_csv(tmp_path / "run" / "history.csv")
+    found = events(tmp_path / "run" / "tensorboard")
+    assert [e.step for e in found.Scalars("loss/observation")] == history["iteration"].tolist()
 
 
 def test_a_folder_of_its_own(pinn_run: PinnRun, tmp_path: Path) -> None:

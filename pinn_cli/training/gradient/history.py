@@ -61,8 +61,11 @@ class History:
         return {"rows": [dict(row) for row in self.rows], "seconds": self.seconds}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from there."""
+        """Go on from there; whoever watches sees those rows too: a process that was killed may not have told them."""
         self.rows = [dict(row) for row in state["rows"]]
+        if self.watch is not None:
+            for row in self.rows:
+                self.watch(row)
         self.started = time.perf_counter() - state["seconds"]
 
 

@@ -1,0 +1,129 @@
+"""Blocks of time that the estimator never sees, forecast from what it found before them: for a single sensor.
+
+A gap between samples is no test of an estimate, unless it lasts much longer than the motion remembers. After the last
+sample that is seen the estimate has nothing to go by but its state there, its parameters and the force.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.legal_values import fraction, whole_number
+from pinn_cli.record.record import MINIMUM_SAMPLES, RESPONSE_QUANTITIES, Record, Response
+from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.report.free_run import estimated_chain
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.validation.base import Estimator, Score, Validation
+from pinn_cli.validation.density import channel_noise, compared
+
+log = logging.getLogger(__name__)
+
+# The forecast begins this share of what was seen before its end, where the ends of splines do not show.
+LEAD = 1 / 32
+
+
+class Forecast(Validation):
+    """Mean over blocks and sensors of log(error of the forecast / noise of the sensor).
+
+    The last part of the record is cut into blocks. For each the problem is posed and solved again with the record up to
+    it, and the estimated system is simulated from its estimated state under the measured force to the block's end. The
+    run's own estimate is left as it is.
+
+    Args:
+        blocks: How many.
+        share: Of the record, in each of them.
+
+    Raises:
+        InputError: Something else than that.
+    """
+
+    name = "forecast"
+
+    def __init__(self, blocks: int = 3, share: float = 0.2) -> None:
+        self.blocks, self.share = (
+            whole_number("validation.blocks", blocks, least=1),
+            fraction("validation.share", share),
+        )
+
+    def check(self, problem: Problem, estimator: Estimator) -> None:
+        """See :meth:`Validation.check`."""
+        unknown = np.flatnonzero(np.isnan(problem.record.force).any(axis=0)) + 1
+        if unknown.size:
+            hint = f"that on DOF {', '.join(map(str, unknown))} is neither measured nor known to be zero"
+            raise InputError("validation", self.name, "used with a record whose forces are all known", hint)
+        starts, length = self._starts(problem.record), self._length(problem.record)
+        if min(length, starts[0]) < MINIMUM_SAMPLES:
+            allowed = f"{MINIMUM_SAMPLES} samples or more in each block and before the first"
+            hint = f"with validation.blocks={self.blocks} there are {length} and {max(0, starts[0])}"
+            raise InputError("validation.share", self.share, allowed, hint)
+        for start in starts:
+            self._posed(start, problem, estimator)
+
+    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
+        """See :meth:`Validation.score`."""
+        rows: list[dict[str, Any]] = []
+        for start in self._starts(problem.record):
+            try:
+                found = estimator.training.solve(
+                    self._posed(start, problem, estimator), estimator.network, estimator.run
+                )
+                forecast = _forecast(problem.record, found, estimator, start, start + self._length(problem.record))
+            except (DivergenceError, OverflowsError, TooStiffError) as error:
+                reason = f"with the record up to {problem.record.time[start]:.4g} s: {error}"
+                log.warning("no validation score: %s", reason)
+                return Score(np.nan, pd.DataFrame(rows), reason)
+            rows += self._rows(problem.record, forecast, start)
+        table = pd.DataFrame(rows)
+        value = float(table["score"].mean())
+        last = {"validation": self.name, "dof": "all", "samples": int(table["samples"].sum()), "score": value}
+        reason = "" if np.isfinite(value) else "the forecast is not finite"
+        return Score(value, pd.concat([table, pd.DataFrame([last])], ignore_index=True), reason)
+
+    def _length(self, record: Record) -> int:
+        """Samples of a block."""
+        return round(self.share * len(record.time))
+
+    def _starts(self, record: Record) -> list[int]:
+        """First sample of each block; what is left of the record lies before them."""
+        return [len(record.time) - left * self._length(record) for left in range(self.blocks, 0, -1)]
+
+    def _posed(self, start: int, problem: Problem, estimator: Estimator) -> Problem:
+        """The same problem with the record up to a block."""
+        return estimator.scheme.posed_again(problem, estimator.prescribed, problem.record.until(start))
+
+    def _rows(self, record: Record, forecast: Response, start: int) -> list[dict[str, Any]]:
+        rows = []
+        block = slice(start, start + self._length(record))
+        for quantity in RESPONSE_QUANTITIES:
+            for dof in np.flatnonzero(record.sensors(quantity)):
+                measured = getattr(record, quantity)[block, dof]
+                mean = getattr(forecast, quantity)[-len(measured) :, dof]
+                told = compared(measured, mean, np.full_like(mean, np.nan), channel_noise(record, quantity, int(dof)))
+                rows.append(
+                    {
+                        "validation": self.name,
+                        "withheld_from": record.time[start],
+                        "dof": int(dof) + 1,
+                        "quantity": quantity,
+                        "samples": len(measured),
+                        "noise_std": told.noise,
+                        "error_rms": told.error,
+                        "score": told.excess,
+                    }
+                )
+        return rows
+
+
+def _forecast(record: Record, found: Estimate, estimator: Estimator, start: int, end: int) -> Response:
+    """From shortly before a block to its end."""
+    first = start - max(1, round(LEAD * start))
+    state = found.response.displacement[first], found.response.velocity[first]
+    chain = estimated_chain(estimator.prescribed, found.parameters)
+    return resimulate(chain, record.until(end), state, first=first)

@@ -1,0 +1,78 @@
+"""Searches in processes of their own, killed at any moment, and the same command once more; two trials at a time."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from calls import SMALL
+from sweeps import start
+
+pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="the extra optuna is not installed")
+pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
+
+TRIALS, KILLS = 6, 5
+SEARCH = (
+    "--multirun", "hydra/sweeper=search", "validation=heldout", *SMALL, "scheme.unobserved_fraction=0.3",
+    "network.knots_per_period=interval(1.0,5.0)", "network.degree=choice(3,4,5)", "hydra.sweeper.sampler.startup=3",
+    f"hydra.sweeper.n_trials={TRIALS}", "tracking=mlflow", "tracking.files=false",
+)  # fmt: skip
+
+
+def trials(sweep: Path) -> pd.DataFrame:
+    return pd.read_csv(sweep / "search.csv").drop(columns="seconds")
+
+
+def tracked(database: Path) -> list[Any]:
+    from mlflow.tracking import MlflowClient
+
+    client = MlflowClient(tracking_uri=f"sqlite:///{database}")
+    return list(client.search_runs([e.experiment_id for e in client.search_experiments()]))
+
+
+def carried_out(folder: Path, *overrides: str) -> str:
+    search = start(folder, *SEARCH, *overrides)
+    out, err = search.communicate(timeout=600)
+    assert search.returncode == 0, err
+    return out
+
+
+@pytest.mark.slow
+def test_a_killed_search_ends_with_the_trials_of_one_that_was_left_alone(tmp_path: Path) -> None:
+    began = time.monotonic()
+    best = carried_out(tmp_path, "hydra.sweep.dir=whole", "tracking.uri=sqlite:///whole.db").splitlines()[:2]
+    lasted = time.monotonic() - began
+    whole = trials(tmp_path / "whole")
+    assert len(whole) == TRIALS
+    moments = random.Random(3)
+    for kill in range(KILLS):
+        here = (f"hydra.sweep.dir=search{kill}", f"tracking.uri=sqlite:///search{kill}.db")
+        for _ in range(moments.choice((1, 2))):
+            victim = start(tmp_path, *SEARCH, *here)
+            time.sleep(moments.uniform(0.1, 1.0) * lasted)
+            os.killpg(victim.pid, signal.SIGKILL)
+            victim.communicate()
+        out = carried_out(tmp_path, *here)
+        assert [line.replace(f"search{kill}", "whole") for line in out.splitlines()[:2]] == best
+        pd.testing.assert_frame_equal(trials(tmp_path / f"search{kill}"), whole)
+        assert [run.info.status for run in tracked(tmp_path / f"search{kill}.db")] == ["FINISHED"] * TRIALS
+
+
+@pytest.mark.slow
+def test_two_trials_at_a_time(tmp_path: Path) -> None:
+    """Each with a process of its own, and one database of MLflow for both."""
+    side_by_side = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "hydra.sweeper.n_jobs=2")
+    carried_out(tmp_path, *side_by_side, "hydra.sweep.dir=found")
+    found = trials(tmp_path / "found")
+    assert found["trial"].tolist() == list(range(TRIALS))
+    assert found["directory"].nunique() == TRIALS
+    runs = tracked(tmp_path / "outputs" / "mlflow.db")
+    assert [run.info.status for run in runs] == ["FINISHED"] * TRIALS
+    scores = [run.data.metrics["validation_score"] for run in runs]
+    assert sorted(scores) == pytest.approx(sorted(found["score"]))
