@@ -149,7 +149,7 @@ def test_jobs_behind_a_killed_one_are_sent_again(state: str, begun: int, sent: l
         (batch,) = batches
         arrays.append([job.number for job in batch])
         if len(arrays) > 1:
-            return [SlurmJob("COMPLETED", [job.returned() for job in batch])]
+            return [SlurmJob("COMPLETED", [job.returned(finished=False) for job in batch])]
         Path("17_0_submitted.pkl").touch()
         for job in batch[:begun]:
             (job.directory / ".hydra").mkdir(parents=True)
@@ -193,7 +193,7 @@ def test_tasks_of_a_killed_launcher_are_waited_for(resume: tuple[str, ...], sent
 
     def submit(launcher: Any, batches: list[list[Any]]) -> list[SlurmJob]:
         arrays.extend([job.number for job in batch] for batch in batches)
-        return [SlurmJob("COMPLETED", [job.returned() for job in batch]) for batch in batches]
+        return [SlurmJob("COMPLETED", [job.returned(finished=False) for job in batch]) for batch in batches]
 
     monkeypatch.setattr(submitit_launcher.submitit, "SlurmJob", queued)
     monkeypatch.setattr(SlurmLauncher, "_submit", submit)
