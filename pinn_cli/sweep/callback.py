@@ -12,7 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.sweep.cores import at_once, pin
 from pinn_cli.sweep.jobs import Sweep
-from pinn_cli.sweep.launched import put_in_place
+from pinn_cli.sweep.launched import keep_plugins, put_in_place
 from pinn_cli.sweep.progress import Progress
 
 # The sweep that Hydra runs in this process, and what shows how far it is.
@@ -41,8 +41,9 @@ class SweepCallback(Callback):
         progress.start()
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Give a worker of joblib its cores."""
+        """Give a worker of joblib its cores, and leave it what it knows of Hydra."""
         if _is_joblib(config):
+            keep_plugins()
             pin(int(config.hydra.launcher.n_jobs))
 
 
