@@ -31,9 +31,8 @@ class Search(Callback):
             study = load(directory)
         except ImportError:  # of the sweeper's package: Hydra meets it next, and says what is missing
             return
-        if config.hydra.sweeper.n_jobs == 1 and not str(config.hydra.launcher.get("_target_")).endswith(
-            "BasicLauncher"
-        ):
+        elsewhere = not str(config.hydra.launcher.get("_target_")).endswith("BasicLauncher")
+        if elsewhere and config.hydra.sweeper.n_jobs == 1:
             print("one trial at a time: hydra.sweeper.n_jobs=2 has two at once", file=sys.stderr)
         with read_write(config), open_dict(config):
             _complete(config.hydra.sweeper, directory)

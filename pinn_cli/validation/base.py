@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pandas as pd
 
@@ -48,6 +50,16 @@ class Score:
     value: float
     table: pd.DataFrame
     reason: str = ""
+
+    @classmethod
+    def mean(cls, rows: Sequence[Mapping[str, Any]], over: str) -> Score:
+        """The mean of the column ``score`` of rows, which ends the table where the column ``over`` says `all`."""
+        table = pd.DataFrame(rows)
+        value = float(table["score"].mean())
+        samples = int(table["samples"].sum())
+        last = {"validation": rows[0]["validation"], over: "all", "samples": samples, "score": value}
+        reason = "" if math.isfinite(value) else "the prediction is not finite"
+        return cls(value, pd.concat([table, pd.DataFrame([last])], ignore_index=True), reason)
 
 
 class Validation(ABC):

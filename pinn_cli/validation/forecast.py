@@ -47,10 +47,8 @@ class Forecast(Validation):
     name = "forecast"
 
     def __init__(self, blocks: int = 3, share: float = 0.2) -> None:
-        self.blocks, self.share = (
-            whole_number("validation.blocks", blocks, least=1),
-            fraction("validation.share", share),
-        )
+        self.blocks = whole_number("validation.blocks", blocks, least=1)
+        self.share = fraction("validation.share", share)
 
     def check(self, problem: Problem, estimator: Estimator) -> None:
         """See :meth:`Validation.check`."""
@@ -71,20 +69,15 @@ class Forecast(Validation):
         rows: list[dict[str, Any]] = []
         for start in self._starts(problem.record):
             try:
-                found = estimator.training.solve(
-                    self._posed(start, problem, estimator), estimator.network, estimator.run
-                )
+                before = self._posed(start, problem, estimator)
+                found = estimator.training.solve(before, estimator.network, estimator.run)
                 forecast = _forecast(problem.record, found, estimator, start, start + self._length(problem.record))
             except (DivergenceError, OverflowsError, TooStiffError) as error:
                 reason = f"with the record up to {problem.record.time[start]:.4g} s: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
             rows += self._rows(problem.record, forecast, start)
-        table = pd.DataFrame(rows)
-        value = float(table["score"].mean())
-        last = {"validation": self.name, "dof": "all", "samples": int(table["samples"].sum()), "score": value}
-        reason = "" if np.isfinite(value) else "the forecast is not finite"
-        return Score(value, pd.concat([table, pd.DataFrame([last])], ignore_index=True), reason)
+        return Score.mean(rows, over="dof")
 
     def _length(self, record: Record) -> int:
         """Samples of a block."""

@@ -69,11 +69,7 @@ class HeldOut(Validation):
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
             rows += self._rows(problem.record, dof, found)
-        table = pd.DataFrame(rows)
-        value = float(table["score"].mean())
-        reason = "" if np.isfinite(value) else "the prediction is not finite"
-        last = {"validation": self.name, "withheld_dof": "all", "samples": int(table["samples"].sum()), "score": value}
-        return Score(value, pd.concat([table, pd.DataFrame([last])], ignore_index=True), reason)
+        return Score.mean(rows, over="withheld_dof")
 
     def _withheld(self, record: Record) -> list[int]:
         return self.dofs or [int(dof) + 1 for dof in np.flatnonzero(record.observed)]
