@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -18,7 +18,8 @@ from pinn_cli.resume import RESULT, asked_to_resume, is_finished, stored_score
 from pinn_cli.stages import Stages
 from pinn_cli.tracking.told import is_told
 
-Watch = Callable[[Mapping[str, float]], None]
+if TYPE_CHECKING:
+    from pinn_cli.training.estimate import Watch
 
 
 def run(composed: DictConfig) -> float | None:

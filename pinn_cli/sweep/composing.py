@@ -52,7 +52,7 @@ class JobLoader(ConfigLoaderImpl):
         for override in parsed:
             if override.input_line in numbers:
                 if OmegaConf.is_config(OmegaConf.select(config, override.key_or_group)):
-                    raise _NotASettingError  # but a group, with an option that is called by a number
+                    raise _NotASettingError  # but a group, whose options are words: Hydra says so
                 OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
         of_task = [override for override in parsed if not override.is_hydra_override()]
         config.hydra.overrides.task = [override.input_line for override in of_task]

@@ -33,11 +33,8 @@ def parse(override: str) -> Override:
 
 def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:
     """Settings that take more than one value in a sweep, by its overrides as typed and its sweeper's `params`."""
-    return list(
-        dict.fromkeys(
-            [setting_of(o) for o in overrides if parse(o).is_sweep_override()] + [setting_of(p) for p in params]
-        )
-    )
+    swept = [override for override in overrides if parse(override).is_sweep_override()]
+    return list(dict.fromkeys(map(setting_of, [*swept, *params])))
 
 
 def job_name(overrides: Iterable[str], swept: Collection[str]) -> str:

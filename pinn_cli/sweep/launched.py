@@ -94,6 +94,14 @@ class Launched:
             config.hydra.job.id, config.hydra.job.num = f"job_id_for_{self.number}", self.number
         return config
 
+    @cached_property
+    def task(self) -> DictConfig:
+        """The same without that node, as the job sees it."""
+        config = self.config.copy()
+        with open_dict(config):
+            del config["hydra"]
+        return config
+
     @property
     def directory(self) -> Path:
         """Where it lies, or will."""
@@ -102,12 +110,12 @@ class Launched:
     def goes_on(self) -> bool:
         """Whether it takes up what lies in its directory, as against `resume=never`."""
         HydraConfig.instance().set_config(self.config)
-        return asked_to_resume(going_on(self._task()), self.directory)
+        return asked_to_resume(going_on(self.task), self.directory)
 
     def finished(self) -> bool:
         """Whether it need not be sent anywhere, since all its results lie there and its tracker has them."""
-        task = self._task()
-        return self.goes_on() and is_finished(self.directory, task, Path.cwd()) and is_told(self.directory, task)
+        finished = self.goes_on() and is_finished(self.directory, self.task, Path.cwd())
+        return finished and is_told(self.directory, self.task)
 
     def begun_since(self, moment: float) -> bool:
         """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
@@ -121,7 +129,7 @@ class Launched:
 
     def returned(self, finished: bool) -> JobReturn:
         """What a sweeper gets for a job that no worker returned anything for: the score in its directory, if any."""
-        result = JobReturn(overrides=self.overrides, cfg=self._task(), hydra_cfg=self.config)
+        result = JobReturn(overrides=self.overrides, cfg=self.task, hydra_cfg=self.config)
         result.status, result.return_value = JobStatus.COMPLETED, stored_score(self.directory) if finished else None
         return result
 
@@ -129,15 +137,9 @@ class Launched:
         """Note that its worker was, unless it had all its results by then or says itself why it failed."""
         finished = self.finished()
         if not finished and Failure.read(self.directory) is None:
-            overrides = self.directory / ".hydra" / "overrides.yaml"
+            overrides = self.directory / OVERRIDES
             if not overrides.is_file():  # it had not begun: without this the directory is no job's
                 overrides.parent.mkdir(parents=True, exist_ok=True)
                 OmegaConf.save(self.config.hydra.overrides.task, overrides)
             Failure(DEFECT, reason, reason).write(self.directory)
         return self.returned(finished)
-
-    def _task(self) -> DictConfig:
-        config = self.config.copy()
-        with open_dict(config):
-            del config["hydra"]
-        return config

@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from pinn_cli.training.checkpoint import Checkpoints
     from pinn_cli.training.parameter_likelihoods import ParameterLikelihoods
 
+# Called with each row of a history as it comes; it must not change it.
+Watch = Callable[[Mapping[str, float]], None]
+
+
+def unwatched(row: Mapping[str, float]) -> None:
+    """Nobody looks on."""
+
 
 @dataclass(frozen=True, eq=False)
 class ParameterEstimate:
@@ -76,7 +83,7 @@ class RunContext:
         directory: The run's directory, for what a stage keeps; None in a library call that keeps nothing.
         progress: Whether to draw a progress bar (never when the output is no terminal).
         checkpoints: Of the trainings; None in a library call that keeps none.
-        watch: Called with each row of the history as it comes; it must not change it.
+        watch: Who looks on as the history grows.
     """
 
     device: str = "cpu"
@@ -84,4 +91,4 @@ class RunContext:
     directory: Path | None = None
     progress: bool = field(default=False)
     checkpoints: Checkpoints | None = None
-    watch: Callable[[Mapping[str, float]], None] | None = None
+    watch: Watch = unwatched

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
+from pinn_cli.training.estimate import Watch, unwatched
 from pinn_cli.training.noise_model import NoiseModel
 
 
 class History:
     """One row per accepted step, and the progress bar."""
 
-    def __init__(self, progress: bool, watch: Callable[[Mapping[str, float]], None] | None = None) -> None:
+    def __init__(self, progress: bool, watch: Watch = unwatched) -> None:
         self.rows: list[dict[str, float]] = []
         self.watch = watch
         self.started = time.perf_counter()
@@ -30,8 +30,7 @@ class History:
         row = {"iteration": len(self.rows) + 1, "seconds": time.perf_counter() - self.started}
         row.update({f"loss_{name}": value for name, value in losses.items()})
         self.rows.append({**row, **weights})
-        if self.watch is not None:
-            self.watch(self.rows[-1])
+        self.watch(self.rows[-1])
         self.bar.update()
         self.bar.set_postfix(loss=f"{sum(losses.values()):.3g}", discrepancy=f"{noise.discrepancy:.2g} N")
 

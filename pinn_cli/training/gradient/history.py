@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 from torch import Tensor
 from tqdm import tqdm
 
+from pinn_cli.training.estimate import Watch, unwatched
+
 
 class History:
     """A row of weighted loss terms and weights every so many iterations and at the end, and the progress bar."""
 
-    def __init__(
-        self,
-        name: str,
-        progress: bool,
-        iterations: int,
-        every: int,
-        watch: Callable[[Mapping[str, float]], None] | None = None,
-    ) -> None:
+    def __init__(self, name: str, progress: bool, iterations: int, every: int, watch: Watch = unwatched) -> None:
         self.rows: list[dict[str, float]] = []
         self.watch = watch
         self.iterations, self.every = iterations, every
@@ -44,8 +39,7 @@ class History:
         losses = {f"loss_{name}": _number(term) for name, term in terms.items()}
         factors = {f"weight_{name}": weight for name, weight in weights.items()}
         self.rows.append({"iteration": iteration, "seconds": self.seconds, **losses, **factors})
-        if self.watch is not None:
-            self.watch(self.rows[-1])
+        self.watch(self.rows[-1])
         self.bar.set_postfix({name.removeprefix("loss_"): f"{loss:.2g}" for name, loss in losses.items()})
 
     def close(self) -> None:
@@ -63,9 +57,8 @@ class History:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from there; whoever watches sees those rows too: a process that was killed may not have told them."""
         self.rows = [dict(row) for row in state["rows"]]
-        if self.watch is not None:
-            for row in self.rows:
-                self.watch(row)
+        for row in self.rows:
+            self.watch(row)
         self.started = time.perf_counter() - state["seconds"]
 
 
