@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.base import States
+from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
+from pinn_cli.record.spectrum import lowest_level, record_band
 from pinn_cli.system.chain import Chain
 
 
@@ -34,6 +36,9 @@ class Targets:
             after.
         measured_force, unforced: (n,) bool; DOFs in neither carry an unknown force, and no equation of motion is
             enforced on them.
+        force_between: (P, n), N, standard deviation of what the samples leave open about the force at collocation
+            points between them; None where every point is a sample.
+        points_per_sample: Collocation points for every force sample.
     """
 
     observation_time: Tensor
@@ -44,6 +49,8 @@ class Targets:
     observer_force: Tensor
     measured_force: Tensor
     unforced: Tensor
+    force_between: Tensor | None = None
+    points_per_sample: int = 1
 
     @property
     def equation(self) -> Tensor:
@@ -61,10 +68,15 @@ class Targets:
             observer_force=self.observer_force[samples],
         )
 
-    def grouped(self, gather: Callable[[Tensor], Tensor]) -> Targets:
-        """The same with its histories rearranged, (N, n) to (..., n), as a network groups its times."""
+    def grouped_observations(self, gather: Callable[[Tensor], Tensor]) -> Targets:
+        """The same with the histories of its observations rearranged, (N, n) to (..., n), as a network groups times."""
         response = {quantity: gather(values) for quantity, values in self.response.items()}
-        return replace(self, response=response, force=gather(self.force), observer_force=gather(self.observer_force))
+        return replace(self, response=response, observer_force=gather(self.observer_force))
+
+    def grouped_collocation(self, gather: Callable[[Tensor], Tensor]) -> Targets:
+        """The same with the force at its collocation points rearranged, (P, n) to (..., n)."""
+        between = None if self.force_between is None else gather(self.force_between)
+        return replace(self, force=gather(self.force), force_between=between)
 
 
 def hold_delay(record: Record) -> float:
@@ -72,8 +84,17 @@ def hold_delay(record: Record) -> float:
     return record.step / 2.0 if record.intersample == "zero_order_hold" else 0.0
 
 
-def targets(record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtype = torch.float64) -> Targets:
-    """The record as the residuals need it."""
+def targets(
+    record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtype = torch.float64, refinement: int = 1
+) -> Targets:
+    """The record as the residuals need it.
+
+    Args:
+        record: What was measured.
+        chain: The prescribed model, for its masses.
+        device, dtype: Of the tensors.
+        refinement: Collocation points for every sample. More than one needs a band-limited force.
+    """
 
     def tensor(values: np.ndarray) -> Tensor:
         return torch.as_tensor(values, device=device, dtype=torch.bool if values.dtype == bool else dtype)
@@ -86,16 +107,29 @@ def targets(record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtyp
         response["acceleration"] = response["acceleration"] - jump / (
             2.0 * chain.parameters["m"].detach().cpu().numpy()
         )
+    points, between = force, None
+    if refinement > 1:
+        points, between = _between_samples(record, force, refinement)
     return Targets(
         tensor(record.time),
-        tensor(record.time + hold_delay(record)),
+        tensor(refined_times(record.time, refinement) + hold_delay(record)),
         {quantity: tensor(values) for quantity, values in response.items()},
         {quantity: tensor(record.sensors(quantity)) for quantity in RESPONSE_QUANTITIES},
-        tensor(force),
+        tensor(points),
         tensor(force - jump / 2.0),
         tensor(record.sensors("force")),
         tensor(record.unforced),
+        None if between is None else tensor(between),
+        refinement,
     )
+
+
+def _between_samples(record: Record, force: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
+    """(P, n) force at the refined times, and the standard deviation of what the samples leave open there, N."""
+    rms = np.sqrt(np.mean(force**2, axis=0))
+    noise = [lowest_level(column, record.step) / level for column, level in zip(force.T, rms, strict=True) if level > 0]
+    points, spread = refined_history(force, record.step, record_band(record), refinement, max(noise, default=0.0))
+    return points, spread[:, None] * rms
 
 
 def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:

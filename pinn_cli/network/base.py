@@ -78,3 +78,7 @@ class NetworkDesign(ABC):
     def refined(self) -> NetworkDesign:
         """The same for a problem with unknown parameters, which a network too coarse for the motion would bias."""
         return self
+
+    def finer(self, factor: float) -> NetworkDesign | None:
+        """The same with so many times as many features; None where the user has said how many, or none are counted."""
+        return None

@@ -40,6 +40,12 @@ def piece_coefficients(degree: int) -> np.ndarray:
     return pieces
 
 
+# Collocation points in a knot interval, at least: fewer are no average.
+POINTS_PER_INTERVAL = 3
+# Intervals of the shortest record.
+FEWEST_INTERVALS = 8
+
+
 class SplineNetwork(LinearReadout):
     """Uniform B-splines of one degree on [start, start + intervals * spacing], s."""
 
@@ -104,6 +110,7 @@ class Spline(NetworkDesign):
             None: `KNOTS_PER_PERIOD`, or `REFINED_KNOTS_PER_PERIOD` where parameters are unknown.
         intervals: Number of knot intervals; None: chosen by ``knots_per_period``.
         continuity: See :class:`pinn_cli.network.base.Network`.
+        least_knots: Knots in one period where ``knots_per_period`` leaves them to be chosen.
 
     Raises:
         InputError: A setting outside its range.
@@ -113,10 +120,11 @@ class Spline(NetworkDesign):
 
     def __init__(
         self,
-        degree: int = 5,
+        degree: int = 6,
         knots_per_period: float | None = None,
         intervals: int | None = None,
         continuity: Continuity = "exact",
+        least_knots: float = KNOTS_PER_PERIOD,
     ) -> None:
         if not is_whole_number(degree) or not 3 <= degree <= 9:
             raise InputError(
@@ -127,6 +135,7 @@ class Spline(NetworkDesign):
         if intervals is not None:
             whole_number("network.intervals", intervals, least=4)
         one_of("network.continuity", continuity, CONTINUITIES)
+        self.least_knots = least_knots
         self.degree, self.knots_per_period, self.intervals, self.continuity = (
             degree,
             knots_per_period,
@@ -136,16 +145,39 @@ class Spline(NetworkDesign):
 
     def build(self, record: Record, dtype: torch.dtype = torch.float64) -> SplineNetwork:
         """See :meth:`NetworkDesign.build`."""
-        margin = record.step  # a zero-order hold moves the collocation points half a step to the right
-        start, stop = float(record.time[0]) - margin, float(record.time[-1]) + margin
-        intervals = self.intervals or self._intervals(record, stop - start)
+        start, stop = float(record.time[0]), float(record.time[-1])
+        if self.intervals is not None:
+            margin = record.step  # a zero-order hold moves the collocation points half a step to the right
+            start, stop, intervals = start - margin, stop + margin, self.intervals
+        else:
+            start, stop, intervals = self._knots(record)
         return SplineNetwork(record.ndof, start, stop, intervals, self.degree, self.continuity, dtype)
 
     def refined(self) -> Spline:
         """See :meth:`NetworkDesign.refined`."""
-        return Spline(self.degree, self.knots_per_period or REFINED_KNOTS_PER_PERIOD, self.intervals, self.continuity)
+        least = max(self.least_knots, REFINED_KNOTS_PER_PERIOD)
+        return Spline(self.degree, self.knots_per_period, self.intervals, self.continuity, least)
 
-    def _intervals(self, record: Record, span: float) -> int:
-        wanted = math.ceil((self.knots_per_period or KNOTS_PER_PERIOD) * record_band(record) * span)
-        # Every interval should hold a sample or two, or the observations leave some coefficients to the prior alone.
-        return int(min(max(wanted, 8), len(record.time) - self.degree))
+    def finer(self, factor: float) -> Spline | None:
+        """See :meth:`NetworkDesign.finer`."""
+        if self.knots_per_period is not None or self.intervals is not None:
+            return None
+        return Spline(self.degree, None, None, self.continuity, factor * self.least_knots)
+
+    def _knots(self, record: Record) -> tuple[float, float, int]:
+        """First and last knot, s, and the number of intervals.
+
+        A knot interval is a whole number of collocation points wide, and its ends lie half way between two of them, so
+        that averages over intervals are integrals. Where a force is held, points come half a step later than samples.
+        """
+        held = record.intersample == "zero_order_hold"
+        wanted = (self.knots_per_period or self.least_knots) * record_band(record) * record.step  # knots per sample
+        wanted = max(wanted, FEWEST_INTERVALS / len(record.time))
+        refinement = 1 if held else max(1, math.ceil(POINTS_PER_INTERVAL * wanted))
+        points = max(1, math.floor(refinement / wanted))
+        step = record.step / refinement
+        spacing = points * step
+        lead = 0.0 if held else 0.5 * step
+        start, stop = float(record.time[0]) - lead, float(record.time[-1]) + step - lead
+        intervals = math.ceil((stop - start) / spacing - 1e-6)
+        return start, start + intervals * spacing, intervals

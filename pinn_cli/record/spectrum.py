@@ -11,6 +11,8 @@ USABLE_NYQUIST_FRACTION = 0.8
 # Content 70 dB below a channel's mean square does not count as signal: a noise-free record has no band otherwise.
 FINEST_FLOOR = 1e-7
 AVERAGED_PIECES = 8
+# Parts of a spectrum among which its emptiest is looked for; the Hann window spreads a mean over the lowest bins.
+SPECTRUM_PARTS, LOWEST_BINS = 16, 2
 
 
 def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -57,6 +59,17 @@ def white_level(residual: np.ndarray, step: float, above: float) -> float:
     top = USABLE_NYQUIST_FRACTION * frequency[-1]
     window = (frequency > min(above, 0.9 * top)) & (frequency <= top)
     return float(np.sqrt(np.mean(power[window])))
+
+
+def lowest_level(x: np.ndarray, step: float) -> float:
+    """Standard deviation that white noise of a channel (N,) has at most: that of the emptiest part of its spectrum.
+
+    Whatever else a channel holds adds to its noise, so the least mean power of any of `SPECTRUM_PARTS` parts of the
+    usable spectrum bounds it from above, but for the scatter of that mean.
+    """
+    frequency, power = periodogram(x, step)
+    usable = power[LOWEST_BINS : np.searchsorted(frequency, USABLE_NYQUIST_FRACTION * frequency[-1], side="right")]
+    return float(np.sqrt(min(np.mean(part) for part in np.array_split(usable, min(SPECTRUM_PARTS, len(usable))))))
 
 
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:

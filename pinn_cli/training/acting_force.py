@@ -17,7 +17,7 @@ def sensor_share(noise: NoiseModel) -> np.ndarray:
     by the other's variance.
     """
     model = noise.discrepancy**2
-    return model / (model + noise.force**2)
+    return model / (model + noise.points_per_sample * noise.force**2)
 
 
 def acting_force(response: Response, filtered: np.ndarray, noise: NoiseModel) -> Response:

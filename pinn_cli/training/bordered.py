@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 from scipy.optimize import nnls
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
@@ -120,6 +120,17 @@ class BorderedFactor:
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the whole matrix."""
         return self.readout_log_determinant + 2.0 * float(np.log(np.diag(self.schur)).sum())
+
+    def draws(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Readout weights (size, count) and parameters (p, count) with the inverse as covariance.
+
+        Args:
+            normals: (size + p, count), independent standard ones.
+        """
+        size = len(self.scale)
+        x = solve_triangular(self.schur, normals[size:], lower=True, trans="T")
+        w, _ = dtbtrs(self.band, normals[:size], uplo="L", trans="T")
+        return w / self.scale[:, None] - self.solved_border @ x, x
 
     def inverse_band(self) -> np.ndarray:
         """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from torch import Tensor
+import torch
 
 from pinn_cli.errors import DivergenceError
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.physics import observation_masks
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.levenberg_marquardt import Solution, minimise
@@ -53,12 +54,45 @@ class Trained:
     log_evidence: float
 
 
+@dataclass(frozen=True, eq=False)
+class ForceResiduals:
+    """The physics residual of every DOF, split into what the features see of it and what is out of their reach.
+
+    Attributes:
+        enforced: (n,) bool, the DOFs whose equation of motion counts.
+        seen, unseen: (n,), sums of squares, N^2. Discrepancy and sensor noise make up the one, the noise of a force
+            sensor alone the other.
+        count, beyond: Independent values of each, for every DOF; ``beyond`` is 0 where nothing is out of reach.
+        observer: (n,) what the features see of the observer's residual, and its weights; None without one.
+    """
+
+    enforced: np.ndarray
+    seen: np.ndarray
+    unseen: np.ndarray
+    count: int
+    beyond: int
+    observer: tuple[np.ndarray, np.ndarray] | None
+
+    def misfit(self, noise: NoiseModel) -> float:
+        """Chi^2 and log variances of what the features see, and of the force sensors' noise beyond."""
+        variance, enforced = noise.physics_variance, self.enforced
+        total = float((self.seen / variance + self.count * np.log(variance))[enforced].sum())
+        forced = np.isfinite(noise.force) & enforced & (noise.force_variance > 0)
+        if self.beyond:
+            sensor = noise.force_variance[forced]
+            total += float((self.unseen[forced] / sensor + self.beyond * np.log(sensor)).sum())
+        if self.observer is not None:
+            seen, weight = self.observer
+            used = weight > 0
+            total += float((seen * weight)[used].sum() - self.count * np.log(weight[used]).sum())
+        return total
+
+
 class Evidence:
     """Laplace approximation of the marginal likelihood of a noise model (MacKay 1992), everything integrated out.
 
     Readout and parameters are integrated out. The physics residual counts as what the features can see of it, K values
-    per DOF with a discrepancy that is white among them; the rest of the force sensors' noise is out of reach of any
-    discrepancy and drops out.
+    per DOF with a discrepancy that is white among them; beyond that there is nothing but the force sensors' noise.
     """
 
     def __init__(
@@ -71,7 +105,11 @@ class Evidence:
     ) -> None:
         self.learn_spread = learn_spread
         self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
-        self.projection = self._projection(equations.physics)
+
+    @cached_property
+    def projection(self) -> FeatureProjection:
+        """At the collocation points."""
+        return self._projection(self.equations.physics)
 
     @cached_property
     def observer_projection(self) -> FeatureProjection:
@@ -92,21 +130,52 @@ class Evidence:
         """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
         equations = self.equations
         losses = equations.losses(point, noise)
-        seen = self._of_what_is_seen(equations.residuals(point), noise)
+        forces = self.force_residuals(point, noise)
         rest = sum(value for name, value in losses.items() if name not in ("physics", "observer"))
         prior = -2.0 * int((~equations.unknown).sum()) * np.log(noise.spread)
-        return -0.5 * (seen + rest + factor.log_determinant - prior)
+        sensors = self._log_variances(noise)
+        return -0.5 * (forces.misfit(noise) + rest + sensors + factor.log_determinant - prior)
 
-    def _of_what_is_seen(self, residuals: Mapping[str, Tensor], noise: NoiseModel) -> float:
-        """Chi^2 and log variances of the residuals whose variance has the discrepancy in it, in the features' sight."""
-        weights, total = self.equations.weights(noise), 0.0
-        for name in ("physics", "observer"):
-            if name in residuals:
-                projection = self.projection if name == "physics" else self.observer_projection
-                weight = weights[name].cpu().numpy()
-                seen, used = projection.sum_of_squares(residuals[name]), weight > 0
-                total += float((seen * weight)[used].sum() - self.equations.network.count * np.log(weight[used]).sum())
-        return total
+    def _log_variances(self, noise: NoiseModel) -> float:
+        """Of the response sensors; those of an observer equation stand with the forces."""
+        masks = observation_masks(self.equations.target, self.equations.problem.acceleration_through)
+        samples = len(self.equations.problem.record.time)
+        return sum(
+            2.0 * samples * float(np.log(noise.response[name][mask.cpu().numpy()]).sum())
+            for name, mask in masks.items()
+            if name != "observer"
+        )
+
+    def force_residuals(self, point: Point, noise: NoiseModel) -> ForceResiduals:
+        """What the physics residual holds in the features' sight and beyond it."""
+        equations = self.equations
+        enforced = equations.target.equation.cpu().numpy()
+        residuals, weight = equations.residuals(point), equations.weights(noise)
+        observer = None
+        if "observer" in residuals:
+            seen_there = self.observer_projection.sum_of_squares(residuals["observer"])
+            observer = seen_there, weight["observer"].cpu().numpy()
+        whole = equations.force_residual(point).square().sum((0, 1)).cpu().numpy()
+        if equations.averages is None:
+            seen, count = self.projection.sum_of_squares(residuals["physics"]), equations.network.count
+        else:  # averages between the samples count as far as the samples tell what acts there
+            trust = weight["physics"] * torch.as_tensor(noise.physics_variance).to(weight["physics"])
+            seen = (residuals["physics"].square() * trust).sum((0, 1)).cpu().numpy()
+            count = equations.averages.count
+        samples = len(equations.problem.record.time)
+        beyond = max(samples - count, 0) if equations.refinement == 1 else 0
+        return ForceResiduals(enforced, seen, np.maximum(whole - seen, 0.0), count, beyond, observer)
+
+    def followed_force(self) -> np.ndarray:
+        """(N, n), the measured force as far as the features follow it; 0 where there is none."""
+        equations = self.equations
+        coefficients = self.projection.coefficients(equations.target.force.cpu()).to(equations.target.force)
+        segments = equations.forces
+        values = (
+            output_features(equations.network, segments)[0]
+            @ coefficients[first_output(equations.network, segments).feature]
+        )
+        return segments.scatter(values).cpu().numpy()
 
     def _projection(self, segments: Segments) -> FeatureProjection:
         network = self.equations.network
@@ -200,10 +269,12 @@ class Evidence:
         """
         equations = self.equations
         enforced = equations.target.unforced if bool(equations.target.unforced.any()) else equations.target.equation
-        residual = equations.physics.scatter(equations.residuals(trained.solution.point)["physics"])[:, enforced]
-        share = occupied_band(
-            residual.cpu().numpy(), equations.problem.record.step, equations.network.free_intervals / 2.0
-        )
+        residual, step = equations.residuals(trained.solution.point)["physics"], 1.0 / equations.network.free_intervals
+        if equations.averages is None:
+            residual, step = equations.physics.scatter(residual), equations.problem.record.step
+        else:
+            residual = equations.averages.by_interval(residual)
+        share = occupied_band(residual[:, enforced].cpu().numpy(), step, equations.network.free_intervals / 2.0)
         wider = self.train(trained.noise.widened(share), trained.solution.point)
         return wider if wider is not None and wider.solution.converged else trained
 

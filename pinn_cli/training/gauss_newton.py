@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -20,15 +19,14 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel, sensor_noise
-from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.inference import InferenceSettings, Inferred, inferred, starting_noise
+from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
 from pinn_cli.training.quasi_newton import QuasiNewton
-from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
-from pinn_cli.training.simulated_start import simulated_start
+from pinn_cli.training.scales import scales
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
 
@@ -67,19 +65,23 @@ class GaussNewton(Training):
         """See :meth:`Training.solve`."""
         if problem.priors is not None and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
-        network = (design.refined() if problem.identifies else design).build(problem.record)
+        design = design.refined() if problem.identifies else design
+        network = design.build(problem.record)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
         history = History(run.progress, run.watch)
-        equations = NormalEquations(network, problem, run.device)
-        evidence = Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
-        trained = self._train(evidence, problem, network)
+        settings = InferenceSettings(self.iterations, self.tolerance, self.learn_spread, self.pooled)
+        if self.weights:
+            found = self._weighed(settings.solved_by(problem, network, run.device, history))
+        else:
+            found = inferred(problem, design, settings, run.device, history)
         history.close()
-        network.readout.data = equations.readout(trained.solution.point)
-        estimate = posterior_estimate(evidence, trained, history)
+        equations = found.evidence.equations
+        equations.network.readout.data = equations.readout(found.trained.solution.point)
+        estimate = posterior_estimate(found.evidence, found.trained, history)
         if problem.priors is None:
             return estimate
-        return replace(estimate, likelihoods=parameter_likelihoods(evidence, trained))
+        return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))
 
     def gives_evidence(self, design: NetworkDesign) -> bool:
         """See :meth:`Training.gives_evidence`: weights that were fixed are no noise levels."""
@@ -96,30 +98,28 @@ class GaussNewton(Training):
                 raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
         return QuasiNewton(learn_spread=self.learn_spread).solve(problem, design, run)
 
-    def _train(self, evidence: Evidence, problem: Problem, network: LinearReadout) -> Trained:
+    def _weighed(self, evidence: Evidence) -> Inferred:
+        """The solution under weights that the user has fixed."""
+        problem = evidence.equations.problem
         force, velocity = scales(problem)
-        response, sensors = sensor_noise(network, problem.record)
-        noise = NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity)
-        noise = noise.pooled() if self.pooled else noise
-        if not self.weights:
-            second_start = partial(simulated_start, evidence.equations)
-            return evidence.widen_for_colour(evidence.search(noise, force, second_start))
-        trained_fixed = evidence.train(self._fixed(noise, problem.record, force, velocity), evidence.equations.start())
-        if trained_fixed is None:
+        noise = self._fixed(starting_noise(evidence), problem.record, force, velocity)
+        trained = evidence.train(noise, evidence.equations.start())
+        if trained is None:
             raise InputError(
                 "training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular"
             )
-        return trained_fixed
+        return Inferred(evidence, trained)
 
     def _fixed(self, noise: NoiseModel, record: Record, force: float, velocity: float) -> NoiseModel:
         """Noise levels that weigh the residuals as the given lambdas do."""
         largest = {q: np.abs(getattr(record, q)).max(axis=0) for q in RESPONSE_QUANTITIES}
         observation, physics, continuity = (self.weights[name] for name in FIXED_WEIGHTS)
-        return NoiseModel(
-            {q: value / np.sqrt(observation) for q, value in largest.items()},
-            np.where(np.isnan(noise.force), np.nan, 0.0),
-            force / np.sqrt(physics),
-            velocity / np.sqrt(continuity),
+        return replace(
+            noise,
+            response={q: value / np.sqrt(observation) for q, value in largest.items()},
+            force=np.where(np.isnan(noise.force), np.nan, 0.0),
+            discrepancy=force / np.sqrt(physics),
+            continuity=velocity / np.sqrt(continuity),
         )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -18,35 +20,42 @@ class BandLayout:
         feature: (I, B) long, the features of one DOF that are alive in each group.
         count: Features of one DOF in all.
         ndof: Number of DOFs.
+        feature_first: Which order; None: the narrower.
     """
 
-    def __init__(self, feature: Tensor, count: int, ndof: int) -> None:
+    def __init__(self, feature: Tensor, count: int, ndof: int, feature_first: bool | None = None) -> None:
         groups = feature.cpu().numpy()
         span = int((groups.max(axis=1) - groups.min(axis=1)).max())
         by_feature, by_dof = span * ndof + min(2, ndof - 1), min(2, ndof - 1) * count + span
-        self.feature_first = by_feature <= by_dof
-        self.half_width = min(by_feature, by_dof)
+        self.feature_first = by_feature <= by_dof if feature_first is None else feature_first
+        self.half_width = by_feature if self.feature_first else by_dof
         self.count, self.ndof, self.size = count, ndof, count * ndof
-        self.local = self._local_columns(groups)
+        self.local = self.columns(feature)
         self.device = feature.device
-        self._band_maps()
 
-    def _local_columns(self, groups: np.ndarray) -> np.ndarray:
-        """(I, n, 3 B): position of each unknown that a residual of DOF i touches, -1 beyond the chain's ends."""
-        dof = np.arange(self.ndof)[None, :, None, None] + np.arange(-1, 2)[:, None]
+    def columns(self, feature: Tensor, reach: int = 1) -> np.ndarray:
+        """(I, n, D B): position of each unknown that a residual of DOF i touches, -1 beyond the chain's ends.
+
+        Args:
+            feature: (I, B), features alive in each group.
+            reach: DOFs on either side that it touches, D = 2 reach + 1.
+        """
+        dof = (np.arange(self.ndof)[:, None] + np.arange(-reach, reach + 1))[None, :, :, None]
+        groups = feature.cpu().numpy()
         position = self.positions(groups[:, None, None, :], dof)
         inside = np.broadcast_to((dof >= 0) & (dof < self.ndof), position.shape)
         return np.where(inside, position, -1).reshape(len(groups), self.ndof, -1)
 
-    def _band_maps(self) -> None:
+    @cached_property
+    def _band_maps(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Which entries of local blocks are kept and where they go, of the band and of a vector."""
         row, column = self.local[..., :, None], self.local[..., None, :]
         kept = (row >= column) & (column >= 0)
         row, column = np.broadcast_to(row, kept.shape)[kept], np.broadcast_to(column, kept.shape)[kept]
-        self._kept = torch.as_tensor(np.flatnonzero(kept), device=self.device)
-        self._target = torch.as_tensor((row - column) * self.size + column, device=self.device)
         alive = self.local.reshape(-1) >= 0
-        self._kept_rows = torch.as_tensor(np.flatnonzero(alive), device=self.device)
-        self._target_rows = torch.as_tensor(self.local.reshape(-1)[alive], device=self.device)
+        every = (np.flatnonzero(kept), (row - column) * self.size + column, np.flatnonzero(alive))
+        kept_entries, target, kept_rows = (torch.as_tensor(x, device=self.device) for x in every)
+        return kept_entries, target, kept_rows, torch.as_tensor(self.local.reshape(-1)[alive], device=self.device)
 
     def positions(self, feature: np.ndarray, dof: np.ndarray) -> np.ndarray:
         """Position of the weight of (feature, dof) in the vector of unknowns."""
@@ -55,14 +64,16 @@ class BandLayout:
     def band(self, blocks: Tensor) -> Tensor:
         """Sum local blocks (I, n, C, C) into the lower band (half_width + 1, size); [i - j, j] is entry [i, j]."""
         out = blocks.new_zeros((self.half_width + 1) * self.size)
-        out.index_add_(0, self._target, blocks.reshape(-1)[self._kept])
+        kept, target, _, _ = self._band_maps
+        out.index_add_(0, target, blocks.reshape(-1)[kept])
         return out.reshape(self.half_width + 1, self.size)
 
     def vector(self, blocks: Tensor) -> Tensor:
         """Sum local blocks (I, n, C, ...) into (size, ...)."""
         trailing = blocks.shape[3:]
         out = blocks.new_zeros((self.size, *trailing))
-        return out.index_add_(0, self._target_rows, blocks.reshape(-1, *trailing)[self._kept_rows])
+        _, _, kept, target = self._band_maps
+        return out.index_add_(0, target, blocks.reshape(-1, *trailing)[kept])
 
     def columns_of_dof(self, blocks: Tensor, dof: int) -> Tensor:
         """Sum the local blocks (I, C, ...) of one residual's DOF into (size, ...)."""

@@ -30,10 +30,11 @@ class NoiseModel:
     Attributes:
         response: Quantity to the standard deviation of its sensors; NaN where there is none.
         force: Of the force sensors; NaN where there is none.
-        discrepancy: Of the force that the model leaves out, per sample, on every DOF, N.
+        discrepancy: Of the force that the model leaves out, per collocation point, on every DOF, N.
         continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
         occupied: Share of the features' band that the discrepancy fills, 1 where it is taken for white.
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that the user prescribed.
+        points_per_sample: Collocation points for every force sample: the noise of a sample counts among so many points.
     """
 
     response: dict[str, np.ndarray]
@@ -42,6 +43,7 @@ class NoiseModel:
     continuity: float
     spread: float = 1.0
     occupied: float = 1.0
+    points_per_sample: int = 1
 
     def with_discrepancy(self, discrepancy: float) -> NoiseModel:
         """The same sensors under another model error."""
@@ -53,7 +55,7 @@ class NoiseModel:
 
     def misfit(self, values: int, samples: int) -> float:
         """Root mean square of the force that the model leaves out, N, with ``values`` features over ``samples``."""
-        return float(self.discrepancy * np.sqrt(self.occupied * values / samples))
+        return float(self.discrepancy * np.sqrt(self.occupied * values / (samples * self.points_per_sample)))
 
     def pooled(self) -> NoiseModel:
         """The same with one noise level for all sensors of a quantity: the root mean square of theirs."""
@@ -71,12 +73,17 @@ class NoiseModel:
     @property
     def physics_variance(self) -> np.ndarray:
         """(n,) variance of the physics residual: discrepancy, and sensor noise where the force is measured."""
-        return np.nan_to_num(self.force) ** 2 + self.discrepancy**2
+        return self.force_variance + self.discrepancy**2
+
+    @property
+    def force_variance(self) -> np.ndarray:
+        """(n,), of the force sensors among the collocation points, 0 where there is none."""
+        return self.points_per_sample * np.nan_to_num(self.force) ** 2
 
     def observation_weight(self, name: str, mass: np.ndarray) -> np.ndarray:
         """(n,) weight of a residual of :func:`pinn_cli.physics.observation_residuals`, 0 where there is no sensor."""
         if name == "observer":
-            variance = self.response["acceleration"] ** 2 + self.physics_variance / mass**2
+            variance = self.response["acceleration"] ** 2 + self.physics_variance / (self.points_per_sample * mass**2)
         else:
             variance = self.response[name] ** 2
         return np.nan_to_num(1.0 / variance)

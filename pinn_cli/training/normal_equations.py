@@ -6,7 +6,9 @@ i and i+1. So its Jacobian is a short dense row [J | P], and all of a group's ro
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -14,12 +16,17 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, tangent, targets
+from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.blocks import Blocks, ChainRows
 from pinn_cli.training.bordered import BorderedSystem
+from pinn_cli.training.chain_rows import ChainRows
+from pinn_cli.training.dof_major import DofMajorSums
 from pinn_cli.training.layout import BandLayout
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.subdomains import Subdomains
+from pinn_cli.training.time_major import TimeMajorSums
 
 # Prior on the readout weights, relative to the largest diagonal of the first normal matrix: keeps directions that
 # nothing measures from running away. Fourier features on a period longer than the record have such directions: below
@@ -44,6 +51,21 @@ class Point:
         return Point(self.unknowns + step[0], self.parameters + step[1])
 
 
+def _by_interval(network: LinearReadout) -> bool:
+    """Whether the equation of motion can be averaged over the intervals of local features."""
+    return isinstance(network, SplineNetwork) and network.channels == 1 and network.degree % 2 == 0
+
+
+def collocation_refinement(network: LinearReadout, record: Record) -> int:
+    """Collocation points for every sample, so that each knot interval has its own.
+
+    A force that is held has one value for every step and no others.
+    """
+    if record.intersample != "band_limited" or not isinstance(network, SplineNetwork):
+        return 1
+    return max(1, math.ceil(POINTS_PER_INTERVAL * record.step / network.spacing - 1e-6))
+
+
 class NormalEquations:
     """The weighted least-squares problem of one network, chain and record.
 
@@ -57,13 +79,17 @@ class NormalEquations:
 
     def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
         self.problem, self.chain = problem, problem.chain
-        self.target = targets(problem.record, problem.chain, device)
+        self.refinement = collocation_refinement(network, problem.record)
+        self.target = targets(problem.record, problem.chain, device, refinement=self.refinement)
         self.network = network.to(device)
         self.observation = network.segments(self.target.observation_time)
         self.physics = network.segments(self.target.physics_time)
-        self.observation_target = self.target.grouped(self.observation.gather)
-        self.physics_target = self.target.grouped(self.physics.gather)
-        self.layout = BandLayout(self.physics.feature, self.physics.count, problem.record.ndof)
+        self.averages = Subdomains(self.physics) if _by_interval(network) else None
+        self.physics = self.physics if self.averages is None else self.averages.segments
+        self.observation_target = self.target.grouped_observations(self.observation.gather)
+        self.physics_target = self.target.grouped_collocation(self.physics.gather)
+        local = isinstance(network, SplineNetwork)
+        self.layout = BandLayout(self.physics.feature, self.physics.count, problem.record.ndof, True if local else None)
         self.prescribed = {name: value.to(self.target.force) for name, value in problem.chain.parameters.items()}
         self.kinds = tuple(name for name in self.prescribed if any(p.kind == name for p in problem.uncertain))
         self._place_parameters()
@@ -71,6 +97,13 @@ class NormalEquations:
         self.ridge: float | None = None
         self._kept_point: Point | None = None
         self._kept_states: dict[int, States] = {}
+
+    @cached_property
+    def forces(self) -> Segments:
+        """The features at the times of the force samples: those of :attr:`physics`, where every point is a sample."""
+        if self.refinement == 1:
+            return self.physics
+        return self.network.segments(self.target.physics_time[:: self.refinement])
 
     def _place_parameters(self) -> None:
         n, like, uncertain = self.problem.record.ndof, self.target.force, self.problem.uncertain
@@ -132,25 +165,39 @@ class NormalEquations:
         return States(segments.scatter(displacement), segments.scatter(velocity), segments.scatter(acceleration), None)
 
     def residuals(self, point: Point) -> dict[str, Tensor]:
-        """Residuals by name: ``physics``, ``continuity``, those of :func:`pinn_cli.physics.observation_masks`."""
+        """Residuals by name: ``physics``, ``continuity``, those of :func:`pinn_cli.physics.observation_masks`.
+
+        That of the physics is one of averages (I, 1, n) where there are :attr:`averages`, the others are (I, S, n).
+        """
         parameters = self.parameters(point)
         observed, states = self.states(self.observation, point), self.states(self.physics, point)
         through = self.problem.acceleration_through
         out = observation_residuals(observed, self.observation_target, self.chain, parameters, through)
-        out["physics"] = physics_residual(states, self.physics_target, self.chain, parameters)
+        forces = self.force_residual(point)
+        out["physics"] = forces if self.averages is None else self.averages(forces)
         if states.continuity is not None:
             out["continuity"] = states.continuity
         return out
 
+    def force_residual(self, point: Point) -> Tensor:
+        """Force that the motion takes minus the force that acts, at every collocation point, (I, S, n), N."""
+        states, parameters = self.states(self.physics, point), self.parameters(point)
+        return physics_residual(states, self.physics_target, self.chain, parameters)
+
     def weights(self, noise: NoiseModel) -> dict[str, Tensor]:
-        """Weight (n,) of every residual under a noise model, 0 where a DOF has none."""
+        """Weight of every residual under a noise model, 0 where a DOF has none: (n,), or (I, S, n) where it varies."""
         like = self.target.force
         mass = self.prescribed["m"].cpu().numpy()
         masks = observation_masks(self.target, self.problem.acceleration_through)
         out = {
             name: torch.as_tensor(noise.observation_weight(name, mass)).to(like) * mask for name, mask in masks.items()
         }
-        out["physics"] = torch.as_tensor(1.0 / noise.physics_variance).to(like) * self.target.equation
+        variance = torch.as_tensor(noise.physics_variance).to(like)
+        between = self.physics_target.force_between
+        if between is not None:
+            # The errors of neighbouring points go together: they do not average out.
+            variance = variance + (between if self.averages is None else self.averages(between)).square()
+        out["physics"] = self.target.equation / variance
         if self.physics.continuity is not None:
             out["continuity"] = torch.full_like(self.prescribed["m"], 1.0 / noise.continuity**2)
         return out
@@ -185,20 +232,27 @@ class NormalEquations:
     def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
         """Normal matrix and gradient at a point."""
         residuals, weights = self.residuals(point), self.weights(noise)
-        groups, features = self.physics.feature.shape
-        blocks = Blocks(groups, features, self.problem.record.ndof, len(self.kinds), self.target.force)
-        own = self._own_features()
+        sums, own = self._sums(), self._own_features()
         for name, residual in residuals.items():
             if name == "physics":
-                blocks.add_chain_rows(self.physics, self.rows(self.physics, point), residual, weights[name])
+                rows = self.rows(self.physics, point)
+                sums.add_chain_rows(self.physics, rows, residual, weights[name], self.averages)
             elif name == "observer":
                 # The observer's residual is (f - restoring force) / m - a: the rows of the restoring force over -m.
                 mass = -self.parameters(point)["m"]
                 rows = self.rows(self.observation, point, with_mass=False)
-                blocks.add_chain_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
+                sums.add_chain_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
             else:
-                blocks.add_own_rows(own[name][1], self.grams[name], residual, weights[name])
-        return self._system(blocks, point, self.precision(noise))
+                segments, features = own[name]
+                sums.add_own_rows(segments, self.grams[name], features.mT @ residual, weights[name])
+        return self._system(sums, point, self.precision(noise))
+
+    def _sums(self) -> TimeMajorSums | DofMajorSums:
+        """Nothing yet, in the order of the layout."""
+        features, kinds, n = self.physics.feature.shape[1], len(self.kinds), self.problem.record.ndof
+        if self.layout.feature_first:
+            return TimeMajorSums(self.network.channels, features, self.physics.count, n, kinds)
+        return DofMajorSums(self.layout, features, kinds, self.target.force)
 
     def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> ChainRows:
         """Linearised equation of motion at a point, with or without its inertia force."""
@@ -209,6 +263,23 @@ class NormalEquations:
             force = self.observation_target.observer_force
             acceleration = self.chain.acceleration(displacement, velocity, force, parameters)
         return ChainRows.of(slope, parameters["m"] if with_mass else None, acceleration, self.spread)
+
+    def moved_force(self, rows: ChainRows, step: Point) -> Tensor:
+        """Change of the physics residual, as it is enforced, with a small step of weights and parameters.
+
+        Args:
+            rows: The linearised equation of motion at the collocation points.
+            step: Its ``unknowns`` and ``parameters`` are changes.
+        """
+        n, kinds = self.problem.record.ndof, len(self.kinds)
+        displacement, velocity, acceleration, _ = self.states(self.physics, step)
+        force = rows.applied(displacement, velocity, acceleration)
+        if kinds:
+            by = step.parameters.new_zeros(kinds * n).index_copy(0, self.column, step.parameters).reshape(kinds, n)
+            ends = torch.stack((by, torch.cat((by[:, 1:], by.new_zeros(kinds, 1)), 1)), -1)  # (kinds, n, 2)
+            force = force + torch.einsum("isnkx,knx->isn", rows.parameter, ends)
+        force = force * self.target.equation
+        return force if self.averages is None else self.averages(force)
 
     def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
         """Rows of one DOF's residual by every uncertain parameter, (..., kinds, 2) to (..., p)."""
@@ -221,33 +292,14 @@ class NormalEquations:
         """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
         return torch.where(self.unknown, 1.0, noise.spread**-2)
 
-    def _system(self, blocks: Blocks, point: Point, precision: Tensor) -> BorderedSystem:
-        band = self.layout.band(blocks.readout[..., : blocks.columns])
-        gradient = self.layout.vector(blocks.readout[..., -1:])[:, 0]
+    def _system(self, sums: TimeMajorSums | DofMajorSums, point: Point, precision: Tensor) -> BorderedSystem:
+        pick, band = self.column.cpu().numpy(), sums.band
         if self.ridge is None:
             self.ridge = RELATIVE_RIDGE * float(band[0].max())
         band[0] += self.ridge
-        gradient = gradient + self.ridge * point.unknowns
-        border, corner, slope = self._border(blocks)
-        corner = corner + torch.diag(precision).to(corner)
-        slope = slope + precision * point.parameters
-        arrays = (x.detach().cpu().numpy() for x in (band, border, corner, gradient, slope))
-        return BorderedSystem(*arrays)
-
-    def _border(self, blocks: Blocks) -> tuple[Tensor, Tensor, Tensor]:
-        """Columns of the uncertain parameters: against the readout, against each other, and their gradient."""
-        n, kinds = self.problem.record.ndof, len(self.kinds)
-        new = self.target.force.new_zeros
-        border, corner, slope = new((self.layout.size, kinds, n)), new((kinds, n, kinds, n)), new((kinds, n))
-        for i in range(n) if kinds else ():
-            against = self.layout.columns_of_dof(blocks.readout[:, i, :, blocks.columns : -1], i).unflatten(
-                -1, (kinds, 2)
-            )
-            block = blocks.parameters[i, :, :-1].reshape(kinds, 2, kinds, 2)
-            for x in range(min(2, n - i)):
-                border[:, :, i + x] += against[..., x]
-                slope[:, i + x] += blocks.parameters[i, :, -1].reshape(kinds, 2)[:, x]
-                for y in range(min(2, n - i)):
-                    corner[:, i + x, :, i + y] += block[:, x, :, y]
-        pick = self.column
-        return border.flatten(1)[:, pick], corner.flatten(2).flatten(0, 1)[pick][:, pick], slope.flatten()[pick]
+        gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
+        border = sums.border.reshape(self.layout.size, -1)[:, pick]
+        places = sums.slope.size
+        corner = sums.corner.reshape(places, places)[pick][:, pick] + np.diag(precision.cpu().numpy())
+        slope = sums.slope.reshape(-1)[pick] + (precision * point.parameters).cpu().numpy()
+        return BorderedSystem(band, border, corner, gradient, slope)

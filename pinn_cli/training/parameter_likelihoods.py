@@ -36,8 +36,8 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
     posterior = Posterior(equations, trained.solution.point, trained.factor)
-    slope = posterior.force_by_parameter().numpy() / equations.scale.cpu().numpy()
-    states = equations.flat_states(equations.physics, trained.solution.point)
+    slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
+    states = equations.flat_states(equations.forces, trained.solution.point)
     parameters = equations.parameters(trained.solution.point)
     force = equations.chain.external_force(states.displacement, states.velocity, states.acceleration, parameters)
     found = np.array([float(parameters[p.kind][p.dof]) for p in equations.problem.uncertain])
@@ -72,23 +72,12 @@ def _level(evidence: Evidence, trained: Trained, s: float) -> float:
     """
     equations, noise, record = evidence.equations, trained.noise, evidence.equations.problem.record
     losses = equations.losses(trained.solution.point, noise)
-    residual = equations.residuals(trained.solution.point)["physics"]
-    seen = evidence.projection.sum_of_squares(residual)
-    enforced = equations.target.equation.cpu().numpy()
-    variance, count = noise.physics_variance, equations.network.count
-    total = float((seen / variance)[enforced].sum() + count * np.log(variance[enforced]).sum())
-    total += sum(value for name, value in losses.items() if name not in ("physics", "prior"))
+    total = evidence.force_residuals(trained.solution.point, noise).misfit(noise)
+    total += sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior"))
     total += trained.factor.readout_log_determinant
-    if "observer" in losses:
-        weight = equations.weights(noise)["observer"].cpu().numpy()
-        total -= len(record.time) * float(np.log(weight[weight > 0]).sum())
-    forced = record.sensors("force")
-    whole = equations.physics.scatter(residual).cpu().numpy()
-    sensor = noise.force[forced] ** 2
-    unseen = np.square(whole[:, forced]).sum(axis=0) - seen[forced]
-    total += float((unseen / sensor).sum() + 2.0 * (len(record.time) - count) * int(forced.sum()) * s)
     if record.repeats is not None:
-        scatter = record.repeats.square["force"][forced] / (record.repeats.count * sensor)
+        forced = record.sensors("force")
+        scatter = record.repeats.square["force"][forced] / (record.repeats.count * noise.force[forced] ** 2)
         total += float(scatter.sum() + 2.0 * record.repeats.freedom * int(forced.sum()) * s)
     return -0.5 * total
 
@@ -116,13 +105,14 @@ def _without_prior(equations: NormalEquations, trained: Trained) -> tuple[np.nda
 def conditional_likelihood(equations: NormalEquations, trained: Trained) -> ConditionalLikelihood:
     """The conditional likelihood at the most probable motion, of every DOF whose equation of motion is enforced."""
     record, point = equations.problem.record, trained.solution.point
-    residual = equations.physics.scatter(equations.residuals(point)["physics"])
-    rows = equations.rows(equations.physics, point)
+    at_samples = slice(None, None, equations.refinement)
+    residual = equations.physics.scatter(equations.force_residual(point))[at_samples]
+    rows = equations.rows(equations.forces, point)
     p = len(equations.problem.uncertain)
     gram, moment = np.zeros((p, p)), np.zeros(p)
     for dof in torch.nonzero(equations.target.equation).flatten().tolist():
         grouped = equations.uncertain_columns(rows.parameter[:, :, dof], dof)
-        columns = (equations.physics.scatter(grouped) / equations.scale).cpu().numpy()  # (N, p), N per unit
+        columns = (equations.forces.scatter(grouped) / equations.scale).cpu().numpy()  # (N, p), N per unit
         gram += columns.T @ columns
         moment += columns.T @ residual[:, dof].cpu().numpy()
     moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]

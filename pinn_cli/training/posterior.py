@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.blocks import ChainRows
 from pinn_cli.training.bordered import BorderedFactor
 from pinn_cli.training.normal_equations import NormalEquations, Point
+from pinn_cli.training.subdomains import Subdomains
 
 
 class Posterior:
@@ -17,8 +16,6 @@ class Posterior:
 
     def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
         self.equations, self.point, self.factor = equations, point, factor
-        self.local = torch.as_tensor(np.maximum(equations.layout.local, 0))  # (I, n, 3 B)
-        self.inside = torch.as_tensor(equations.layout.local >= 0)
         self.band = torch.as_tensor(factor.inverse_band())
         self.solved = torch.as_tensor(factor.solved_border)
         # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
@@ -26,11 +23,11 @@ class Posterior:
 
     def states(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
         """Standard deviation of displacement, velocity and acceleration at the segments' times, each (N, n)."""
-        features = segments.displacement.shape[-1]
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, reach=0))
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
-            position = self.local[:, dof, features : 2 * features]
+            position = local[:, dof]
             covariance = self._window(position)
             shift = self.solved[position] @ self.root  # (I, B, p)
             for result, phi in zip(results, kinds, strict=True):
@@ -40,38 +37,65 @@ class Posterior:
         displacement, velocity, acceleration = (segments.scatter(std).cpu() for std in grouped)
         return displacement, velocity, acceleration
 
-    def force(self) -> Tensor:
-        """Standard deviation of the force that the estimated motion takes, at the collocation points, (N, n)."""
-        e = self.equations
-        rows = e.rows(e.physics, self.point)
-        result = [self._force_of_dof(rows, dof) for dof in range(e.layout.ndof)]
-        return e.physics.scatter(torch.stack(result, -1).to(e.physics.mask.device)).cpu()
+    def force(self, segments: Segments) -> Tensor:
+        """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
+        rows = LocalRows(self.equations, segments, self.point)
+        result = [self._force_of_dof(rows, dof) for dof in range(self.equations.layout.ndof)]
+        return segments.scatter(torch.stack(result, -1).to(segments.mask.device)).cpu()
 
-    def force_by_parameter(self) -> Tensor:
+    def force_residual(self) -> Tensor:
+        """Standard deviation of the physics residual as it is enforced: (I, 1, n) of averages, or (I, S, n)."""
+        e = self.equations
+        rows = LocalRows(e, e.physics, self.point, e.averages)
+        return torch.stack([self._force_of_dof(rows, dof) for dof in range(e.layout.ndof)], -1).cpu()
+
+    def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
-        e = self.equations
-        rows = e.rows(e.physics, self.point)
-        every = [self._by_parameter(rows, self._jacobian(rows, dof), dof) for dof in range(e.layout.ndof)]
-        return e.physics.scatter(torch.stack(every, 2).to(e.physics.mask.device)).cpu()
+        rows, dofs = LocalRows(self.equations, segments, self.point), range(self.equations.layout.ndof)
+        every = [self._by_parameter(*rows.of_dof(dof)) for dof in dofs]
+        return segments.scatter(torch.stack(every, 2).to(segments.mask.device)).cpu()
 
-    def _force_of_dof(self, rows: ChainRows, dof: int) -> Tensor:
-        jacobian = self._jacobian(rows, dof)
-        variance = ((jacobian @ self._window(self.local[:, dof])) * jacobian).sum(-1)
-        by_parameter = self._by_parameter(rows, jacobian, dof)
+    def _force_of_dof(self, rows: LocalRows, dof: int) -> Tensor:
+        position, jacobian, held = rows.of_dof(dof)
+        variance = ((jacobian @ self._window(position)) * jacobian).sum(-1)
+        by_parameter = self._by_parameter(position, jacobian, held)
         return (variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt()
 
-    def _jacobian(self, rows: ChainRows, dof: int) -> Tensor:
-        """(I, S, 3 B), 0 beyond the chain's ends."""
-        jacobian = rows.jacobian(self.equations.physics, slice(dof, dof + 1))[:, 0].cpu()
-        return jacobian * self.inside[:, dof].to(jacobian)[:, None]
-
-    def _by_parameter(self, rows: ChainRows, jacobian: Tensor, dof: int) -> Tensor:
+    def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
         """(I, S, p)."""
-        held = self.equations.uncertain_columns(rows.parameter[:, :, dof].cpu(), dof)
-        return held - jacobian @ self.solved[self.local[:, dof]]
+        return held - jacobian @ self.solved[position]
 
     def _window(self, position: Tensor) -> Tensor:
         """Entries (I, C, C) of the inverse's band at the given positions (I, C)."""
         row, column = position[:, :, None], position[:, None, :]
         offset = (row - column).abs().clamp(max=len(self.band) - 1)
         return self.band[offset, torch.minimum(row, column)]
+
+
+class LocalRows:
+    """The linearised equation of motion at the times of segments, or its averages, DOF by DOF.
+
+    Args:
+        equations: Whose features and parameters the rows are by.
+        segments: I groups of S times.
+        point: Where it is linearised.
+        averages: Taken of the rows; None: none.
+    """
+
+    def __init__(
+        self, equations: NormalEquations, segments: Segments, point: Point, averages: Subdomains | None = None
+    ) -> None:
+        self.equations, self.segments, self.averages = equations, segments, averages
+        self.rows = equations.rows(segments, point)
+        self.local = torch.as_tensor(equations.layout.columns(segments.feature))
+
+    def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions (I, 3 B), rows by the weights there (I, S, 3 B), 0 beyond the chain's ends, and by parameter."""
+        inside = self.local[:, dof] >= 0
+        jacobian = (
+            self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
+        )
+        held = self.equations.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
+        if self.averages is not None:
+            jacobian, held = self.averages(jacobian), self.averages(held)
+        return self.local[:, dof].clamp(min=0), jacobian, held

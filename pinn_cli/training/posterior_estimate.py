@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import Response
@@ -21,9 +20,12 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
     """Means, standard deviations, parameters and summary of a trained network."""
     equations, point = evidence.equations, trained.solution.point
     posterior = Posterior(equations, point, trained.factor)
-    motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.physics))
+    motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
     response = estimated_response(equations.problem.record, equations.chain, equations.parameters(point), *motion)
-    std = Response(response.time, *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force())))
+    std = Response(
+        response.time,
+        *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force(equations.forces))),
+    )
     response, std = _share_force(evidence, trained, response, std)
     summary = {
         "iterations": len(history.rows),
@@ -46,10 +48,10 @@ def _share_force(evidence: Evidence, trained: Trained, response: Response, std: 
     if not forced.any():
         return response, std
     measured = equations.problem.record.force
-    filtered = measured - evidence.projection.residual(torch.as_tensor(np.nan_to_num(measured)))
+    filtered = evidence.followed_force()
     share = sensor_share(noise)[forced]
     # Both variances count N samples for the K values that the features can tell apart.
-    seen = equations.network.count / len(measured)
+    seen = min(equations.network.count / len(measured), 1.0)
     force_std = std.force.copy()
     force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * noise.force[forced] ** 2)
     return acting_force(response, filtered, noise), replace(std, force=force_std)

@@ -108,7 +108,7 @@ def assert_agrees(equations: NormalEquations, noise: NoiseModel | None = None) -
     scale = np.sqrt(np.diag(expected_hessian))
     np.testing.assert_allclose(hessian / scale / scale[:, None], expected_hessian / scale / scale[:, None], atol=1e-10)
     size = np.abs(expected_gradient / scale).max()
-    np.testing.assert_allclose(gradient / scale / size, expected_gradient / scale / size, atol=1e-10)
+    np.testing.assert_allclose(gradient / scale / size, expected_gradient / scale / size, atol=1e-9)
 
 
 @pytest.mark.parametrize("ndof", [1, 2, 3])

@@ -1,4 +1,4 @@
-"""Sums of the small dense blocks that residual rows add to the normal matrix, group by group and DOF by DOF."""
+"""The linearised equation of motion of a chain, row by row in local terms."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pinn_cli.network.linear_readout import Segments
 from pinn_cli.physics import Tangent
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
-# and no more # than that for Fourier features.
+# and no more than that for Fourier features.
 CHUNK = 2_000_000
 
 
@@ -52,6 +52,11 @@ class ChainRows:
         parameter = torch.stack(blocks, -2) if blocks else acceleration.new_zeros((*acceleration.shape, 0, 2))
         return cls(_tridiagonal(slope.stiffness), _tridiagonal(slope.damping), mass, parameter)
 
+    def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
+        """(I, S, n), the rows times a motion (I, S, n), parameters held."""
+        out = (self.stiffness * _neighbours(displacement) + self.damping * _neighbours(velocity)).sum(-1)
+        return out if self.mass is None else out + self.mass * acceleration
+
     def jacobian(self, segments: Segments, dofs: slice) -> Tensor:
         """The given DOFs' rows by the features of DOFs i-1, i, i+1 in this order, (I, dofs, S, 3 B)."""
         displacement, velocity = (phi[:, None, :, None, :] for phi in (segments.displacement, segments.velocity))
@@ -63,52 +68,6 @@ class ChainRows:
         return out.flatten(3)
 
 
-class Blocks:
-    """The sums, per group and DOF: [J | P | r]^T W [J | P | r], but for r^T W r.
-
-    Args:
-        groups, features: I and B of the network's segments.
-        ndof: Number of DOFs.
-        kinds: Number of kinds of uncertain parameters.
-        like: A tensor of the dtype and device wanted.
-
-    Attributes:
-        columns: 3 B, local readout weights of a row.
-        readout: (I, n, 3 B, 3 B + 2 kinds + 1).
-        parameters: (n, 2 kinds, 2 kinds + 1).
-    """
-
-    def __init__(self, groups: int, features: int, ndof: int, kinds: int, like: Tensor) -> None:
-        self.features, self.columns = features, 3 * features
-        width = self.columns + 2 * kinds + 1
-        self.readout = like.new_zeros((groups, ndof, self.columns, width))
-        self.parameters = like.new_zeros((ndof, 2 * kinds, 2 * kinds + 1))
-
-    def add_chain_rows(self, segments: Segments, rows: ChainRows, residual: Tensor, weight: Tensor) -> None:
-        """Add rows that touch three DOFs and the parameters; residual (I, S, n), weight (n,)."""
-        groups, samples, _ = segments.displacement.shape
-        chunk = max(1, CHUNK // (groups * samples * self.readout.shape[-1]))
-        for first in range(0, residual.shape[-1], chunk):
-            dofs = slice(first, min(first + chunk, residual.shape[-1]))
-            parts = (
-                rows.jacobian(segments, dofs),
-                rows.parameter[:, :, dofs].movedim(2, 1).flatten(3),
-                residual[:, :, dofs].movedim(2, 1)[..., None],
-            )
-            table = torch.cat(parts, -1)
-            table *= segments.mask[:, None, :, None]
-            weighted = table[..., :-1] * weight[dofs][None, :, None, None]
-            self.readout[:, dofs] += weighted[..., : self.columns].mT @ table
-            by_parameter = table[..., self.columns :].movedim(1, 0).flatten(1, 2)
-            self.parameters[dofs] += weighted[..., self.columns :].movedim(1, 0).flatten(1, 2).mT @ by_parameter
-
-    def add_own_rows(self, features: Tensor, gram: Tensor, residual: Tensor, weight: Tensor) -> None:
-        """Add rows that touch their own DOF, with features (I, S, B) and their gram (I, B, B); weight (n,)."""
-        own = slice(self.features, 2 * self.features)
-        self.readout[:, :, own, own] += gram[:, None] * weight[None, :, None, None]
-        self.readout[:, :, own, -1] += ((features.mT @ residual) * weight).mT
-
-
 def _next_connection(x: Tensor) -> Tensor:
     """Value of connection i+1 in the place of connection i, 0 at the end of the chain."""
     return torch.cat((x[..., 1:], torch.zeros_like(x[..., :1])), -1)
@@ -118,3 +77,9 @@ def _tridiagonal(x: Tensor) -> Tensor:
     """Derivative of r_i - r_{i+1} by the motion of DOFs i-1, i, i+1, from dr_i/de_i, (..., n) to (..., n, 3)."""
     after = _next_connection(x)
     return torch.stack((-x, x + after, -after), -1)
+
+
+def _neighbours(x: Tensor) -> Tensor:
+    """Motion of DOFs i-1, i, i+1, (..., n) to (..., n, 3); neither the ground nor what is beyond the end moves."""
+    zero = torch.zeros_like(x[..., :1])
+    return torch.stack((torch.cat((zero, x[..., :-1]), -1), x, torch.cat((x[..., 1:], zero), -1)), -1)

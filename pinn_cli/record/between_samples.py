@@ -1,0 +1,74 @@
+"""What a band-limited history does between its samples, and how well the samples tell it.
+
+Best linear interpolation (kriging; Rasmussen and Williams 2006, section 2.2) of a process whose power is spread evenly
+over a band, from the nearest samples. In the middle of a record that is a windowed sinc series, and exact for all
+practical purposes; at its ends, where half of the neighbours are missing, the standard deviation says what is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+# Neighbours on either side. A band that ends at 78 % of the Nyquist frequency needs 16 for an error below 1e-4.
+REACH = 16
+# Least power of a sample that is its own noise, over that of the process: keeps the weights of neighbours from exploding.
+LEAST_NOISE = 1e-7
+# No band reaches further than this part of the sampling rate: beyond it nothing is left to interpolate with.
+WIDEST_BAND = 0.45
+
+
+def refined_times(time: np.ndarray, refinement: int) -> np.ndarray:
+    """Times (N,) with ``refinement`` - 1 more between any two: ((N - 1) refinement + 1,)."""
+    if refinement == 1:
+        return time
+    last = len(time) - 1
+    return np.interp(np.arange(last * refinement + 1) / refinement, np.arange(last + 1), time)
+
+
+def refined_history(
+    values: np.ndarray, step: float, band: float, refinement: int, noise: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Histories at :func:`refined_times`, and the standard deviation of what the samples leave open there.
+
+    Args:
+        values: (N, n), samples; they come out unchanged.
+        step: From sample to sample, s.
+        band: Frequency up to which there is content, Hz; no more than `WIDEST_BAND` of the sampling rate is used.
+        refinement: Intervals that each step is divided into.
+        noise: White noise of the samples over their rms. What it costs in the middle of a record is that of the samples
+            themselves, and does not count.
+
+    Returns:
+        (N', n) values, and (N',) standard deviations over the rms of the history, 0 at the samples.
+    """
+    samples = len(values)
+    out = np.empty(((samples - 1) * refinement + 1, values.shape[1]))
+    spread = np.zeros(len(out))
+    out[::refinement] = values
+    if refinement == 1:
+        return out, spread
+    width = min(2 * REACH, samples)
+    reach = width // 2
+    nugget = max(noise**2, LEAST_NOISE)
+    correlation = _correlation(min(band * step, WIDEST_BAND))
+    neighbours = np.arange(width, dtype=float)
+    factor = cho_factor(correlation(neighbours[:, None] - neighbours) + nugget * np.eye(width))
+    for part in range(1, refinement):
+        inside = np.arange(samples - 1)
+        first = np.clip(inside - reach + 1, 0, samples - width)
+        for place in np.unique(inside - first):
+            here = inside[inside - first == place]
+            known = correlation(place + part / refinement - neighbours)
+            weights = cho_solve(factor, known)
+            windows = first[inside - first == place][:, None] + np.arange(width)
+            out[here * refinement + part] = np.einsum("k,ikn->in", weights, values[windows])
+            spread[here * refinement + part] = np.sqrt(max(1.0 - weights @ known - nugget, 0.0))
+    return out, spread
+
+
+def _correlation(band: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Of a process with an even spectrum up to ``band``, in cycles per sample, by lag in samples."""
+    return lambda lag: np.sinc(2.0 * band * lag)

@@ -1,0 +1,100 @@
+"""From a problem to its most probable solution: the discrepancy is searched, noise levels settle, features get finer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.history import History
+from pinn_cli.training.noise_levels import settled, starting_levels
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.resolution import carried_over, knots_wanted
+from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
+from pinn_cli.training.simulated_start import simulated_start
+
+# Times that the features are made finer at most, and the factor on their number below which that is not worth it.
+REFINEMENTS, WORTHWHILE = 2, 1.15
+
+
+@dataclass(frozen=True, eq=False)
+class Inferred:
+    """A solution and what it was found with."""
+
+    evidence: Evidence
+    trained: Trained
+
+
+@dataclass(frozen=True)
+class InferenceSettings:
+    """How a problem is solved; see :class:`pinn_cli.training.gauss_newton.GaussNewton`."""
+
+    iterations: int
+    tolerance: float
+    learn_spread: bool
+    pooled: bool
+
+    def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
+        """What finds the solutions of one network."""
+        equations = NormalEquations(network, problem, device)
+        return Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
+
+
+def inferred(
+    problem: Problem, design: NetworkDesign, settings: InferenceSettings, device: str, history: History
+) -> Inferred:
+    """The most probable readout and parameters under the most probable noise levels.
+
+    Raises:
+        DivergenceError: Even the softest physics cannot be solved.
+    """
+    evidence = settings.solved_by(problem, _built(design, problem), device, history)
+    force, _ = scales(problem)
+    noise = starting_noise(evidence)
+    noise = noise.pooled() if settings.pooled else noise
+    trained = evidence.search(noise, force, partial(simulated_start, evidence.equations))
+    found = Inferred(evidence, settled(evidence, trained, settings.pooled))
+    for _ in range(REFINEMENTS):
+        factor = knots_wanted(found.evidence, found.trained)
+        finer = design.finer(factor)
+        if finer is None or factor < WORTHWHILE:
+            break
+        again = _refined(found, finer, settings, device, history)
+        if again is None:
+            break
+        design, found = finer, again
+    return Inferred(found.evidence, found.evidence.widen_for_colour(found.trained))
+
+
+def starting_noise(evidence: Evidence) -> NoiseModel:
+    """Where the noise levels of a problem start; the discrepancy is the force that acts."""
+    problem = evidence.equations.problem
+    force, velocity = scales(problem)
+    response, sensors = starting_levels(problem.record)
+    points = evidence.equations.refinement
+    return NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity, points_per_sample=points)
+
+
+def _refined(
+    found: Inferred, design: NetworkDesign, settings: InferenceSettings, device: str, history: History
+) -> Inferred | None:
+    """The same solution in finer features; None where they cannot be solved."""
+    coarse, trained = found.evidence.equations, found.trained
+    evidence = settings.solved_by(coarse.problem, _built(design, coarse.problem), device, history)
+    fine = evidence.equations
+    more = (fine.refinement / coarse.refinement) ** 0.5
+    noise = replace(trained.noise, discrepancy=more * trained.noise.discrepancy, points_per_sample=fine.refinement)
+    again = evidence.train(noise, carried_over(trained, coarse, fine))
+    if again is None or not again.solution.converged:
+        return None
+    return Inferred(evidence, settled(evidence, again, settings.pooled))
+
+
+def _built(design: NetworkDesign, problem: Problem) -> LinearReadout:
+    network = design.build(problem.record)
+    assert isinstance(network, LinearReadout)
+    return network

@@ -1,0 +1,59 @@
+"""What a spline cannot follow of a motion, read off its own equation of motion between the averages that it obeys."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinn_cli.record.spectrum import record_band
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+from pinn_cli.training.normal_equations import NormalEquations, Point
+
+# The error of a spline's accelerations falls with this power of the knots.
+ORDER = 5
+# Part of a sensor's noise that the spline's own error may be: beyond it the spline should be finer.
+TOLERATED = 0.3
+# Most that the knots are multiplied by at once.
+LARGEST_FACTOR = 2.0
+
+
+def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
+    """(n,) rms of what the spline cannot follow of the accelerations, m/s^2.
+
+    Averaged over a knot interval the equation of motion holds; what is left of it inside the intervals is inertia that
+    the spline lacks. On a DOF with a load cell that is the load cell's noise as well: there it is the largest of the
+    others, per mass.
+    """
+    equations = evidence.equations
+    if equations.averages is None:
+        return np.zeros(equations.problem.record.ndof)
+    split = evidence.force_residuals(trained.solution.point, trained.noise)
+    points = max(equations.physics.samples - split.count, 1)
+    mass = equations.parameters(trained.solution.point)["m"].cpu().numpy()
+    error = np.sqrt(split.unseen / points) / mass
+    unforced = equations.target.unforced.cpu().numpy()
+    return np.where(unforced, error, error[unforced].max() if unforced.any() else 0.0)
+
+
+def knots_wanted(evidence: Evidence, trained: Trained) -> float:
+    """How many times as many knots would make the spline's error small against the noise of every sensor; at least 1.
+
+    An error of the accelerations is one of velocities and displacements at the record's highest frequencies.
+    """
+    record = evidence.equations.problem.record
+    error, omega = acceleration_error(evidence, trained), 2.0 * np.pi * record_band(record)
+    worst = 0.0
+    for order, quantity in enumerate(("acceleration", "velocity", "displacement")):
+        ratio = error / omega**order / trained.noise.response[quantity]
+        worst = max(worst, float(np.nanmax(ratio, initial=0.0)))
+    return float(np.clip((worst / TOLERATED) ** (1.0 / ORDER), 1.0, LARGEST_FACTOR))
+
+
+def carried_over(trained: Trained, coarse: NormalEquations, fine: NormalEquations) -> Point:
+    """The same motion and parameters in the features of a finer spline."""
+    segments = fine.physics
+    times = fine.target.physics_time
+    motion = coarse.flat_states(coarse.network.segments(times), trained.solution.point).displacement
+    projection = FeatureProjection(first_output(fine.network, segments), output_features(fine.network, segments)[0])
+    weights = projection.coefficients(motion).to(motion)
+    return Point(fine.layout.unknowns(weights), trained.solution.point.parameters)
