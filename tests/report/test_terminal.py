@@ -56,7 +56,7 @@ def test_parameters(make_case):
     labels = make_case().labels
     estimates = [ParameterEstimate("k_1", 40e3, 44012.0, 1534.0, float("nan"), float("nan"))]
     text = parameters_text(parameter_table(estimates, None, labels))
-    assert text.splitlines()[2].split() == ["k_1", "40000", "44012", "1534", "-", "-", "-"]
+    assert text.splitlines()[2].split() == ["k_1", "40000", "44012", "1534", "-"]
     assert parameters_text(parameter_table([], None, labels)) == ""
 
 
@@ -78,23 +78,26 @@ def test_unknown_parameters_come_first_and_are_marked(make_case):
     lines = _identified_text(_identified(), make_case().labels).splitlines()
     names = [line.split("  ")[0] for line in lines]
     assert names[2:6] == ["k_2 *", "k_4 *", "kappa_2 *", "kappa_4 *"]
+    assert lines[0].split()[:3] == ["parameter", "start", "estimate"]
     assert set(lines[6]) == {"-"}
-    assert names[7:11] == ["k_1", "k_3", "kappa_1", "kappa_3"]
-    assert lines[11].startswith("* unknown:")
-    assert lines[12:] == ["every unknown parameter is well determined"]
+    assert lines[7].split()[:3] == ["parameter", "prescribed", "estimate"]
+    assert names[9:13] == ["k_1", "k_3", "kappa_1", "kappa_3"]
+    assert lines[13].startswith("* unknown:")
+    assert lines[14:] == ["every unknown parameter is well determined"]
 
 
 def test_all_unknown_parameters_are_shown_and_a_handful_of_the_prescribed(make_case):
     lines = _identified_text(_identified(count=20), make_case().labels).splitlines()
     assert sum(" * " in line for line in lines) == 40
-    assert len(lines) == 2 + 40 + 1 + 8 + 3
-    assert lines[43].startswith("k_33 ")
-    assert lines[51].startswith("the 8 of 40 that moved furthest")
+    assert len(lines) == 2 + 40 + 3 + 8 + 3
+    assert lines[45].startswith("k_33 ")
+    assert lines[53].startswith("the 8 of 40 that moved furthest")
 
 
 def test_only_unknown_parameters_need_no_rule_between(make_case):
     lines = _identified_text([p for p in _identified() if p.unknown], make_case().labels).splitlines()
     assert sum(set(line) == {"-"} for line in lines) == 1
+    assert "prescribed" not in lines[0]
 
 
 def test_warnings_are_marked_counted_and_fit(make_case):
