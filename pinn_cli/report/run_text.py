@@ -75,10 +75,9 @@ def run_text(
 
 def _parameters_text(results: Results, table: pd.DataFrame, beside: Beside | None) -> str:
     estimate = results.estimate
-    unknown = [p.name for p in estimate.parameters if p.unknown]
     warnings = identifiability_warnings(estimate.parameters, estimate.correlation)
     baseline = (beside.name, beside.parameters) if beside and len(beside.parameters) else None
-    return parameters_text(table, unknown, warnings, baseline)
+    return parameters_text(table, warnings, baseline)
 
 
 def _published(config: RunConfig) -> pd.DataFrame:

@@ -34,7 +34,8 @@ def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
     paths = write_figures(case.estimate, case.record, case.truth, tmp_path / "figures")
-    names = [f"{name}.{kind}" for name in ("response", "error_map", "history", "parameters") for kind in ("png", "pdf")]
+    figures = ("response", "residuals", "error_map", "history", "parameters")
+    names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
     assert [path.name for path in paths] == names
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
     assert all(path.read_bytes().startswith((b"\x89PNG", b"%PDF")) and path.stat().st_size > 5000 for path in paths)
@@ -45,7 +46,7 @@ def test_nothing_to_draw_is_no_figure(make_case, tmp_path):
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
     paths = write_figures(estimate, case.record, case.truth, tmp_path)
-    assert {path.stem for path in paths} == {"response", "error_map"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map"}
 
 
 def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
@@ -236,10 +237,10 @@ def test_the_correlation_is_drawn_for_unknown_parameters_only(make_case, tmp_pat
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, history=pd.DataFrame({"iteration": [0]}), correlation=np.eye(3))
     paths = write_figures(estimate, case.record, case.truth, tmp_path / "prescribed")
-    assert {path.stem for path in paths} == {"response", "error_map", "parameters"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "parameters"}
     estimate = replace(estimate, parameters=_identified(case, "k_1"))
     paths = write_figures(estimate, case.record, case.truth, tmp_path / "unknown")
-    assert {path.stem for path in paths} == {"response", "error_map", "parameters", "correlation"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "parameters", "correlation"}
 
 
 def test_decimation_keeps_extremes_and_ends():

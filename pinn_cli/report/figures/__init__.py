@@ -8,6 +8,7 @@ from pinn_cli.report.figures.correlation import correlation_figure
 from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.history import history_figure
 from pinn_cli.report.figures.parameters import parameters_figure
+from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.identifiability import any_unknown
@@ -24,6 +25,7 @@ __all__ = [
     "error_map_figure",
     "history_figure",
     "parameters_figure",
+    "residuals_figure",
     "response_figure",
     "save",
     "write_figures",
@@ -57,6 +59,7 @@ def write_figures(
     """
     figures = {
         "response": response_figure(estimate, record, truth.response, linear, truth_label, baseline),
+        "residuals": residuals_figure(estimate, record),
         "error_map": error_map_figure(estimate, record, truth.response),
     }
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):

@@ -78,19 +78,20 @@ def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
     Args:
         run: The free run.
         table: From `pinn_cli.report.free_run.free_run_table`, of this run. The sensors are left out where the whole
-            truth is known.
+            truth is known, and quantities of which neither truth nor sensors know anything.
     """
     finding = textwrap.fill(run.finding, WIDTH)
     if run.response is None:
         return finding
     every = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
+    quantities = [q for q in RESPONSE_QUANTITIES if every.loc[[("truth", q), ("sensors", q)]].notna().any(axis=None)]
     lines = []
     for name in dict.fromkeys(table["against"]):
-        scores = every.loc[name].reindex(list(RESPONSE_QUANTITIES)).to_numpy().T
+        scores = every.loc[name].reindex(quantities).to_numpy().T
         if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(every.loc["truth"].to_numpy()).all()):
             lines.append(_row(name, *scores))
     title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
-    return "\n".join([title, *_head("against", RESPONSE_QUANTITIES), *lines, *([finding] if finding else [])])
+    return "\n".join([title, *_head("against", quantities), *lines, *([finding] if finding else [])])
 
 
 def _head(first: str = "DOFs", quantities: Sequence[str] = QUANTITIES) -> list[str]:

@@ -18,7 +18,7 @@ from pinn_cli.report.terminal.columns import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
 
     import pandas as pd
 
@@ -29,15 +29,13 @@ WARNINGS_SHOWN = 12
 
 def parameters_text(
     table: pd.DataFrame,
-    unknown: Collection[str] = (),
     warnings: Sequence[str] = (),
     baseline: tuple[str, pd.DataFrame] | None = None,
 ) -> str:
     """The parameter table: every unknown parameter, then the prescribed ones, or those of them that moved furthest.
 
     Args:
-        table: From `pinn_cli.report.parameters.parameter_table`, of one run.
-        unknown: Names of those that were to be identified from the record; the others were prescribed.
+        table: From `pinn_cli.report.parameters.parameter_table`, of one run: what has a ``start`` was unknown.
         warnings: From `pinn_cli.report.identifiability.identifiability_warnings`, of the same run.
         baseline: Name and parameter table of another estimator. Where the truth is known it leaves no room for these.
 
@@ -52,7 +50,7 @@ def parameters_text(
         columns |= _TRUTH
     elif baseline is not None:
         table, columns = _with_baseline(table, *baseline)
-    sought = table["parameter"].isin(list(unknown))
+    sought = table["start"].notna()
     found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
     prescribed, notes = _furthest_moved(table[~sought], PRESCRIBED_BESIDE_UNKNOWN if len(found) else PARAMETERS_SHOWN)
     lines: list[str] = []

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 SENSORS_SHOWN = 24
 _NOTES = (
-    "NMSE: mean square residual over the sensor's variance (0: perfect, 100: predicts nothing);",
-    "free run: the same of the estimated system under the measured force; in band: share of the",
-    "sensor's power where it stands out of its noise; more: residuals.csv",
+    "noise: standard deviation found; NMSE: mean square residual over the sensor's variance (0: perfect,",
+    "100: predicts nothing); free run: the same of the estimated system under the measured force;",
+    "in band: share of the sensor's power where it stands out of its noise; more: residuals.csv",
 )
 
 
@@ -33,7 +33,7 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
         name, theirs = baseline
         # Both have the same sensors in the same order.
         shown["baseline"] = theirs["nmse_percent"].to_numpy()
-        columns["baseline"] = Column(f"{name} (%)", len(name) + 5, percent)
+        columns["baseline"] = Column(f"{name} (%)", len(name) + 5, partial(number, digits=3))
     notes = []
     if len(shown) > SENSORS_SHOWN:
         shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
@@ -48,8 +48,8 @@ _COLUMNS = {
     "sensor": Column("sensor", -16, str),
     "unit": Column("unit", -6, str),
     "residual_rms": Column("residual rms", 13, partial(number, digits=4)),
-    "sigma": Column("noise found", 13, partial(number, digits=4)),
-    "nmse_percent": Column("NMSE (%)", 10, percent),
-    "free_run_nmse_percent": Column("free run (%)", 13, percent),
+    "sigma": Column("noise", 11, partial(number, digits=4)),
+    "nmse_percent": Column("NMSE (%)", 9, partial(number, digits=3)),
+    "free_run_nmse_percent": Column("free run (%)", 13, partial(number, digits=3)),
     "band_share_percent": Column("in band (%)", 12, percent),
 }
