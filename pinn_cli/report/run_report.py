@@ -102,7 +102,7 @@ def _draw(config: RunConfig, results: Results, beside: Beside | None, directory:
 
     write_figures(
         results.estimate, results.record, results.truth, directory / "figures", _equivalent_linear(config),
-        truth_label=config.truth_label, units=config.chain.units,
+        truth_label=config.truth_label, units=config.chain.units, titles=config.chain.titles,
         baseline=(beside.name, beside.estimate.response) if beside else None,
     )  # fmt: skip
 

@@ -40,6 +40,7 @@ def write_figures(
     linear: Response | None = None,
     truth_label: str = "truth",
     units: Mapping[str, str] | None = None,
+    titles: Mapping[str, str] | None = None,
     baseline: tuple[str, Response] | None = None,
 ) -> list[Path]:
     """Draw and save every figure that the run has something for, as PNG and PDF.
@@ -52,6 +53,7 @@ def write_figures(
         linear: The true response of the equivalent linear system, if it is to be shown.
         truth_label: What the legend calls the truth.
         units: Symbol of a parameter to its unit, powers as ``m^3``.
+        titles: Symbol of a parameter to its name in words.
         baseline: Name and response of another estimator, drawn in the figure of the response.
 
     Returns:
@@ -65,7 +67,7 @@ def write_figures(
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         figures["history"] = history_figure(estimate.history)
     if any(given.prescribed or given.unknown for given in estimate.parameters):
-        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters, units)
+        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters, units, titles)
     if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
         figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]
