@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
 from pinn_cli.baseline.iterated_smoother import Pass
 from pinn_cli.baseline.state_space import StateSpace
 from pinn_cli.record.record import Response
+from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 
 class _Spread:
@@ -77,13 +78,9 @@ def _deviations(space: StateSpace, last: Pass, share: np.ndarray) -> Response:
 
 
 def _parameters(space: StateSpace, last: Pass) -> list[ParameterEstimate]:
-    uncertain = space.problem.uncertain
-    unit = np.array([parameter.prior_std for parameter in uncertain])
-    mean = np.array([parameter.prescribed for parameter in uncertain]) + unit * last.trajectory.parameters
-    std = unit * np.sqrt(np.diag(last.regression.covariance)[: len(uncertain)])
-    lower, upper = norm.interval(0.9, mean, std) if len(uncertain) else (mean, mean)
-    rows = np.stack((mean, std, lower, upper), axis=1).tolist()
-    return [
-        ParameterEstimate(p.name, p.prescribed, row[0], row[1], row[2], row[3], p.prior_std, p.unknown)
-        for p, row in zip(uncertain, rows, strict=True)
-    ]
+    """The smoother knows no bounds: they cut off afterwards what its Gaussian leaves below them."""
+    uncertain, mean = space.problem.uncertain, last.trajectory.parameters
+    unit = np.array([p.prior_std for p in uncertain])
+    lower = np.array([p.lower for p in uncertain]) / unit
+    covariance = last.regression.covariance[: len(uncertain), : len(uncertain)]
+    return bounded_estimates(uncertain, unit, mean, TruncatedGaussian(mean, covariance, lower))

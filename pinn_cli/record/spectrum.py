@@ -32,15 +32,48 @@ def signal_band(x: np.ndarray, step: float) -> float:
     that noise would pass for signal: what reaches into the half that the floor is read from must be three floors high.
     """
     frequency, power = periodogram(x, step)
-    usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
-    frequency, power = frequency[usable], power[usable]
-    floor = max(np.median(power[len(power) // 2 :]) / np.log(2.0), FINEST_FLOOR * power.mean())
+    frequency, power = _usable(frequency, power)
+    floor = _noise_floor(power)
 
     def least(floors: float) -> int:
         return int(np.argmin(np.cumsum(floors * floor - power)))
 
     last = least(2.0)
     return float(frequency[last if last < len(power) // 2 else least(3.0)])
+
+
+def signal_edges(x: np.ndarray, step: float) -> tuple[float, float]:
+    """Frequencies between which one channel (N,) stands out of its noise, Hz; NaN where it does so nowhere.
+
+    The upper one is :func:`signal_band`'s. The lower one likewise: leaving out what is below it removes more noise than
+    signal.
+    """
+    high = signal_band(x, step)
+    frequency, power = _usable(*periodogram(x, step))
+    if not high > 0.0 or not power.any():
+        return np.nan, np.nan
+    gained = np.cumsum(power[frequency <= high] - 2.0 * _noise_floor(power))
+    # The mean is taken out before, so the first frequency has no content of its own.
+    first = max(int(np.argmin(np.concatenate(([0.0], gained[:-1])))), 1)
+    return float(frequency[first]), high
+
+
+def band_share(x: np.ndarray, step: float, low: float, high: float) -> float:
+    """Share of the power of one channel (N,) about its mean between two frequencies (Hz); 0 where they are NaN."""
+    frequency, power = periodogram(x, step)
+    total = float(power.sum())
+    within = (frequency >= low) & (frequency <= high)
+    return float(power[within].sum()) / total if total > 0.0 else 0.0
+
+
+def _usable(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
+    return frequency[usable], power[usable]
+
+
+def _noise_floor(power: np.ndarray) -> float:
+    """Mean square of the white noise that the upper half of a usable periodogram shows."""
+    return float(max(np.median(power[len(power) // 2 :]) / np.log(2.0), FINEST_FLOOR * power.mean()))
 
 
 def record_band(record: Record) -> float:

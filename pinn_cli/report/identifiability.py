@@ -109,7 +109,7 @@ def _own_findings(p: ParameterEstimate) -> list[str]:
     of_value = f"its standard deviation is {_percent(relative)} of its value"
     if not np.isfinite(p.std):
         finding = f"{p.name} has no standard deviation: this training gives none"
-    elif p.unknown and abs(p.estimate) <= 1e-9 * max(abs(p.prescribed), p.std):
+    elif p.unknown and p.held:
         finding = (
             f"{p.name} is held at its lower bound of 0: all that is known is that it is below {p.upper_90:.3g} (95 %)"
         )

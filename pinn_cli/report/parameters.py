@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.training.estimate import ParameterEstimate
 
-COLUMNS = ("parameter", "true", "prescribed", "estimate", "error_percent", "std", "lower_90", "upper_90")
+COLUMNS = ("parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90")
 
 
 def parameter_table(
@@ -29,15 +29,15 @@ def parameter_table(
 
     Returns:
         Columns: the labels and `COLUMNS`. ``error_percent`` is 100 |estimate - true| / |true|, as in the paper's
-        tables; it is empty (NaN) where the truth is unknown or zero.
+        tables; it is empty (NaN) where the truth is unknown or zero. A parameter was either prescribed or is unknown
+        and has a ``start``, the value at which its search began: the other column is empty.
     """
     rows = []
     for given in estimates:
         truth = true_value(given.name, true)
         error = 100.0 * abs(given.estimate - truth) / abs(truth) if truth else np.nan
-        rows.append(
-            (given.name, truth, given.prescribed, given.estimate, error, given.std, given.lower_90, given.upper_90)
-        )
+        given_as = (given.believed, given.start)
+        rows.append((given.name, truth, *given_as, given.estimate, error, given.std, given.lower_90, given.upper_90))
     return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
 
 

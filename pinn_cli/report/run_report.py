@@ -2,61 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.report import published
 from pinn_cli.report.beside import Beside, stacked
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import free_run, free_run_table
-from pinn_cli.report.identifiability import (
-    any_unknown,
-    correlation_table,
-    identifiability_table,
-    identifiability_warnings,
-)
+from pinn_cli.report.identifiability import any_unknown, correlation_table, identifiability_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.posterior_table import parameter_estimates, posterior_correlation
+from pinn_cli.report.residuals import residual_table
+from pinn_cli.report.results import Results
 from pinn_cli.report.run_record import run_record
-from pinn_cli.report.score import score_record, score_text
-from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text
+from pinn_cli.report.run_text import Tables, run_text
+from pinn_cli.report.score import score_record
 from pinn_cli.report.writing import write_json, write_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import pandas
-
     from pinn_cli.config import RunConfig
     from pinn_cli.posterior.findings import PosteriorFindings
-    from pinn_cli.record.record import Record, Response, Truth
+    from pinn_cli.record.record import Response
+    from pinn_cli.report.free_run import FreeRun
     from pinn_cli.stages import Stages
     from pinn_cli.training.estimate import Estimate
-    from pinn_cli.validation.base import Score
 
-
-@dataclass(frozen=True, eq=False)
-class Results:
-    """All that a run has found.
-
-    Attributes:
-        record: What the estimator saw.
-        truth: What it is scored against; NaN where unknown.
-        estimate: What it found.
-        baseline: What the configured baseline found; None where there is none.
-        posterior: Of the parameters, where one was asked for.
-        score: Of the estimate without the truth, where one was asked for.
-    """
-
-    record: Record
-    truth: Truth
-    estimate: Estimate
-    baseline: Estimate | None = None
-    posterior: PosteriorFindings | None = None
-    score: Score | None = None
+__all__ = ["Results", "write_report"]
 
 
 def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
@@ -70,42 +45,55 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         figures: Whether to draw them, which takes longer than all else.
 
     Returns:
-        The tables of parameters, fitness, the free run and, where there are some, of the posterior's diagnostics and
-        both estimators, as text.
+        What the run prints, from `pinn_cli.report.run_text.run_text`.
     """
-    record, truth, labels = results.record, results.truth, config.labels(estimator="pinn")
-    estimate = _with_posterior(results.estimate, results.posterior)
-    beside = Beside.of(config, record, truth, results.baseline)
+    results = replace(results, estimate=_with_posterior(results.estimate, results.posterior))
+    beside = Beside.of(config, results.record, results.truth, results.baseline)
     with stages("free_run"):
         _, prescribed = config.model_error.chains(config.chain)
-        free = free_run(prescribed, estimate, record)
-        free_table = free_run_table(free, estimate, record, truth.response, config.labels(estimator="free_run"))
+        free = free_run(prescribed, results.estimate, results.record)
     with stages("report"):
-        fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
-        parameters = parameter_table(estimate.parameters, truth.parameters, labels)
-        write_table(stacked(fitness, beside.fitness) if beside else fitness, directory / "fitness.csv")
-        write_table(stacked(parameters, beside.parameters) if beside else parameters, directory / "parameters.csv")
-        write_table(free_table, directory / "free_run.csv")
-        if any_unknown(estimate.parameters):
-            _write_identifiability(estimate, labels, directory)
-        if results.score is not None:
-            write_table(results.score.table, directory / "score.csv")
-        write_table(estimate.history, directory / "history.csv")
-        dataset = response_dataset(estimate, record, truth.response, labels, free.response)
-        write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
+        tables = _tables(config, results, free)
+        _write_tables(config, results, tables, beside, directory)
+        _write_response(config, results, free, beside, directory)
     if figures:
         with stages("figures"):
-            _draw(config, replace(results, estimate=estimate), beside, directory)
+            _draw(config, results, beside, directory)
     with stages("posterior_report"):
         diagnostics = _write_posterior(config, results, directory, figures)
-    record_of_run = run_record(config, estimate, stages.seconds) | (beside.record if beside else {})
+    record_of_run = run_record(config, results.estimate, stages.seconds) | (beside.record if beside else {})
     scored = score_record(config.validation.name, results.score)
     write_json(record_of_run | _sampling_record(results.posterior) | scored, directory / "run.json")
-    shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
-    shown += [free_run_text(free, free_table), diagnostics]
-    shown += [beside.text(fitness, stages.seconds)] if beside else []
-    shown += [score_text(config.validation.name, results.score)]
-    return "\n\n".join(text for text in shown if text)
+    return run_text(config, results, tables, free, beside, diagnostics, stages.seconds)
+
+
+def _tables(config: RunConfig, results: Results, free: FreeRun) -> Tables:
+    record, truth, estimate = results.record, results.truth, results.estimate
+    labels = config.labels(estimator="pinn")
+    return Tables(
+        fitness=fitness_table(estimate.response, truth.response, record.observed, labels),
+        parameters=parameter_table(estimate.parameters, truth.parameters, labels),
+        residuals=residual_table(estimate, record, free.response, labels),
+        free_run=free_run_table(free, estimate, record, truth.response, config.labels(estimator="free_run")),
+    )
+
+
+def _write_tables(config: RunConfig, results: Results, tables: Tables, beside: Beside | None, directory: Path) -> None:
+    for name in ("fitness", "parameters", "residuals"):
+        table = getattr(tables, name)
+        write_table(stacked(table, getattr(beside, name)) if beside else table, directory / f"{name}.csv")
+    write_table(tables.free_run, directory / "free_run.csv")
+    if any_unknown(results.estimate.parameters):
+        _write_identifiability(results.estimate, config.labels(estimator="pinn"), directory)
+    if results.score is not None:
+        write_table(results.score.table, directory / "score.csv")
+    write_table(results.estimate.history, directory / "history.csv")
+
+
+def _write_response(config: RunConfig, results: Results, free: FreeRun, beside: Beside | None, directory: Path) -> None:
+    labels, truth = config.labels(estimator="pinn"), results.truth.response
+    dataset = response_dataset(results.estimate, results.record, truth, labels, free.response)
+    write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
 
 
 def _draw(config: RunConfig, results: Results, beside: Beside | None, directory: Path) -> None:
@@ -114,7 +102,7 @@ def _draw(config: RunConfig, results: Results, beside: Beside | None, directory:
 
     write_figures(
         results.estimate, results.record, results.truth, directory / "figures", _equivalent_linear(config),
-        truth_label=config.truth_label, units=config.chain.units,
+        truth_label=config.truth_label, units=config.chain.units, titles=config.chain.titles,
         baseline=(beside.name, beside.estimate.response) if beside else None,
     )  # fmt: skip
 
@@ -171,21 +159,9 @@ def _write_identifiability(estimate: Estimate, labels: dict[str, object], direct
         write_table(correlation_table(estimate.parameters, estimate.correlation), directory / "correlation.csv")
 
 
-def _parameters_text(table: pandas.DataFrame, estimate: Estimate) -> str:
-    unknown = [p.name for p in estimate.parameters if p.unknown]
-    return parameters_text(table, unknown, identifiability_warnings(estimate.parameters, estimate.correlation))
-
-
 def _equivalent_linear(config: RunConfig) -> Response | None:
     """The linear chain under the same force, for the figure of a linear model error (paper, Fig. 6)."""
     if not config.source.simulated or config.model_error.name != "linear":
         return None
     true, _ = config.model_error.chains(config.chain)
     return config.source.measure(true.linearised()).truth.response
-
-
-def _published(labels: dict[str, object]) -> pandas.DataFrame:
-    """The paper's values of the same case; none once a setting that makes it that case was changed."""
-    values = published.fitness()
-    same = ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
-    return values[(values[same] == [labels[name] for name in same]).all(axis=1)]

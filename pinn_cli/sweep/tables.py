@@ -12,7 +12,7 @@ from pinn_cli.sweep.jobs import FAILED, FINISHED, Job, Sweep
 FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
 _WITH_FAILURES = (FITNESS, PARAMETERS)
-TABLES = (*_WITH_FAILURES, "free_run.csv", "score.csv", "identifiability.csv", "diagnostics.csv")
+TABLES = (*_WITH_FAILURES, "residuals.csv", "free_run.csv", "score.csv", "identifiability.csv", "diagnostics.csv")
 STATUS, REASON = "status", "reason"
 
 Settings = dict[str, str]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.nonlinearity.base import Nonlinearity
 
 LINEAR_PARAMETERS = {"m": "kg", "c": "N s/m", "k": "N/m"}
+LINEAR_TITLES = {"m": "Mass", "c": "Damping", "k": "Stiffness"}
 
 # Up to here a product with the matrix of differences, exact for finite numbers, takes numpy a quarter of the time of
 # slices; a simulation calls it ten thousand times.
@@ -66,6 +67,11 @@ class Chain:
     def units(self) -> dict[str, str]:
         """Unit of each parameter, powers as ``m^3``."""
         return {**LINEAR_PARAMETERS, **self.nonlinearity.units}
+
+    @property
+    def titles(self) -> dict[str, str]:
+        """What a figure calls each parameter."""
+        return {**LINEAR_TITLES, **self.nonlinearity.titles}
 
     @staticmethod
     def elongation(x: Array) -> Array:

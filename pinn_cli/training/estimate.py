@@ -31,12 +31,14 @@ class ParameterEstimate:
 
     Attributes:
         name: Kind and connection, counted from 1: ``k_2``, ``kappa_4``.
-        prescribed: The value that the estimator was given: believed, or where an unknown one started.
+        prescribed: The value that the estimator was given: believed, or where an unknown one started (`start`).
         estimate: The value that it found.
         std: Posterior standard deviation, NaN where the training gives none.
         lower_90, upper_90: The central 90 % interval.
         prior_std: Prior standard deviation, NaN where there was none.
         unknown: Whether it was identified from the record alone; otherwise it was prescribed and merely uncertain.
+        held: Whether its most probable value is the bound that it cannot pass; the estimate may lie above, being a
+            mean.
     """
 
     name: str
@@ -47,6 +49,17 @@ class ParameterEstimate:
     upper_90: float
     prior_std: float = math.nan
     unknown: bool = False
+    held: bool = False
+
+    @property
+    def start(self) -> float:
+        """Where the search for an unknown one started; NaN of one that was prescribed."""
+        return self.prescribed if self.unknown else math.nan
+
+    @property
+    def believed(self) -> float:
+        """What was prescribed; NaN of an unknown one, of which nothing was."""
+        return math.nan if self.unknown else self.prescribed
 
 
 @dataclass(frozen=True, eq=False)

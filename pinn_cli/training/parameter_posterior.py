@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinn_cli.central_interval import CENTRAL_90
+from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.normal_equations import NormalEquations
@@ -16,19 +16,14 @@ def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[l
 
     The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
     cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
-    at a Newton step's distance from the solution. What misfit may have added to each comes on top.
+    at a Newton step's distance from the solution. What misfit may have added to each comes on top. Which of them is
+    the estimate: :func:`pinn_cli.training.bounded_estimates.bounded_estimates`.
     """
-    point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
-    peak = point + _newton_step(equations, trained)
+    mode = trained.solution.point.parameters.cpu().numpy()
+    peak = mode + _newton_step(equations, trained)
     posterior = TruncatedGaussian(peak, trained.factor.corner_covariance, equations.lower)
     misfit = coherent_misfit(equations, trained)
-    spread, (lower, upper) = posterior.marginals(CENTRAL_90, misfit)
-    estimates = []
-    for i, p in enumerate(equations.problem.uncertain):
-        estimate = p.value(p.lower if point[i] <= equations.lower[i] else scale[i] * point[i])
-        low, high = p.value(scale[i] * lower[i]), p.value(scale[i] * upper[i])
-        std = float(scale[i] * spread[i])
-        estimates.append(ParameterEstimate(p.name, p.prescribed, estimate, std, low, high, p.prior_std, p.unknown))
+    estimates = bounded_estimates(equations.problem.uncertain, equations.scale.cpu().numpy(), mode, posterior, misfit)
     covariance = posterior.covariance + np.diag(misfit**2)
     unit = np.sqrt(np.diag(covariance))
     return estimates, covariance / np.outer(unit, unit)

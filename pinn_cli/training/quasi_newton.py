@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
-from pinn_cli.central_interval import HALF_WIDTH_90
 from pinn_cli.errors import InputError
 from pinn_cli.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
@@ -17,6 +15,7 @@ from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.base import Training
+from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.function_space.collocation import Collocation, collocate, noise_model
 from pinn_cli.training.function_space.posterior import FunctionSpacePosterior
@@ -27,6 +26,7 @@ from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
 from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.stepwise import train
+from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
 SOFT = 0.1
@@ -119,18 +119,17 @@ class QuasiNewton(Training):
 def _parameters(
     search: FunctionSpaceSearch, posterior: FunctionSpacePosterior
 ) -> tuple[list[ParameterEstimate], np.ndarray | None]:
-    """Estimates with the standard deviations of the Gaussian at the solution, weights integrated out."""
+    """Estimates with what bounds leave of the Gaussian at the solution, weights integrated out."""
     parameters = search.parameters
-    estimates = parameters.estimates()
-    if not estimates:
-        return estimates, None
-    unit = posterior.covariance.diagonal().sqrt()
-    std = (unit * parameters.prior_deviation(search.levels.noise.spread)).cpu().tolist()
-    found = [
-        replace(e, std=s, lower_90=e.estimate - HALF_WIDTH_90 * s, upper_90=e.estimate + HALF_WIDTH_90 * s)
-        for e, s in zip(estimates, std, strict=True)
-    ]
-    return found, (posterior.covariance / torch.outer(unit, unit)).cpu().numpy()
+    if not parameters.uncertain:
+        return [], None
+    unit = parameters.unit.cpu().numpy()
+    deviation = (parameters.prior_deviation(search.levels.noise.spread) / parameters.unit).cpu().numpy()
+    mode, lower = parameters.moved.detach().cpu().numpy(), parameters.lower.cpu().numpy()
+    covariance = posterior.covariance.cpu().numpy()
+    cut_off = TruncatedGaussian(mode, covariance * np.outer(deviation, deviation), lower)
+    std = np.sqrt(covariance.diagonal())
+    return bounded_estimates(parameters.uncertain, unit, mode, cut_off), covariance / np.outer(std, std)
 
 
 def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:

@@ -5,13 +5,31 @@ Each bound is one coordinate's own: it cuts off what lies below, and moves the o
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtri_exp
 
 # Sweeps over the bounds at most, and the change of the mean, in standard deviations, below which they have settled.
 SWEEPS, SETTLED = 100, 1e-10
+# Share of a precision or a variance that must be left by a subtraction for its digits to mean something.
+CANCELLED = 1e-8
 # Standard deviations beyond which the moments of a tail are those of its asymptotic series: the closed form cancels.
 FAR_TAIL = 100.0
+
+
+class Marginals(NamedTuple):
+    """Every coordinate by itself.
+
+    Attributes:
+        mean: (p,).
+        std: (p,), standard deviations.
+        quantiles: (2, p), at the two probabilities asked for.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+    quantiles: np.ndarray
 
 
 class TruncatedGaussian:
@@ -32,6 +50,7 @@ class TruncatedGaussian:
 
     def __init__(self, peak: np.ndarray, covariance: np.ndarray, lower: np.ndarray) -> None:
         self.mean, self.covariance, self.lower = peak.copy(), covariance.copy(), lower
+        self._peak, self._uncut = peak, covariance
         # Gaussians that stand for the bounds: precision, and precision times mean.
         self._precision, self._shift = np.zeros(len(peak)), np.zeros(len(peak))
         tolerance = SETTLED * np.sqrt(np.diag(covariance))
@@ -43,10 +62,11 @@ class TruncatedGaussian:
             if np.all(np.abs(self.mean - before) <= tolerance):
                 break
 
-    def marginals(
-        self, probabilities: tuple[float, float], error: np.ndarray | float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Every coordinate by itself: standard deviations (p,), and the quantiles (2, p) at two probabilities.
+    def marginals(self, probabilities: tuple[float, float], error: np.ndarray | float = 0.0) -> Marginals:
+        """Mean, standard deviation and two quantiles of every coordinate by itself.
+
+        The mean is the quantile at 50 % without a bound and at 63 % far out in a tail, so it always lies between those
+        at 5 and 95 %.
 
         Args:
             probabilities: Of the two quantiles.
@@ -57,15 +77,36 @@ class TruncatedGaussian:
         center = np.array([mean for mean, _ in without])
         spread = np.sqrt(np.array([variance for _, variance in without]) + np.square(error))
         cut = (self.lower - center) / spread
-        share = np.array([tail_moments(c)[1] for c in cut])
+        mean, share = np.array([tail_moments(c) for c in cut]).reshape(-1, 2).T
         # In logarithms, so that a bound far out in the tail is no trouble.
         beyond = [-ndtri_exp(np.log1p(-probability) + log_ndtr(-cut)) for probability in probabilities]
-        return spread * np.sqrt(share), center + spread * np.stack(beyond)
+        found = center + spread * np.stack((mean, *beyond))
+        # Further out still the centre is so far away that it rounds off what lies above the bound.
+        found = np.where(cut > FAR_TAIL, self.lower + spread * _above_far_cut(cut, probabilities), found)
+        return Marginals(found[0], spread * np.sqrt(share), found[1:])
 
     def _without(self, i: int) -> tuple[float, float]:
         """Mean and variance of a coordinate given every bound but its own."""
-        variance = 1.0 / (1.0 / self.covariance[i, i] - self._precision[i])
+        precision = 1.0 / self.covariance[i, i]
+        if not precision - self._precision[i] > CANCELLED * precision:
+            return self._without_anew(i)
+        variance = 1.0 / (precision - self._precision[i])
         return variance * (self.mean[i] / self.covariance[i, i] - self._shift[i]), variance
+
+    def _without_anew(self, i: int) -> tuple[float, float]:
+        """The same from the Gaussian itself, where a bound in the far tail leaves no digits to take it back out.
+
+        Rasmussen and Williams (2006), equation 3.68, in which no large numbers are subtracted.
+        """
+        others = np.flatnonzero(self._precision > 0.0)
+        others = others[others != i]
+        root, across = np.sqrt(self._precision[others]), self._uncut[i, others]
+        inner = np.eye(len(others)) + root[:, None] * self._uncut[np.ix_(others, others)] * root
+        solved = np.linalg.solve(inner, root * across)
+        variance = float(self._uncut[i, i] - solved @ (root * across))
+        if not variance > CANCELLED * self._uncut[i, i]:
+            return float(self._peak[i]), float(self._uncut[i, i])  # bounds that contradict each other: by itself
+        return float(self._peak[i] + solved @ (self._shift[others] / root - root * self._peak[others])), variance
 
     def _renew(self, i: int) -> None:
         """Replace the Gaussian that stands for a coordinate's bound by the one that gives it the right moments."""
@@ -75,9 +116,10 @@ class TruncatedGaussian:
         precision = (1.0 / share - 1.0) / variance
         shift = (center + spread * mean) / (share * variance) - center / variance
         more, pull = precision - self._precision[i], shift - self._shift[i]
-        column = self.covariance[:, i] / (1.0 + more * self.covariance[i, i])
+        column = self.covariance[:, i] * (variance * share / self.covariance[i, i])
         self.mean = self.mean + column * (pull - more * self.mean[i])
         self.covariance = self.covariance - more * np.outer(column, self.covariance[i])
+        self.covariance[i], self.covariance[:, i] = column, column  # what this is, without rounding
         self._precision[i], self._shift[i] = precision, shift
 
 
@@ -89,3 +131,13 @@ def tail_moments(cut: float) -> tuple[float, float]:
         return cut + 1.0 / cut - 2.0 / cut**3, 1.0 / cut**2 - 6.0 / cut**4
     mean = np.sqrt(2.0 / np.pi) / erfcx(cut / np.sqrt(2.0))
     return float(mean), float(1.0 - mean * (mean - cut))
+
+
+def _above_far_cut(cut: np.ndarray, probabilities: tuple[float, float]) -> np.ndarray:
+    """(3, p) mean and two quantiles of a standard Gaussian's tail, counted from its cut, where that is > `FAR_TAIL`.
+
+    The density above the cut c is exp(-c t - t^2 / 2) but for 1 / c^2 of it.
+    """
+    cut = np.maximum(cut, FAR_TAIL)
+    ranks = [-np.log1p(-probability) for probability in probabilities]
+    return np.stack([1.0 / cut - 2.0 / cut**3, *(2.0 * rank / (cut + np.sqrt(cut**2 + 2.0 * rank)) for rank in ranks)])

@@ -7,7 +7,15 @@ import pytest
 from small_problems import accelerations, measured, small_chain, sped_up
 
 from pinn_cli.record.excitation.banded_noise import BandedNoise
-from pinn_cli.record.spectrum import occupied_band, periodogram, record_band, signal_band, white_level
+from pinn_cli.record.spectrum import (
+    band_share,
+    occupied_band,
+    periodogram,
+    record_band,
+    signal_band,
+    signal_edges,
+    white_level,
+)
 
 DURATION, SAMPLES = 40.0, 2049
 STEP = DURATION / (SAMPLES - 1)
@@ -40,6 +48,20 @@ def test_signal_band(top, noise):
     x = banded(0.1, top)[:, 0] + white(noise)[:, 0]
     # A Hann window widens a line by two bins.
     assert signal_band(x, STEP) == pytest.approx(top, abs=0.1 * top + 4.0 / DURATION)
+
+
+@pytest.mark.parametrize(("low", "top"), [(0.5, 4.0), (2.0, 8.0)])
+def test_a_signal_stands_out_between_its_edges_and_has_its_power_there(low, top):
+    x = banded(low, top)[:, 0] + white(0.1)[:, 0]
+    found = signal_edges(x, STEP)
+    assert found == pytest.approx((low, top), abs=0.1 * top)
+    assert 0.97 < band_share(x, STEP, *found) < 1.0
+    assert band_share(x, STEP, 0.0, 0.5 / STEP) == pytest.approx(1.0)
+
+
+def test_nothing_stands_out_of_a_constant():
+    assert np.isnan(signal_edges(np.ones(SAMPLES), STEP)).all()
+    assert band_share(np.ones(SAMPLES), STEP, np.nan, np.nan) == 0.0
 
 
 def test_the_band_of_white_noise_holds_little_of_it():

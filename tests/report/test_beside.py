@@ -11,6 +11,7 @@ from pinn_cli.report.dataset import response_dataset
 from pinn_cli.report.figures import response_figure
 from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.residuals import residual_table
 from pinn_cli.report.terminal import WIDTH
 
 
@@ -18,7 +19,8 @@ def beside(case, estimate=None) -> Beside:
     labels = case.labels | {"estimator": "kalman_smoother"}
     estimate = estimate or case.estimate
     fitness = fitness_table(estimate.response, case.truth.response, case.record.observed, labels)
-    return Beside("kalman_smoother", estimate, fitness, parameter_table(estimate.parameters, None, labels))
+    parameters = parameter_table(estimate.parameters, None, labels)
+    return Beside("kalman_smoother", estimate, fitness, parameters, residual_table(estimate, case.record, None, labels))
 
 
 def test_its_rows_lie_below_those_of_the_network(make_case):

@@ -227,7 +227,7 @@ def test_the_printed_rows():
     # Without the truth the sensors stand in for it, for what they measure.
     rows = printed_rows(Response.unknown(record.time, record.ndof), record, estimated(truth))
     assert [row[0] for row in rows] == ["sensors", "estimate"]
-    assert rows[0][1:3] == ["-", "-"]
+    assert [len(row) for row in rows] == [1 + 2, 1 + 2]
 
 
 @pytest.mark.parametrize("hold", HOLDS)

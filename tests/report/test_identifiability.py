@@ -62,10 +62,10 @@ def test_one_parameter_or_no_correlation_has_no_neighbour(correlation, make_case
         (parameter("kappa_2", 100.0, 62.0, 500.0), "kappa_2 cannot be told from zero: its standard deviation is 62 %"),
         (parameter("k_2", -10.0, 9.0, 500.0), "k_2 cannot be told from zero: its standard deviation is 90 % of"),
         (
-            parameter("k_2", 0.0, 1.0),
-            "k_2 is held at its lower bound of 0: all that is known is that it is below 1.65 (95 %)",
+            replace(parameter("k_2", 0.8, 0.6), held=True, upper_90=2.0),
+            "k_2 is held at its lower bound of 0: all that is known is that it is below 2 (95 %)",
         ),
-        (replace(parameter("kappa_2", 0.0, 1.0), prescribed=0.0), "kappa_2 is held at its lower bound of 0"),
+        (replace(parameter("kappa_2", 15.0, 1.0), held=True), "kappa_2 is held at its lower bound of 0"),
         (parameter("k_2", 15.0, 8.3), "the record says nearly nothing about k_2: its standard deviation is still 83 %"),
         (parameter("k_2", 60.0, 6.0), "k_2 leans on its prior: the record narrows its standard deviation only to 60 %"),
     ],
@@ -114,9 +114,8 @@ def test_a_training_without_standard_deviations_is_told_once(make_case):
 
 
 def test_lines_fit_the_terminal():
-    parameters = [
-        parameter(f"kappa_{i}", *values) for i, values in enumerate(((15.0, 8.3), (60.0, 6.0), (0.0, 1.0)), 10)
-    ]
+    parameters = [parameter(f"kappa_{i}", *values) for i, values in enumerate(((15.0, 8.3), (60.0, 6.0)), 10)]
+    parameters += [replace(parameter("kappa_12", 0.8, 0.6), held=True)]
     parameters += [parameter("kappa_20", std=1.5), parameter("kappa_21", std=1.5)]
     correlation = np.eye(5)
     correlation[3, 4] = correlation[4, 3] = -0.98

@@ -23,6 +23,16 @@ def test_error_is_relative_to_the_truth(make_case):
     assert np.isnan(table.loc[1, "error_percent"])
 
 
+def test_an_unknown_parameter_has_a_start_and_nothing_prescribed(make_case):
+    estimates = [
+        ParameterEstimate("k_1", 16.0, 14.7, 0.1, 14.5, 14.9),
+        ParameterEstimate("k_2", 5.0, 14.7, 0.1, 14.5, 14.9, unknown=True),
+    ]
+    table = parameter_table(estimates, None, make_case().labels)
+    np.testing.assert_array_equal(table["prescribed"], [16.0, np.nan])
+    np.testing.assert_array_equal(table["start"], [np.nan, 5.0])
+
+
 @pytest.mark.parametrize("true", [None, {"m": np.ones(6)}])
 def test_unknown_truth_is_empty(true, make_case):
     case = make_case()

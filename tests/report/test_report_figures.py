@@ -24,6 +24,8 @@ from pinn_cli.report.figures import (
 )
 from pinn_cli.report.figures.decimate import block_maximum, line_indices
 from pinn_cli.report.figures.response import PERIODS_SHOWN, shown_dofs, shown_window
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.nonlinearity import Duffing, PowerDamping, VanDerPol
 
 
 def _texts(figure):
@@ -34,7 +36,8 @@ def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
     paths = write_figures(case.estimate, case.record, case.truth, tmp_path / "figures")
-    names = [f"{name}.{kind}" for name in ("response", "error_map", "history", "parameters") for kind in ("png", "pdf")]
+    figures = ("response", "residuals", "error_map", "history", "parameters")
+    names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
     assert [path.name for path in paths] == names
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
     assert all(path.read_bytes().startswith((b"\x89PNG", b"%PDF")) and path.stat().st_size > 5000 for path in paths)
@@ -45,7 +48,7 @@ def test_nothing_to_draw_is_no_figure(make_case, tmp_path):
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
     paths = write_figures(estimate, case.record, case.truth, tmp_path)
-    assert {path.stem for path in paths} == {"response", "error_map"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map"}
 
 
 def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
@@ -134,14 +137,36 @@ def test_history_of_many_iterations_and_of_none():
         history_figure(pd.DataFrame({"iteration": steps}))
 
 
+TITLES = build_chain(1, Duffing(), m=1.0, c=1.0, k=1.0, kappa=1.0).titles
+
+
 def test_parameters_relative_to_prescribed(make_case):
     case = make_case(ndof=3)
-    figure = parameters_figure(case.estimate.parameters, case.truth.parameters)
+    figure = parameters_figure(case.estimate.parameters, case.truth.parameters, titles=TITLES)
     assert [axes.get_title() for axes in figure.axes] == ["Damping $c$", "Stiffness $k$", r"Duffing $\kappa$"]
     assert _texts(figure) == ["prescribed", "truth", "estimate, 90 % interval"]
     assert _texts(parameters_figure(case.estimate.parameters, None)) == ["prescribed", "estimate, 90 % interval"]
     with pytest.raises(ValueError, match="no estimated parameter"):
         parameters_figure([replace(case.estimate.parameters[0], prescribed=0.0)], None)
+
+
+def test_a_large_cubic_stiffness_has_readable_ticks(make_case):
+    (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "kappa_1"]
+    large = replace(given, unknown=True, prescribed=0.0, estimate=5e9, std=1e8, lower_90=4.8e9, upper_90=5.2e9)
+    figure = parameters_figure([large], None, {"kappa": "N/m^3"}, TITLES)
+    assert figure.axes[0].get_title() == r"Duffing $\kappa$ (GN/m$^{3}$)"
+    assert figure.axes[0].lines[0].get_ydata() == 5.0
+
+
+def test_mu_goes_by_its_nonlinearity(make_case):
+    (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
+    mu = replace(given, name="mu_1", unknown=True)
+    for nonlinearity, title in (
+        (VanDerPol(), r"Van der Pol $\mu$ (N s/m)"),
+        (PowerDamping(), r"Power-law damping $\mu$ (N (s/m)$^{2}$)"),
+    ):
+        chain = build_chain(1, nonlinearity, m=1.0, c=1.0, k=1.0, mu=1.0)
+        assert parameters_figure([mu], None, chain.units, chain.titles).axes[0].get_title() == title
 
 
 def _identified(case, *unknown):
@@ -156,7 +181,7 @@ def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_c
     case = make_case(ndof=4)
     units = {"k": "N/m", "kappa": "N/m^3"}
     parameters = _identified(case, "k_2", "k_4", "kappa_2")
-    figure = parameters_figure(parameters, case.truth.parameters, units)
+    figure = parameters_figure(parameters, case.truth.parameters, units, TITLES)
     titles = [
         "Stiffness $k$ (N/m)",
         r"Duffing $\kappa$ (N/m$^{3}$)",
@@ -187,7 +212,7 @@ def test_a_start_far_away_does_not_squash_the_scale(make_case):
     assert _texts(figure) == ["start", "estimate, 90 % interval"]
 
 
-def test_the_interval_of_a_parameter_at_its_bound_does_not_reach_the_estimate(make_case):
+def test_an_interval_is_drawn_at_its_own_ends_whatever_the_estimate(make_case):
     (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
     bounded = replace(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
     axes = parameters_figure([bounded], None, {"k": "N/m"}).axes[0]
@@ -202,7 +227,7 @@ def test_values_without_intervals_and_large_values(make_case):
         if p.name == "k_1"
     ]
     figure = parameters_figure(parameters, None, {"k": "N/m"})
-    assert figure.axes[0].get_title() == "Stiffness $k$ (kN/m)"
+    assert figure.axes[0].get_title() == "$k$ (kN/m)"
     assert figure.axes[0].lines[0].get_ydata() == 44.0
     assert _texts(figure)[-1] == "estimate"
 
@@ -236,10 +261,10 @@ def test_the_correlation_is_drawn_for_unknown_parameters_only(make_case, tmp_pat
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, history=pd.DataFrame({"iteration": [0]}), correlation=np.eye(3))
     paths = write_figures(estimate, case.record, case.truth, tmp_path / "prescribed")
-    assert {path.stem for path in paths} == {"response", "error_map", "parameters"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "parameters"}
     estimate = replace(estimate, parameters=_identified(case, "k_1"))
     paths = write_figures(estimate, case.record, case.truth, tmp_path / "unknown")
-    assert {path.stem for path in paths} == {"response", "error_map", "parameters", "correlation"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "parameters", "correlation"}
 
 
 def test_decimation_keeps_extremes_and_ends():
@@ -264,6 +289,7 @@ def test_block_maximum_keeps_peaks_and_gaps():
 @pytest.mark.parametrize(
     ("magnitude", "kilo", "expected"),
     [(2.0, True, (1.0, "")), (0.02, False, (1e3, "m")), (3e-5, False, (1e6, "µ")), (2e4, True, (1e-3, "k")),
+     (5e9, True, (1e-9, "G")), (2.5e6, True, (1e-6, "M")), (1e3, True, (1e-3, "k")), (1e17, True, (1e-12, "T")),
      (2e4, False, (1.0, "")), (0.0, False, (1.0, "")), (float("nan"), False, (1.0, ""))],
 )  # fmt: skip
 def test_unit_prefix(magnitude, kilo, expected):

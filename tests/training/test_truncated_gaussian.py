@@ -33,7 +33,7 @@ def test_one_coordinate_is_scipys_truncated_normal(peak):
     expected = truncnorm((lower - peak) / spread, np.inf, peak, spread)
     assert found.mean[0] == pytest.approx(expected.mean(), rel=1e-6)
     assert found.covariance[0, 0] == pytest.approx(expected.var(), rel=1e-5)
-    np.testing.assert_allclose(found.marginals(PROBABILITIES)[1][:, 0], expected.ppf(PROBABILITIES), rtol=1e-9)
+    np.testing.assert_allclose(found.marginals(PROBABILITIES).quantiles[:, 0], expected.ppf(PROBABILITIES), rtol=1e-9)
 
 
 def correlated(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +50,7 @@ def test_without_bounds_it_is_the_gaussian_itself():
     np.testing.assert_array_equal(found.mean, peak)
     np.testing.assert_array_equal(found.covariance, covariance)
     half = norm.ppf(0.95) * np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(found.marginals(PROBABILITIES)[1], [peak - half, peak + half], rtol=1e-9)
+    np.testing.assert_allclose(found.marginals(PROBABILITIES).quantiles, [peak - half, peak + half], rtol=1e-9)
 
 
 def test_bounds_far_below_change_nothing():
@@ -63,13 +63,13 @@ def test_bounds_far_below_change_nothing():
 def test_marginals_have_the_moments_of_what_is_left():
     peak, covariance = correlated(3, 4)
     found = TruncatedGaussian(peak, covariance, np.array([0.0, 0.0, -np.inf, 0.0]))
-    np.testing.assert_allclose(found.marginals(PROBABILITIES)[0], np.sqrt(np.diag(found.covariance)), rtol=1e-7)
+    np.testing.assert_allclose(found.marginals(PROBABILITIES).std, np.sqrt(np.diag(found.covariance)), rtol=1e-7)
 
 
 def test_an_error_of_its_own_widens_a_coordinate_and_still_respects_its_bound():
     covariance, lower = np.array([[4.0, 1.8], [1.8, 1.0]]), np.array([0.0, -np.inf])
     found, error = TruncatedGaussian(np.array([-1.0, 3.0]), covariance, lower), np.array([1.5, 0.7])
-    spread, ends = found.marginals(PROBABILITIES, error)
+    _, spread, ends = found.marginals(PROBABILITIES, error)
     wider = np.hypot(2.0, 1.5)
     expected = truncnorm(1.0 / wider, np.inf, -1.0, wider)
     assert spread[0] == pytest.approx(expected.std())
@@ -105,7 +105,7 @@ def test_several_bounds_against_counted_samples(seed):
     few = 4.0 / np.sqrt(len(kept))
     np.testing.assert_allclose(found.mean / unit, kept.mean(axis=0) / unit, atol=0.02 + few)
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), kept.std(axis=0), rtol=0.08 + few)
-    ends = found.marginals(PROBABILITIES)[1]
+    ends = found.marginals(PROBABILITIES).quantiles
     assert np.all(ends[0] >= lower)
     covered = ((kept >= ends[0]) & (kept <= ends[1])).mean(axis=0)
     np.testing.assert_allclose(covered, 0.9, atol=0.03 + few / 2)

@@ -8,6 +8,7 @@ from pinn_cli.report.figures.correlation import correlation_figure
 from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.history import history_figure
 from pinn_cli.report.figures.parameters import parameters_figure
+from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.identifiability import any_unknown
@@ -24,6 +25,7 @@ __all__ = [
     "error_map_figure",
     "history_figure",
     "parameters_figure",
+    "residuals_figure",
     "response_figure",
     "save",
     "write_figures",
@@ -38,6 +40,7 @@ def write_figures(
     linear: Response | None = None,
     truth_label: str = "truth",
     units: Mapping[str, str] | None = None,
+    titles: Mapping[str, str] | None = None,
     baseline: tuple[str, Response] | None = None,
 ) -> list[Path]:
     """Draw and save every figure that the run has something for, as PNG and PDF.
@@ -50,6 +53,7 @@ def write_figures(
         linear: The true response of the equivalent linear system, if it is to be shown.
         truth_label: What the legend calls the truth.
         units: Symbol of a parameter to its unit, powers as ``m^3``.
+        titles: Symbol of a parameter to its name in words.
         baseline: Name and response of another estimator, drawn in the figure of the response.
 
     Returns:
@@ -57,12 +61,13 @@ def write_figures(
     """
     figures = {
         "response": response_figure(estimate, record, truth.response, linear, truth_label, baseline),
+        "residuals": residuals_figure(estimate, record),
         "error_map": error_map_figure(estimate, record, truth.response),
     }
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         figures["history"] = history_figure(estimate.history)
     if any(given.prescribed or given.unknown for given in estimate.parameters):
-        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters, units)
+        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters, units, titles)
     if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
         figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]

@@ -38,7 +38,7 @@ def draw_value(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str
     values = _values(group, true)
     factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(values))), kilo=True) if unit else (1.0, "")
     estimate, lower, upper, truth = factor * values
-    start = factor * np.array([given.prescribed for given in group])
+    start = factor * np.array([given.start for given in group])
     connection = _connections(group)
     _draw_estimates(axes, connection, estimate, lower, upper)
     _draw_truth(axes, connection, truth)
@@ -71,7 +71,7 @@ def draw_change(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[st
         group: Parameters of one symbol, at least one; none is prescribed as zero.
         true: Symbol to values (dof,), marked where known; or None.
     """
-    prescribed = np.array([given.prescribed for given in group])
+    prescribed = np.array([given.believed for given in group])
     estimate, lower, upper, truth = 100.0 * (_values(group, true) / prescribed - 1.0)
     axes.axhline(0.0, color=style.GREY, linewidth=0.7, linestyle="--", zorder=1, label="prescribed")
     _draw_estimates(axes, _connections(group), estimate, lower, upper)
@@ -101,8 +101,7 @@ def _draw_estimates(
 ) -> None:
     look: dict[str, Any] = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
     bars: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
-    # The interval stands on its own: that of a parameter held at a bound does not hold the estimate. A prescribed value
-    # below zero turns a relative one round.
+    # The interval stands on its own: a prescribed value below zero turns a relative one round.
     middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
     axes.plot(connection, estimate, "o", **look, label="" if np.isfinite(reach).any() else "estimate")
     if np.isfinite(reach).any():

@@ -19,13 +19,6 @@ if TYPE_CHECKING:
 
     from pinn_cli.training.estimate import ParameterEstimate
 
-_NAMES = {
-    "m": "Mass $m$",
-    "c": "Damping $c$",
-    "k": "Stiffness $k$",
-    "kappa": r"Duffing $\kappa$",
-    "mu": r"Van der Pol $\mu$",
-}
 _ROW, _TOP, _BOTTOM = 2.3, 0.5, 0.39  # inch: of a row of panels, and of its legend and titles, its ticks and labels
 _LEFT, _RIGHT = 0.55, 0.08
 
@@ -34,6 +27,7 @@ def parameters_figure(
     estimates: Sequence[ParameterEstimate],
     true: Mapping[str, np.ndarray] | None,
     units: Mapping[str, str] | None = None,
+    titles: Mapping[str, str] | None = None,
 ) -> Figure:
     """One panel per symbol, over the connections, with 90 % intervals; unknown parameters above prescribed ones.
 
@@ -44,6 +38,7 @@ def parameters_figure(
         estimates: At least one that can be drawn.
         true: Symbol to values (dof,), marked where known; or None.
         units: Symbol to the unit of unknown parameters, powers as ``m^3``.
+        titles: Symbol to its name in words.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -60,7 +55,7 @@ def parameters_figure(
         for place, row in zip(places, rows, strict=True):
             panels = _panels(place, width, len(row))
             for axes, (symbol, group) in zip(panels, row.items(), strict=True):
-                title = _NAMES.get(symbol, symbol)
+                title = f"{(titles or {}).get(symbol, '')} {style.symbol(symbol)}".strip()
                 if row is unknown:
                     unit = draw_value(axes, group, true, (units or {}).get(symbol, ""))
                     title += f" ({style.raised(unit)})" if unit else ""

@@ -101,23 +101,28 @@ def raised(unit: str) -> str:
     return re.sub(r"\^([\d.]+)", r"$^{\1}$", unit)
 
 
+def symbol(kind: str, index: int | None = None) -> str:
+    """A kind of parameter as mathematics, with an index or without: ``kappa`` is a Greek letter."""
+    letter = rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else rf"\mathrm{{{kind}}}"
+    return f"${letter}$" if index is None else rf"${letter}_{{{index}}}$"
+
+
 def parameter_symbol(name: str) -> str:
     """A parameter's name as mathematics: ``kappa_4`` is a Greek letter with an index."""
-    kind, connection = split_name(name)
-    letter = rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else rf"\mathrm{{{kind}}}"
-    return rf"${letter}_{{{connection}}}$"
+    return symbol(*split_name(name))
 
 
 def unit_prefix(magnitude: float, kilo: bool = False) -> tuple[float, str]:
-    """The factor and the SI prefix with which a value of ``magnitude`` does not read below 0.1: 0.02 m is 20 mm.
+    """The factor and the SI prefix with which a value reads between 0.1 and 1000: 0.02 m is 20 mm, 5e9 N is 5 GN.
 
     Args:
         magnitude: The largest absolute value to be shown, in the base unit; 0 or NaN keeps the base unit.
-        kilo: Whether values from 1000 become kilo-units (forces, not displacements).
+        kilo: Whether values from 1000 become kilo-units and larger (forces, not displacements).
     """
     if not magnitude > 0.0:
         return 1.0, ""
     if kilo and magnitude >= 1e3:
-        return 1e-3, "k"
+        large = ((1e-12, "T"), (1e-9, "G"), (1e-6, "M"), (1e-3, "k"))
+        return next((factor, prefix) for factor, prefix in large if magnitude * factor >= 1.0 - 1e-9)
     prefixes = ((1.0, ""), (1e3, "m"), (1e6, "\N{MICRO SIGN}"))
     return next(((factor, prefix) for factor, prefix in prefixes if magnitude * factor >= 0.1), (1e9, "n"))

@@ -31,6 +31,11 @@ class Nonlinearity(ABC):
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
 
     @property
+    def titles(self) -> Mapping[str, str]:
+        """What a figure calls each of its parameters; one that is left out goes by its symbol."""
+        return {}
+
+    @property
     def units(self) -> Mapping[str, str]:
         """Unit of each of its parameters, powers as ``m^3``; one that is left out is printed without."""
         return {}

@@ -20,6 +20,11 @@ class Duffing(Nonlinearity):
     stiffness_parameter = "kappa"
 
     @property
+    def titles(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.titles`."""
+        return {"kappa": "Duffing"}
+
+    @property
     def units(self) -> Mapping[str, str]:
         """See :attr:`Nonlinearity.units`."""
         return {"kappa": "N/m^3"}

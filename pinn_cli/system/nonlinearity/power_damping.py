@@ -35,6 +35,11 @@ class PowerDamping(Nonlinearity):
         self.exponent = float(exponent)
 
     @property
+    def titles(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.titles`."""
+        return {"mu": "Power-law damping"}
+
+    @property
     def units(self) -> Mapping[str, str]:
         """See :attr:`Nonlinearity.units`."""
         return {"mu": f"N (s/m)^{self.exponent:g}"}

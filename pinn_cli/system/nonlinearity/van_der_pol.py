@@ -20,6 +20,11 @@ class VanDerPol(Nonlinearity):
     damping_parameter = "mu"
 
     @property
+    def titles(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.titles`."""
+        return {"mu": "Van der Pol"}
+
+    @property
     def units(self) -> Mapping[str, str]:
         """See :attr:`Nonlinearity.units`."""
         return {"mu": "N s/m"}

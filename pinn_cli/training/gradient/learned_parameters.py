@@ -74,6 +74,6 @@ class LearnedParameters(nn.Module):
         held = (self.moved <= self.lower).cpu().tolist()
         nothing = (math.nan, math.nan, math.nan)
         return [
-            ParameterEstimate(p.name, p.prescribed, p.value(p.lower if h else d), *nothing, p.prior_std, p.unknown)
+            ParameterEstimate(p.name, p.prescribed, p.value(p.lower if h else d), *nothing, p.prior_std, p.unknown, h)
             for p, d, h in zip(self.uncertain, distance, held, strict=True)
         ]

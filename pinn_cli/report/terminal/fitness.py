@@ -1,0 +1,127 @@
+"""The fitness as text: groups of DOFs as rows, quantities as columns."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.terminal.columns import WIDTH, percent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    import pandas as pd
+
+    from pinn_cli.report.free_run import FreeRun
+
+DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
+
+_HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
+_TITLES = {"fitness_percent": "fitness, printed formula", "range_fitness_percent": "fitness by range, as in the tables"}
+_NAME, _CELL, _GAP = 12, 9, "   "
+
+
+def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, published: pd.DataFrame | None = None) -> str:
+    """The fitness table with groups as rows and quantities as columns, both formulas side by side, in percent.
+
+    Groups and quantities of which nothing is known are left out: a measured record has a truth at held-out DOFs only.
+
+    Args:
+        table: From `pinn_cli.report.fitness.fitness_table`, of one run.
+        observed: (dof,) bool; marks the rows of unobserved DOFs with an asterisk.
+        published: From `pinn_cli.report.published.fitness`; the rows of this run's case are printed under their groups.
+
+    Returns:
+        Text, or "" if there is no number at all.
+    """
+    known = table[np.isfinite(table[list(FORMULAS)]).any(axis=1)]
+    if known.empty:
+        return ""
+    quantities = [quantity for quantity in QUANTITIES if quantity in set(known["quantity"])]
+    scores = table.set_index(["group", "quantity"])[list(FORMULAS)]
+    names = list(dict.fromkeys(known["group"]))
+    single = [name for name in names if name.startswith("dof_")]
+    shown = names if len(single) <= DOFS_SHOWN else [name for name in names if name not in single]
+    paper = _published_scores(table, published, quantities)
+    lines = []
+    for name in shown:
+        halves = [[float(scores.loc[(name, quantity), formula]) for quantity in quantities] for formula in FORMULAS]
+        lines.append(_row(_marked(name, observed), *halves))
+        if name in paper:
+            lines.append(_row("  published", [], paper[name]))
+    notes = [] if shown == names else [f"{single[0]} to {single[-1]}: fitness.csv"]
+    if any(line.startswith("dof_") and "*" in line for line in lines):
+        notes.append("* no response sensor on this DOF")
+    return "\n".join([*_head(quantities=quantities), *lines, *notes])
+
+
+def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
+    """What was found of the free run, or else how far its displacements agree with the estimated ones, in a sentence.
+
+    Args:
+        run: The free run.
+        table: From `pinn_cli.report.free_run.free_run_table`, of this run.
+    """
+    row = table[(table["against"] == "estimate") & (table["group"] == "all") & (table["quantity"] == "displacement")]
+    agreement = percent(float(row["fitness_percent"].iloc[0]))
+    told = run.finding or f"the free run's displacements agree with the estimate's to {agreement} % (mean over DOFs)"
+    return textwrap.fill(told, WIDTH)
+
+
+def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
+    """The free run's fitness over all DOFs against truth, sensors and estimate, and what was found of it.
+
+    Args:
+        run: The free run.
+        table: From `pinn_cli.report.free_run.free_run_table`, of this run. The sensors are left out where the whole
+            truth is known, and quantities of which neither truth nor sensors know anything.
+    """
+    finding = textwrap.fill(run.finding, WIDTH)
+    if run.response is None:
+        return finding
+    every = table[table["group"] == "all"].set_index(["against", "quantity"])[list(FORMULAS)]
+    quantities = [q for q in RESPONSE_QUANTITIES if every.loc[[("truth", q), ("sensors", q)]].notna().any(axis=None)]
+    lines = []
+    for name in dict.fromkeys(table["against"]):
+        scores = every.loc[name].reindex(quantities).to_numpy().T
+        if np.isfinite(scores).any() and not (name == "sensors" and np.isfinite(every.loc["truth"].to_numpy()).all()):
+            lines.append(_row(name, *scores))
+    title = "free run: the estimated system from its estimated start under the measured force; mean over DOFs"
+    return "\n".join([title, *_head("against", quantities), *lines, *([finding] if finding else [])])
+
+
+def _head(first: str = "DOFs", quantities: Sequence[str] = QUANTITIES) -> list[str]:
+    half = _CELL * len(QUANTITIES)
+    titles = _GAP.join(f"{_TITLES[formula] + ' (%)':>{half}}" for formula in FORMULAS)
+    headings = f"{''.join(f'{_HEADINGS[quantity]:>{_CELL}}' for quantity in quantities):<{half}}"
+    columns = f"{first:<{_NAME}}" + _GAP.join([headings] * len(FORMULAS))
+    return [" " * _NAME + titles, columns.rstrip(), "-" * len(columns)]
+
+
+def _row(name: str, *halves: Iterable[float]) -> str:
+    half_width = _CELL * len(QUANTITIES)
+    cells = [f"{''.join(f'{percent(value):>{_CELL}}' for value in half):<{half_width}}" for half in halves]
+    return (f"{name:<{_NAME}}" + _GAP.join(cells)).rstrip()
+
+
+def _marked(name: str, observed: np.ndarray | None) -> str:
+    if observed is None or not name.startswith("dof_"):
+        return name
+    return name if observed[int(name.removeprefix("dof_")) - 1] else f"{name} *"
+
+
+def _published_scores(
+    table: pd.DataFrame, published: pd.DataFrame | None, quantities: Sequence[str]
+) -> dict[str, list[float]]:
+    """Group to the paper's values in the order of the quantities, for the case that ``table`` is of."""
+    if published is None or table.empty:
+        return {}
+    rows = published[published["case"] == table["case"].iloc[0]]
+    return {
+        str(group): [float(part.loc[part["quantity"] == quantity, "fitness_percent"].mean()) for quantity in quantities]
+        for group, part in rows.groupby("group")
+    }

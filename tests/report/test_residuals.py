@@ -1,0 +1,121 @@
+"""The table of residuals, sensor by sensor, against numbers counted by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pinn_cli.report.labels import LABELS
+from pinn_cli.report.residuals import COLUMNS, clipped_percent, constant_percent, residual_table
+
+NOISE = 0.05
+
+
+def noisy(case, seed=0):
+    """The case's record with white noise of 0.05 m/s^2 on its accelerometers, of 0.1 N on its load cell."""
+    rng, record = np.random.default_rng(seed), case.record
+    shape = record.acceleration.shape
+    acceleration = case.truth.response.acceleration + NOISE * rng.normal(size=shape)
+    force = np.where(record.unforced, 0.0, record.force + 0.1 * rng.normal(size=shape))
+    return replace(record, acceleration=np.where(record.observed, acceleration, np.nan), force=force)
+
+
+def exact(case, **summary):
+    return replace(case.estimate, response=case.truth.response, summary=summary)
+
+
+def test_a_row_for_every_sensor_and_none_for_a_force_that_is_known_to_be_zero(make_case):
+    case = make_case(ndof=3, observed=2)
+    table = residual_table(case.estimate, case.record, None, case.labels)
+    assert list(table) == [*LABELS, *COLUMNS]
+    expected = [("acceleration", 1), ("acceleration", 2), ("force", 1)]
+    assert list(table[["quantity", "dof"]].itertuples(index=False, name=None)) == expected
+    assert set(table["estimator"]) == {"pinn"}
+
+
+def test_what_a_perfect_estimate_leaves_is_the_noise(make_case):
+    case = make_case(ndof=3, observed=2, samples=2000)
+    sigma = {"sigma_acceleration": [NOISE, NOISE, None], "sigma_force": [0.1, None, None]}
+    record = noisy(case)
+    table = residual_table(exact(case, **sigma), record, case.truth.response, case.labels)
+    np.testing.assert_allclose(table["residual_rms"], [NOISE, NOISE, 0.1], rtol=0.06)
+    np.testing.assert_allclose(table["sigma"], [NOISE, NOISE, 0.1])
+    np.testing.assert_allclose(table["residual_over_sigma"], 1.0, atol=0.06)
+    signal = record.acceleration[:, 0]
+    left = signal - case.truth.response.acceleration[:, 0]
+    first = table.iloc[0]
+    assert first["nmse_percent"] == pytest.approx(100.0 * np.mean(left**2) / np.var(signal))
+    assert first["signal_rms"] == pytest.approx(np.std(signal))
+    assert first["mean_residual"] == pytest.approx(np.mean(left))
+    assert first["free_run_nmse_percent"] == pytest.approx(first["nmse_percent"])
+    assert np.isnan(table["free_run_nmse_percent"].iloc[2])
+    assert table["whiteness"].min() > 0.01
+    assert table["largest_autocorrelation"].abs().max() < 0.1
+    assert table["clipped_percent"].max() == table["constant_percent"].max() == 0.0
+
+
+def test_a_wrong_estimate_leaves_what_is_not_white(make_case):
+    case = make_case(ndof=2, observed=2, samples=2000)
+    wrong = replace(case.truth.response, acceleration=0.5 * case.truth.response.acceleration)
+    table = residual_table(replace(case.estimate, response=wrong), noisy(case), None, case.labels)
+    seen = table[table["quantity"] == "acceleration"]
+    np.testing.assert_allclose(seen["nmse_percent"], 25.0, atol=1.5)
+    assert seen["whiteness"].max() < 1e-6
+    assert seen["spectrum_deviation"].min() > 0.5
+    assert seen["largest_autocorrelation"].min() > 0.5
+
+
+def test_a_prediction_of_nothing_is_a_hundred_per_cent(make_case):
+    case = make_case(ndof=1, observed=1)
+    mean = np.broadcast_to(case.record.acceleration.mean(axis=0), case.record.acceleration.shape)
+    estimate = replace(case.estimate, response=replace(case.truth.response, acceleration=mean))
+    assert residual_table(estimate, case.record, None, case.labels)["nmse_percent"].iloc[0] == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("summary", [{}, {"sigma_acceleration": [None, None]}, {"sigma_acceleration": 0.3}])
+def test_without_a_noise_level_its_cells_are_empty(summary, make_case):
+    case = make_case(ndof=2, observed=1)
+    table = residual_table(exact(case, **summary), noisy(case), None, case.labels)
+    assert table[["sigma", "residual_over_sigma", "free_run_nmse_percent"]].isna().all(axis=None)
+
+
+def test_the_band_is_that_of_the_signal(make_case):
+    """Five waves from 0.1 to 0.9 Hz, sampled at 100 Hz."""
+    case = make_case(ndof=1, observed=1, samples=4001, duration=40.0)
+    row = residual_table(exact(case), noisy(case), None, case.labels).iloc[0]
+    assert 0.0 < row["band_low_hz"] <= 0.15
+    assert 0.85 < row["band_high_hz"] < 1.1
+    assert row["band_share_percent"] > 95.0
+
+
+def test_a_dead_sensor_has_no_nmse_and_is_constant(make_case):
+    case = make_case(ndof=2, observed=2)
+    dead = case.record.acceleration.copy()
+    dead[:, 0] = 0.0
+    table = residual_table(case.estimate, replace(case.record, acceleration=dead), None, case.labels)
+    first = table.iloc[0]
+    assert np.isnan(first[["nmse_percent", "band_low_hz", "band_high_hz"]].to_numpy(dtype=float)).all()
+    assert (first["constant_percent"], first["band_share_percent"]) == (100.0, 0.0)
+    assert table["constant_percent"].iloc[1] == 0.0
+
+
+def test_clipping_is_counted_where_more_than_two_samples_sit_at_an_end():
+    wave = np.sin(np.linspace(0.0, 40.0, 1000))
+    assert clipped_percent(wave) == 0.0
+    flat = np.clip(wave, -0.9, 2.0)
+    assert clipped_percent(flat) == pytest.approx(100.0 * np.mean(wave <= -0.9))
+    hammer = np.zeros(1000)
+    hammer[100:110] = np.arange(1.0, 11.0)
+    assert clipped_percent(hammer) == 0.0
+
+
+def test_runs_of_equal_samples_are_constant_from_eight_on():
+    values = np.random.default_rng(0).normal(size=100)
+    values[10:17] = 1.0
+    assert constant_percent(values) == 0.0
+    values[17] = 1.0
+    assert constant_percent(values) == 8.0
+    values[50:70] = 0.0
+    assert constant_percent(values) == 28.0
