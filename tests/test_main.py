@@ -102,7 +102,8 @@ def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: 
         columns = {"t": response["time"].values, "f": response["force_true"].sel(dof=1).values, **columns}
     pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.time=t", "data.force={1: f}", "data.acceleration={1: a1, 2: a2, 3: a3}", "data.holdout=[3]"]
-    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings)
+    structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
+    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings, *structure)
     assert outcome.status == 0, outcome.err
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
     assert fitness["dof_3", "acceleration"] > 80

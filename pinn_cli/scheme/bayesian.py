@@ -14,6 +14,7 @@ from pinn_cli.posterior.prior_settings import checked_priors, read_priors, with_
 from pinn_cli.posterior.priors import Prior
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
@@ -69,6 +70,7 @@ class Bayesian(Scheme):
         _check_sensors(record)
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != "m"]
         places = unknown_places(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
+        check_given(prescribed, places)
         priors = with_defaults(read_priors(self.priors, prescribed), prescribed, record, self.positive)
         scales = parameter_scales(prescribed, record)
         unknown = tuple(_unknown(place, priors[place], scales[place[0]]) for place in places)

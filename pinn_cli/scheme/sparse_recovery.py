@@ -8,6 +8,7 @@ from pinn_cli.legal_values import one_of
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.system.chain import Chain
@@ -49,5 +50,6 @@ class SparseRecovery(Scheme):
 
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""
+        check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         return Problem(prescribed, record, uncertain, self.acceleration_through)

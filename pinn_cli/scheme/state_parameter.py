@@ -9,6 +9,7 @@ from pinn_cli.legal_values import one_of, positive_number
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
@@ -66,6 +67,7 @@ class StateParameter(Scheme):
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         places = unknown_places(prescribed, record, self.unknown)
+        check_given(prescribed, places)
         unknown = self._unknown(prescribed, record, places)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=places)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
