@@ -1,4 +1,4 @@
-"""Of a measured structure the user gives every value, or says that it is unknown: the demonstration's are never used."""
+"""Of a measured structure the user gives every value, or says that it is unknown; nothing is a demonstration's."""
 
 from __future__ import annotations
 
