@@ -18,6 +18,7 @@ from pinn_cli.physics import observation_masks, observation_residuals, physics_r
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.blocks import Blocks, ChainRows
 from pinn_cli.training.bordered import BorderedSystem
+from pinn_cli.training.initial_motion import initial_motion
 from pinn_cli.training.layout import BandLayout
 from pinn_cli.training.noise_model import NoiseModel
 
@@ -68,6 +69,7 @@ class NormalEquations:
         self.kinds = tuple(name for name in self.prescribed if any(p.kind == name for p in problem.uncertain))
         self._place_parameters()
         self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
+        self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
         self.ridge: float | None = None
         self._kept_point: Point | None = None
         self._kept_states: dict[int, States] = {}
@@ -179,6 +181,8 @@ class NormalEquations:
         weights = self.weights(noise)
         out = {name: float((weights[name] * r.square()).sum()) for name, r in residuals.items()}
         out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
+        if self.begins is not None:
+            out["initial"] = self.begins.loss(point.unknowns)
         out["ridge"] = (self.ridge or 0.0) * float(point.unknowns.square().sum())
         return out
 
@@ -228,6 +232,8 @@ class NormalEquations:
             self.ridge = RELATIVE_RIDGE * float(band[0].max())
         band[0] += self.ridge
         gradient = gradient + self.ridge * point.unknowns
+        if self.begins is not None:
+            self.begins.add(band, gradient, point.unknowns)
         border, corner, slope = self._border(blocks)
         corner = corner + torch.diag(precision).to(corner)
         slope = slope + precision * point.parameters

@@ -65,11 +65,20 @@ class Linearisation:
         )
         self.blocks: list[Block] = [observed, enforced]
         self.residual = torch.cat((first.flatten(), second.flatten()))
-        self.kernel = kernel(self.blocks)
         columns = tuple((parameter.kind, parameter.dof) for parameter in parameters.uncertain)
         self.by_parameter = rows.by_parameter(columns, seen, felt, values, noise) * parameters.prior_deviation(
             noise.spread
         )
+        if rows.deviation is not None:
+            self._add(*linearised(network, target.observation_time[:1], rows.initial)[:2])
+        self.kernel = kernel(self.blocks)
+
+    def _add(self, block: Block, residual: Tensor) -> None:
+        """Further residuals, which no parameter has a part in."""
+        self.blocks.append(block)
+        self.residual = torch.cat((self.residual, residual.flatten()))
+        none = self.by_parameter.new_zeros(block.size, self.by_parameter.shape[1])
+        self.by_parameter = torch.cat((self.by_parameter, none))
 
     def step(self, to_start: Layers, parameters: Tensor, precision: float, damping: float) -> Step:
         """Least squares of the linearised residuals, prior and damping.
