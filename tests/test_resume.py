@@ -19,6 +19,7 @@ from pinn_cli.config_names import option_names
 from pinn_cli.errors import InputError
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.report import run_report
+from pinn_cli.training.evidence import Evidence
 
 HYDRAS = {".hydra", "pinn-run.log"}
 CHECKPOINTS = {"checkpoint.pt", "checkpoint.previous.pt"}
@@ -264,3 +265,16 @@ def test_every_training_takes_the_interval(composed: Compose, training: str) -> 
     assert RunConfig.read(off).checkpoint_every_s is None
     with pytest.raises(InputError, match=r"training\.checkpoint_every_s=-1"):
         RunConfig.read(composed(f"training={training}", "threads=1", "training.checkpoint_every_s=-1"))
+
+
+def test_an_interrupted_training_that_keeps_nothing_says_so(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Evidence, "search", lambda *args: os.kill(os.getpid(), signal.SIGINT))
+    stopped = pinn_run(*SMALL, "hydra.run.dir=run")
+    assert (stopped.status, stopped.out) == (130, "")
+    assert stopped.err == "pinn-run: interrupted; nothing is kept of it; to start over: pinn-run resume=run\n"
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    again = pinn_run("resume=run")
+    assert again.status == 0, again.err
