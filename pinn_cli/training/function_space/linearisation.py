@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pinn_cli.errors import DivergenceError
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, Layers, kernel, linearised, pulled_back, pushed_forward
 from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
@@ -98,8 +99,8 @@ class Linearisation:
         system = self.kernel / total
         system.addmm_(self.by_parameter, self.by_parameter.T)
         system.diagonal().add_(1.0)
-        factor, failed = torch.linalg.cholesky_ex(system)
-        if int(failed):
+        factor = cholesky(system)
+        if factor is None:
             raise DivergenceError(
                 "quasi_newton diverged: its normal matrix is singular; try network.width or training.collocation_points"
                 " of half the size"

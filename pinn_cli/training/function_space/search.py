@@ -83,6 +83,8 @@ class FunctionSpaceSearch(Stepwise):
         history: Takes a row per iteration.
     """
 
+    long_steps = True
+
     def __init__(
         self,
         network: MlpNetwork,
