@@ -36,7 +36,7 @@ from pinn_cli.errors import DivergenceError, InputError
 from pinn_cli.interruption import Interruption, watched
 from pinn_cli.memory import of_this_machine, ran_out
 from pinn_cli.override_errors import explain
-from pinn_cli.resume import StoredRun, going_on, resume_command
+from pinn_cli.resume import StoredRun, going_on, how_to_go_on
 from pinn_cli.run_lock import held
 from pinn_cli.sweep import collect, failure
 from pinn_cli.sweep.callback import ended_sweep
@@ -136,10 +136,10 @@ def execute(task: Task) -> int:
     except KeyboardInterrupt as stop:
         sweep = ended_sweep()
         if sweep is not None:
-            goes_on = f"the same command again; for what there is: {collect_command(sweep.directory)}"
+            goes_on = f"to go on: the same command again; for what there is: {collect_command(sweep.directory)}"
         else:
-            goes_on = resume_command(jobs.directory) if jobs.directory else ""
-        jobs.tell(f"interrupted{f'; to go on: {goes_on}' if goes_on else ''}")
+            goes_on = how_to_go_on(jobs.directory) if jobs.directory else ""
+        jobs.tell(f"interrupted{f'; {goes_on}' if goes_on else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -87,7 +87,7 @@ class RunConfig:
         seed: Of everything random that has no seed of its own.
         device: Where networks and residuals live: cpu, cuda, cuda:1.
         threads: Of torch and of the linear algebra.
-        chain: The structure as configured, before model error.
+        chain: The structure as configured, before model error; NaN where a measured one has no value.
         model_error: What differs between the true and the prescribed chain.
         source: Where the record comes from.
         scheme: What is observed and what is unknown.
@@ -143,7 +143,7 @@ class RunConfig:
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        chain = _chain(config.system)
+        chain = _chain(config)
         source = _source(config, chain, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation", "baseline")
         estimation = {name: build(config[name], name) for name in names}
@@ -257,10 +257,15 @@ def _check_available(device: str) -> None:
         raise InputError("device", device, "cpu or a CUDA device that is there", hint)
 
 
-def _chain(node: DictConfig) -> Chain:
-    from pinn_cli.system.building import build_chain
+def _chain(config: DictConfig) -> Chain:
+    """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
+    from pinn_cli.system.building import build_chain, build_partial_chain
 
-    return construct(build_chain, node, "system")
+    return construct(build_chain if _is_simulated(config) else build_partial_chain, config.system, "system")
+
+
+def _is_simulated(config: DictConfig) -> bool:
+    return bool(config.data.get("kind") == "simulated")
 
 
 def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int, base: Path | None) -> Source:
@@ -268,7 +273,7 @@ def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.record.size import check_size
 
-    if config.data.get("kind") != "simulated":
+    if not _is_simulated(config):
         measured = build(config.data, "data", base=base)
         if model_error.name != "none":
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"

@@ -67,6 +67,23 @@ def deferred() -> Iterator[None]:
         raise Interruption(_asked)
 
 
+@contextmanager
+def heeded() -> Iterator[None]:
+    """Within `deferred`: have a signal raise at once again, in a part of the block that may be broken off anywhere.
+
+    Raises:
+        Interruption: When a signal comes, or because one came before.
+    """
+    global _deferring  # noqa: PLW0603
+    _deferring -= 1
+    try:
+        if _asked is not None and not _deferring:
+            raise Interruption(_asked)
+        yield
+    finally:
+        _deferring += 1
+
+
 def asked() -> bool:
     """Whether a signal came that was put off."""
     return _asked is not None

@@ -27,6 +27,8 @@ from pinn_cli.tracking.told import is_told
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
 ALLOWED = "null, auto, never, or the directory of a run"
+# What a run that goes on takes up, in its directory: checkpoints of a training in steps, and finished chains of NUTS.
+KEPT = ("checkpoint.pt", "checkpoint.previous.pt", "chains")
 # What may be given with it: where and how a run is made, not what it computes.
 BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
 
@@ -177,6 +179,12 @@ def _has_fixed_directory() -> bool:
     hydra = OmegaConf.to_container(HydraConfig.get(), resolve=False)
     sweep = HydraConfig.get().mode == RunMode.MULTIRUN
     return "${now:" not in hydra["sweep" if sweep else "run"]["dir"]  # type: ignore[index,call-overload]
+
+
+def how_to_go_on(directory: Path) -> str:
+    """What an interrupted run tells its user: whether it kept anything to go on from, and the command."""
+    kept = any((directory / name).exists() for name in KEPT)
+    return f"{'to go on' if kept else 'nothing is kept of it; to start over'}: {resume_command(directory)}"
 
 
 def resume_command(directory: Path) -> str:

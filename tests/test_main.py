@@ -102,7 +102,8 @@ def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: 
         columns = {"t": response["time"].values, "f": response["force_true"].sel(dof=1).values, **columns}
     pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.time=t", "data.force={1: f}", "data.acceleration={1: a1, 2: a2, 3: a3}", "data.holdout=[3]"]
-    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings)
+    structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
+    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings, *structure)
     assert outcome.status == 0, outcome.err
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
     assert fitness["dof_3", "acceleration"] > 80
@@ -122,3 +123,14 @@ def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
     with xr.open_dataset(outcome.directory / "response.nc") as response:
         assert "displacement_kalman_smoother_std" in response
     assert [line.split()[0] for line in outcome.out.splitlines()[-3:-1]] == ["pinn", "kalman_smoother"]
+
+
+def test_a_record_whose_forces_are_all_unknown(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: Path) -> None:
+    with xr.open_dataset(small_run.directory / "response.nc") as response:
+        columns = {f"a{dof}": response["acceleration_true"].sel(dof=dof).values for dof in (1, 2, 3)}
+        pd.DataFrame({"t": response["time"].values, **columns}).to_csv(tmp_path / "rig.csv", index=False)
+    settings = ["data.force={1: null, 2: null, 3: null}", "data.acceleration={1: a1, 2: a2, 3: a3}"]
+    structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
+    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings, *structure)
+    assert outcome.status == 0, outcome.err
+    assert "the force on DOFs 1, 2, 3 is unknown" in outcome.out

@@ -19,6 +19,8 @@ from pinn_cli.config_names import option_names
 from pinn_cli.errors import InputError
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.report import run_report
+from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.function_space.linearisation import Linearisation
 
 HYDRAS = {".hydra", "pinn-run.log"}
 CHECKPOINTS = {"checkpoint.pt", "checkpoint.previous.pt"}
@@ -264,3 +266,44 @@ def test_every_training_takes_the_interval(composed: Compose, training: str) -> 
     assert RunConfig.read(off).checkpoint_every_s is None
     with pytest.raises(InputError, match=r"training\.checkpoint_every_s=-1"):
         RunConfig.read(composed(f"training={training}", "threads=1", "training.checkpoint_every_s=-1"))
+
+
+def test_an_interrupted_training_that_keeps_nothing_says_so(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Evidence, "search", lambda *args: os.kill(os.getpid(), signal.SIGINT))
+    stopped = pinn_run(*SMALL, "hydra.run.dir=run")
+    assert (stopped.status, stopped.out) == (130, "")
+    assert stopped.err == "pinn-run: interrupted; nothing is kept of it; to start over: pinn-run resume=run\n"
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    again = pinn_run("resume=run")
+    assert again.status == 0, again.err
+
+
+QUASI_NEWTON = (*SMALL, "network=mlp", "training=quasi_newton", "training.collocation_points=60")
+
+
+def test_a_long_step_is_broken_off_and_taken_anew(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    undisturbed = pinn_run(*QUASI_NEWTON, "hydra.run.dir=whole")
+    assert undisturbed.status == 0, undisturbed.err
+    step, taken, survived = Linearisation.step, [], []
+
+    def stopped_in_the_third(*arguments: object) -> object:
+        taken.append(1)
+        if len(taken) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+            survived.append(1)
+        return step(*arguments)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Linearisation, "step", stopped_in_the_third)
+        stopped = pinn_run(*QUASI_NEWTON, "hydra.run.dir=run")
+    assert stopped.status == 143
+    assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"
+    assert (len(taken), survived) == (3, [])
+    resumed = pinn_run("resume=run")
+    assert resumed.status == 0, resumed.err
+    assert_same_numbers(tmp_path / "whole", tmp_path / "run")

@@ -216,11 +216,13 @@ class StateSpace:
 
     @cached_property
     def initial_std(self) -> np.ndarray:
-        """(2 n,), of the initial elongations, m, and their rates, m/s: nothing says that the structure was at rest.
+        """(2 n,), of the initial elongations, m, and their rates, m/s: wide unless the structure was at rest.
 
         Elongations rather than displacements are independent: otherwise the far end of a long chain could begin with
         connections stretched far beyond anything that the force can do.
         """
+        if self.problem.initial_deviation is not None:
+            return np.repeat(self.problem.initial_deviation, self.n)
         stiffness = self.prescribed["k"][self.prescribed["k"] > 0]
         static = self.force_scale / stiffness.min() if len(stiffness) else 0.0
         displacement = max(static, self.velocity_scale / self.corner)

@@ -82,7 +82,8 @@ class CsvData:
         """The record of the columns that are not held out, and as the truth those that are; the rest of it is NaN.
 
         Raises:
-            InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples.
+            InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples; a response
+                sensor that reads one value throughout.
         """
         self._check_dofs(ndof)
         columns = {
@@ -92,6 +93,7 @@ class CsvData:
             if column is not None
         }
         time, values = self._read(columns)
+        self._check_alive(columns, values)
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
         unforced = ~dof_mask(self.force, ndof)
         seen.force[:, unforced] = 0.0
@@ -100,6 +102,14 @@ class CsvData:
             getattr(target, quantity)[:, dof - 1] = column
         record = Record(**vars(seen), unforced=unforced, intersample=self.intersample)
         return Measurements(record, Truth(truth))
+
+    def _check_alive(self, columns: Mapping[tuple[str, int], str], values: np.ndarray) -> None:
+        """A response sensor that reads one value throughout has seen nothing; a force may well be zero."""
+        for (quantity, dof), column in zip(columns, values.T, strict=True):
+            if quantity in RESPONSE_QUANTITIES and np.ptp(column) == 0.0:
+                name = getattr(self, quantity)[dof]
+                hint = f"every sample of it is {column[0]:g}: a dead sensor? Leave it out of data.{quantity}"
+                raise InputError(f"data.{quantity}.{dof}", repr(name), "a column that varies", hint)
 
     def _read(self, columns: Mapping[tuple[str, int], str]) -> tuple[np.ndarray, np.ndarray]:
         """Times (N,) of the window after decimation, and (N, columns)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,8 +45,21 @@ class CsvFile:
                 raise InputError(setting, repr(column), allowed, hint)
         # Blank lines are kept, so that rows and lines go together; those at the end are no gap.
         frame = self._read(usecols=sorted(set(columns.values())))
+        self._check_cells(len(header))
         filled = np.flatnonzero(frame.notna().any(axis=1))
         self._frame = frame.iloc[: filled[-1] + 1 if len(filled) else 0]
+
+    def _check_cells(self, names: int) -> None:
+        """The first row of numbers may end with commas, but not have more cells than the header has names."""
+        with self.path.open(newline="", encoding="utf-8-sig") as file:
+            rows = filter(None, csv.reader(file, skipinitialspace=True))
+            next(rows)
+            cells = next(rows, [])
+        filled = max((place for place, cell in enumerate(cells, start=1) if cell.strip()), default=0)
+        if filled > names:
+            hint = "a decimal comma, or a column without a name? Cells belong together by their place"
+            place = f"{self.path.name}, first row of numbers"
+            raise InputError(place, f"{filled} cells", f"as many as the header has names, {names}", hint)
 
     def numbers(self, column: str, first: int = 0, last: int | None = None) -> np.ndarray:
         """The column's cells in rows first..last (counted from 0, ``last`` excluded).
@@ -99,8 +114,12 @@ class CsvFile:
 
     def _read(self, **options: object) -> pd.DataFrame:
         options |= {"skip_blank_lines": False, "skipinitialspace": True, "encoding": "utf-8-sig", "low_memory": False}
+        # Rows that end with a comma have a cell more than the header; pandas would take their first one for a label.
+        options["index_col"] = False
         try:
-            frame: pd.DataFrame = pd.read_csv(self.path, **options)  # type: ignore[call-overload]
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", pd.errors.ParserWarning)  # of that cell
+                frame: pd.DataFrame = pd.read_csv(self.path, **options)  # type: ignore[call-overload]
             return frame
         except FileNotFoundError:
             hint = "a relative path starts where pinn-run was called"

@@ -60,6 +60,8 @@ class Record:
         unforced: (n,) bool, the DOFs that are known to carry no force.
         intersample: How the force behaves between the samples.
         repeats: Where the histories are means of repeated measurements, how far those scattered.
+        simulated: Whether a simulation of the configured structure made it. What is prescribed for an unknown parameter
+            is then the truth, and to be forgotten; of a measured record it is what the user knows.
 
     Raises:
         InputError: No response sensor at all.
@@ -74,6 +76,7 @@ class Record:
     unforced: np.ndarray
     intersample: Intersample = "band_limited"
     repeats: Repeats | None = None
+    simulated: bool = False
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from pinn_cli.record.record import Record, Response
-from pinn_cli.record.simulation import Force, simulate, substeps_needed
+from pinn_cli.record.simulation import Force, has_equation_of_motion, simulate, substeps_needed
 
 if TYPE_CHECKING:
     from pinn_cli.system.chain import Chain
@@ -43,8 +43,10 @@ def resimulate(
 
     Raises:
         OverflowsError: The response does not stay finite.
-        TooStiffError: It would take more than `MOST_SUBSTEPS` steps per sample.
+        TooStiffError: It would take more than `MOST_SUBSTEPS` steps per sample, or a mass is zero.
     """
+    if not has_equation_of_motion(chain):
+        raise TooStiffError("a mass of it is zero")
     substeps = substeps_needed(chain, record.step)
     if substeps > MOST_SUBSTEPS:
         raise TooStiffError(f"it takes {substeps} steps per sample, and {MOST_SUBSTEPS} are allowed")

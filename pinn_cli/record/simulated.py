@@ -44,5 +44,6 @@ class Simulated:
         response = self.simulation.run(chain, self.excitation.force)
         seen, repeats = self.noise.measured(response)
         intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
-        record = Record(**vars(seen), unforced=~self.excitation.forced, intersample=intersample, repeats=repeats)
+        unforced = ~self.excitation.forced
+        record = Record(**vars(seen), unforced=unforced, intersample=intersample, repeats=repeats, simulated=True)
         return Measurements(record, Truth(response, chain.parameters_like(np.empty(0))))

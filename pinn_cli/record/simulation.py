@@ -144,12 +144,17 @@ def substeps_needed(chain: Chain, step: float) -> int:
     """Steps of Runge-Kutta per sample that resolve the linear chain's highest natural frequency and strongest damping.
 
     Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated
-    chain may have negative ones.
+    chain may have negative ones. No number of steps is enough where a mass is zero: see :func:`has_equation_of_motion`.
     """
     p = {name: np.abs(value) for name, value in chain.parameters_like(np.empty(0)).items()}
     bounds = {name: np.max(2.0 * (p[name] + np.append(p[name][1:], 0.0)) / p["m"]) for name in ("k", "c")}
     rate = max(math.sqrt(bounds["k"]), float(bounds["c"]))
     return max(1, math.ceil(step * rate / STEP_TIMES_RATE))
+
+
+def has_equation_of_motion(chain: Chain) -> bool:
+    """Whether every DOF has a mass; an estimated one may be at its bound, zero."""
+    return bool(chain.parameters["m"].all())
 
 
 def runge_kutta_step(

@@ -106,9 +106,11 @@ def lowest_level(x: np.ndarray, step: float) -> float:
 
 
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:
-    """Share of the band up to ``top`` (Hz) that histories (N, n) fill, together; 1 when they are white."""
+    """Share of the band up to ``top`` (Hz) that histories (N, n) fill, together; 1 when they are white, or none."""
     # Averaging over pieces steadies the periodogram, whose own scatter would pass for colour.
     length = max(16, len(residual) // AVERAGED_PIECES)
+    if residual.shape[1] == 0:
+        return 1.0
     pieces = [column[i : i + length] for column in residual.T for i in range(0, len(column) - length + 1, length)]
     frequency, _ = periodogram(pieces[0], step)
     power = np.mean([periodogram(piece, step)[1] for piece in pieces], axis=0)

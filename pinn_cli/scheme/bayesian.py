@@ -14,6 +14,8 @@ from pinn_cli.posterior.prior_settings import checked_priors, read_priors, with_
 from pinn_cli.posterior.priors import Prior
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
@@ -37,7 +39,7 @@ class Bayesian(Scheme):
         priors: See :func:`pinn_cli.posterior.prior_settings.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
-        acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
+        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
 
     Raises:
         InputError: A setting outside its range.
@@ -53,12 +55,14 @@ class Bayesian(Scheme):
         priors: Mapping[str, Any] | None = None,
         positive: Sequence[str] = POSITIVE,
         acceleration_through: str = "derivative",
+        initial_motion: str = FREE,
     ) -> None:
         self.unobserved, self.unknown, self.priors = unobserved, unknown, priors
         self.quantities = sensor_quantities({"displacement": True, "velocity": True} if sensors is None else sensors)
         checked_priors(priors)
         self.positive = checked_positive(positive)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
+        self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
@@ -69,11 +73,13 @@ class Bayesian(Scheme):
         _check_sensors(record)
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != "m"]
         places = unknown_places(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
+        check_given(prescribed, places)
         priors = with_defaults(read_priors(self.priors, prescribed), prescribed, record, self.positive)
         scales = parameter_scales(prescribed, record)
         unknown = tuple(_unknown(place, priors[place], scales[place[0]]) for place in places)
         chain = forgetful(prescribed, unknown)
-        return Problem(chain, record, unknown, self.acceleration_through, {p: priors[p] for p in places})
+        chosen = {place: priors[place] for place in places}
+        return Problem(chain, record, unknown, self.acceleration_through, chosen, self.initial_motion)
 
 
 def _unknown(place: Place, prior: Prior, scale: float) -> UncertainParameter:

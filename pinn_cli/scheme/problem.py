@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.initial_motion import FREE, initial_deviation
 from pinn_cli.system.chain import Chain
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ class Problem:
             (``derivative``), with the observer equation (paper, eq. 8; ``observer``), or with ``both``.
         priors: (kind, connection from 0) of every uncertain parameter to its prior, where their posterior distribution
             is wanted; None where estimates with standard deviations will do.
+        initial_motion: Whether the motion begins anyhow (``free``) or at ``rest`` at the record's first sample.
     """
 
     chain: Chain
@@ -80,6 +82,12 @@ class Problem:
     uncertain: tuple[UncertainParameter, ...] = ()
     acceleration_through: str = "derivative"
     priors: Mapping[tuple[str, int], Prior] | None = None
+    initial_motion: str = FREE
+
+    @property
+    def initial_deviation(self) -> tuple[float, float] | None:
+        """See :func:`pinn_cli.scheme.initial_motion.initial_deviation`."""
+        return initial_deviation(self.record, self.initial_motion)
 
     @property
     def identifies(self) -> bool:

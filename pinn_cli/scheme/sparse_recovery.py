@@ -8,6 +8,8 @@ from pinn_cli.legal_values import one_of
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.system.chain import Chain
@@ -22,7 +24,7 @@ class SparseRecovery(Scheme):
         sensors: What an observed DOF of a simulated record has sensors for.
         parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
             them fixed, as the paper does.
-        acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
+        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
 
     Raises:
         InputError: A setting outside its range.
@@ -37,11 +39,13 @@ class SparseRecovery(Scheme):
         sensors: Mapping[str, bool] | None = None,
         parameter_uncertainty: float = 0.075,
         acceleration_through: str = "derivative",
+        initial_motion: str = FREE,
     ) -> None:
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
+        self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
@@ -49,5 +53,7 @@ class SparseRecovery(Scheme):
 
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""
+        check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
-        return Problem(prescribed, record, uncertain, self.acceleration_through)
+        through, begins = self.acceleration_through, self.initial_motion
+        return Problem(prescribed, record, uncertain, through, initial_motion=begins)

@@ -9,6 +9,8 @@ from pinn_cli.legal_values import one_of, positive_number
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
@@ -31,7 +33,7 @@ class StateParameter(Scheme):
             that of the record, whichever is larger: wide enough to leave the answer to the record.
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
             fixed, as the paper does.
-        acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
+        acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
 
     Raises:
         InputError: A setting outside its range.
@@ -50,6 +52,7 @@ class StateParameter(Scheme):
         prior_width: float = 10.0,
         parameter_uncertainty: float = 0.075,
         acceleration_through: str = "derivative",
+        initial_motion: str = FREE,
     ) -> None:
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
@@ -58,6 +61,7 @@ class StateParameter(Scheme):
         self.prior_width = positive_number("scheme.prior_width", prior_width)
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
+        self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
@@ -66,11 +70,13 @@ class StateParameter(Scheme):
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         places = unknown_places(prescribed, record, self.unknown)
+        check_given(prescribed, places)
         unknown = self._unknown(prescribed, record, places)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=places)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         uncertain = sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.dof))
-        return Problem(forgetful(prescribed, unknown), record, tuple(uncertain), self.acceleration_through)
+        through, begins = self.acceleration_through, self.initial_motion
+        return Problem(forgetful(prescribed, unknown), record, tuple(uncertain), through, initial_motion=begins)
 
     def posed_again(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.posed_again`: by default it is the sensors that say what is unknown."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,15 +33,31 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
         InputError: Naming ``system.<parameter>``: ndof is no positive integer; a parameter is missing, unknown, of the
             wrong length, not finite or of a sign that makes no sense.
     """
+    for name in (*LINEAR_PARAMETERS, *nonlinearity.parameters):
+        if parameters.get(name) is None:
+            names = ", ".join((*LINEAR_PARAMETERS, *nonlinearity.parameters))
+            raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {names}")
+    chain = build_partial_chain(ndof, nonlinearity, **parameters)
+    for name, value in parameters.items():
+        if chain.parameters[name].isnan().any():
+            raise InputError(f"system.{name}", value, "given in every entry: null is for what is unknown of a record")
+    return chain
+
+
+def build_partial_chain(
+    ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float | None] | None
+) -> Chain:
+    """The same where a value may be missing, None or left out, alone or in a list: it is NaN in the chain.
+
+    Of a measured structure nobody knows all; :func:`pinn_cli.scheme.missing_values.check_given` sees to it that only
+    what is to be estimated is missing.
+    """
     ndof = whole_number("system.ndof", ndof, least=1, most=MOST_DOFS)
     names = (*LINEAR_PARAMETERS, *nonlinearity.parameters)
     for name, value in parameters.items():
         if name not in names:
             raise InputError(f"system.{name}", value, f"left out: a {nonlinearity.name} chain has {', '.join(names)}")
-    for name in names:
-        if parameters.get(name) is None:
-            raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {', '.join(names)}")
-    values = {name: _per_connection(name, parameters[name], ndof) for name in names}
+    values = {name: _per_connection(name, parameters.get(name), ndof) for name in names}
     _check_signs(values, nonlinearity)
     return Chain({name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}, nonlinearity)
 
@@ -48,21 +65,24 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
 def _per_connection(name: str, value: Any, ndof: int) -> list[float]:
     if isinstance(value, np.ndarray | torch.Tensor):
         value = value.tolist()
-    numbers = [value] * ndof if is_finite_number(value) else entries(value)
-    if not numbers or not all(is_finite_number(number) for number in numbers):
+    numbers = [value] * ndof if value is None or is_finite_number(value) else entries(value)
+    if not numbers or not all(number is None or is_finite_number(number) for number in numbers):
         raise InputError(f"system.{name}", value, f"a finite number or a list of {ndof} finite numbers")
     for number in numbers:
-        if not is_usable_number(number):
+        if number is not None and not is_usable_number(number):
             raise InputError(f"system.{name}", number, f"0 or {USABLE}")
     if len(numbers) != ndof:
         allowed = f"a number or a list of {ndof} numbers (system.ndof={ndof})"
         raise InputError(f"system.{name}", list(numbers), allowed, f"it has {len(numbers)}")
-    return [float(number) for number in numbers]
+    return [math.nan if number is None else float(number) for number in numbers]
 
 
 def _check_signs(values: dict[str, list[float]], nonlinearity: Nonlinearity) -> None:
-    if min(values["m"]) <= 0.0:
-        raise InputError("system.m", min(values["m"]), "> 0", "a DOF without mass has no equation of motion")
+    least = {
+        name: min((number for number in row if not math.isnan(number)), default=1.0) for name, row in values.items()
+    }
+    if least["m"] <= 0.0:
+        raise InputError("system.m", least["m"], "> 0", "a DOF without mass has no equation of motion")
     for name in nonlinearity.nonnegative:
-        if min(values[name]) < 0.0:
-            raise InputError(f"system.{name}", min(values[name]), ">= 0", "the connection would push itself apart")
+        if least[name] < 0.0:
+            raise InputError(f"system.{name}", least[name], ">= 0", "the connection would push itself apart")

@@ -21,8 +21,12 @@ from pinn_cli.physics import observation_masks, observation_residuals, physics_r
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.bordered import BorderedSystem
+<<<<<<< HEAD
 from pinn_cli.training.chain_rows import ChainRows
 from pinn_cli.training.dof_major import DofMajorSums
+=======
+from pinn_cli.training.initial_motion import initial_motion
+>>>>>>> defects
 from pinn_cli.training.layout import BandLayout
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.subdomains import Subdomains
@@ -94,6 +98,7 @@ class NormalEquations:
         self.kinds = tuple(name for name in self.prescribed if any(p.kind == name for p in problem.uncertain))
         self._place_parameters()
         self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
+        self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
         self.ridge: float | None = None
         self._kept_point: Point | None = None
         self._kept_states: dict[int, States] = {}
@@ -226,6 +231,8 @@ class NormalEquations:
         weights = self.weights(noise)
         out = {name: float((weights[name] * r.square()).sum()) for name, r in residuals.items()}
         out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
+        if self.begins is not None:
+            out["initial"] = self.begins.loss(point.unknowns)
         out["ridge"] = (self.ridge or 0.0) * float(point.unknowns.square().sum())
         return out
 
@@ -297,9 +304,38 @@ class NormalEquations:
         if self.ridge is None:
             self.ridge = RELATIVE_RIDGE * float(band[0].max())
         band[0] += self.ridge
+<<<<<<< HEAD
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         border = sums.border.reshape(self.layout.size, -1)[:, pick]
         places = sums.slope.size
         corner = sums.corner.reshape(places, places)[pick][:, pick] + np.diag(precision.cpu().numpy())
         slope = sums.slope.reshape(-1)[pick] + (precision * point.parameters).cpu().numpy()
         return BorderedSystem(band, border, corner, gradient, slope)
+=======
+        gradient = gradient + self.ridge * point.unknowns
+        if self.begins is not None:
+            self.begins.add(band, gradient, point.unknowns)
+        border, corner, slope = self._border(blocks)
+        corner = corner + torch.diag(precision).to(corner)
+        slope = slope + precision * point.parameters
+        arrays = (x.detach().cpu().numpy() for x in (band, border, corner, gradient, slope))
+        return BorderedSystem(*arrays)
+
+    def _border(self, blocks: Blocks) -> tuple[Tensor, Tensor, Tensor]:
+        """Columns of the uncertain parameters: against the readout, against each other, and their gradient."""
+        n, kinds = self.problem.record.ndof, len(self.kinds)
+        new = self.target.force.new_zeros
+        border, corner, slope = new((self.layout.size, kinds, n)), new((kinds, n, kinds, n)), new((kinds, n))
+        for i in range(n) if kinds else ():
+            against = self.layout.columns_of_dof(blocks.readout[:, i, :, blocks.columns : -1], i).unflatten(
+                -1, (kinds, 2)
+            )
+            block = blocks.parameters[i, :, :-1].reshape(kinds, 2, kinds, 2)
+            for x in range(min(2, n - i)):
+                border[:, :, i + x] += against[..., x]
+                slope[:, i + x] += blocks.parameters[i, :, -1].reshape(kinds, 2)[:, x]
+                for y in range(min(2, n - i)):
+                    corner[:, i + x, :, i + y] += block[:, x, :, y]
+        pick = self.column
+        return border.flatten(1)[:, pick], corner.flatten(2).flatten(0, 1)[pick][:, pick], slope.flatten()[pick]
+>>>>>>> defects

@@ -107,8 +107,9 @@ class QuasiNewton(Training):
     ) -> FunctionSpaceSearch:
         force, velocity = scales(problem)
         rows = ResidualRows(
-            problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised"
-        )
+            problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised",
+            problem.initial_deviation,
+        )  # fmt: skip
         noise = noise_model(collocation, SOFT * force, CONTINUITY_TOLERANCE * velocity)
         levels = Levels(noise, FIRST_PRECISION * gain**2)
         return FunctionSpaceSearch(

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from pinn_cli.interruption import asked, deferred
+from pinn_cli.interruption import Interruption, asked, deferred, heeded
 from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.random_states import random_states, set_random_states
+
+if TYPE_CHECKING:
+    from pinn_cli.training.checkpoint import Checkpoints
 
 
 class Stepwise(ABC):
-    """A training under way: everything that its next step depends on is in its state."""
+    """A training under way: everything that its next step depends on is in its state.
+
+    Attributes:
+        long_steps: Whether a step may take so long that a signal breaks it off; it is then taken anew on resuming.
+    """
+
+    long_steps: ClassVar[bool] = False
 
     @abstractmethod
     def step(self) -> bool:
@@ -34,7 +45,7 @@ def train(training: Stepwise, run: RunContext) -> None:
     """Step until the training has ended, from where a checkpoint of the run left it, and keep checkpoints on the way.
 
     A periodic checkpoint is written once a step from it has gone well: a diverging training keeps its last good one.
-    SIGINT and SIGTERM are heeded between two steps, once a checkpoint is written.
+    SIGINT and SIGTERM are heeded between two steps, or within a long one, once a checkpoint is written.
 
     Raises:
         DivergenceError: See :meth:`Stepwise.step`.
@@ -51,10 +62,23 @@ def train(training: Stepwise, run: RunContext) -> None:
     with deferred():
         while not asked():
             state = checkpoints.packed(training) if checkpoints.due() else None
-            going = training.step()
+            going = _long_step(training, checkpoints) if training.long_steps else training.step()
             if state is not None:
                 checkpoints.write(state)
             if not going:
                 checkpoints.end(training)
                 return
         checkpoints.write(checkpoints.packed(training))
+
+
+def _long_step(training: Stepwise, checkpoints: Checkpoints) -> bool:
+    """A step that a signal may break off; what is kept is then what was there before it."""
+    state, random = deepcopy(training.state_dict()), random_states()
+    try:
+        with heeded():
+            return training.step()
+    except Interruption:
+        training.load_state_dict(state)
+        set_random_states(random)
+        checkpoints.write(checkpoints.packed(training))
+        raise

@@ -161,3 +161,19 @@ def test_cristallo_is_read_by_its_own_settings(shared):
     assert record.unforced.tolist() == [False, True, True]
     assert np.isfinite(truth.velocity[:, 1]).all()
     assert np.isnan(truth.velocity[:, [0, 2]]).all()
+
+
+@pytest.mark.parametrize("header", ["", ",", ",,"])
+@pytest.mark.parametrize("row", ["", ",", ",,"])
+def test_rows_may_end_with_commas(rig, header, row):
+    expected = read(rig).record
+    lines = (rig / "rig.csv").read_text().splitlines()
+    (rig / "rig.csv").write_text("\n".join([lines[0] + header, *(line + row for line in lines[1:])]) + "\n")
+    record = read(rig).record
+    for quantity in ("time", "displacement", "velocity", "acceleration", "force"):
+        np.testing.assert_array_equal(getattr(record, quantity), getattr(expected, quantity))
+
+
+def test_a_force_may_be_zero_throughout(rig):
+    table().assign(f1=0.0).to_csv(rig / "rig.csv", index=False)
+    assert not read(rig).record.force[:, 0].any()

@@ -136,3 +136,20 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
 def test_a_setting_that_cannot_be_used(tmp_path, expected, changes):
     table().to_csv(tmp_path / "rig.csv", index=False)
     assert re.match(re.escape(expected), message(tmp_path, **changes))
+
+
+def test_more_cells_than_names(tmp_path):
+    """As of a decimal comma: pandas alone would read 0,00 as two cells, and the next column from the second."""
+    lines = [f"0,{i:02d},0,5,1,25,{i},3" for i in range(100)]
+    (tmp_path / "rig.csv").write_text("\n".join(["t,f,a1,a2", *lines]) + "\n")
+    told = message(tmp_path)
+    assert told.startswith("rig.csv, first row of numbers=8 cells: must be as many as the header has names, 4")
+    assert "decimal comma" in told
+
+
+@pytest.mark.parametrize("value", [0.0, -3.25])
+def test_a_dead_sensor_is_named(tmp_path, value):
+    table().assign(a2=value).to_csv(tmp_path / "rig.csv", index=False)
+    told = message(tmp_path)
+    assert told.startswith("data.acceleration.2='a2': must be a column that varies")
+    assert f"every sample of it is {value:g}: a dead sensor?" in told

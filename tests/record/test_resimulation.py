@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from small_problems import measured, small_chain
 
 from pinn_cli.record.record import RESPONSE_QUANTITIES
@@ -62,3 +63,11 @@ def test_a_motion_that_does_not_stay_finite_is_told():
     record = measured(chain, samples=129).record
     with pytest.raises(OverflowsError):
         resimulate(unstable, record, (REST + 5.0, REST))
+
+
+def test_a_mass_that_was_estimated_at_its_bound_is_said():
+    chain = small_chain()
+    record = measured(chain).record
+    massless = chain.with_parameters(m=chain.parameters["m"] * torch.tensor([1.0, 0.0, 1.0]))
+    with pytest.raises(TooStiffError, match="a mass of it is zero"):
+        resimulate(massless, record, (REST, REST))

@@ -145,3 +145,8 @@ def test_what_is_above_the_band_does_not_count():
 def test_silence_is_white():
     assert occupied_band(np.zeros((100, 2)), STEP, 10.0) == 1.0
     assert occupied_band(white(1.0), STEP, 0.0) == 1.0
+
+
+def test_no_histories_fill_the_whole_band():
+    """As where the force on every DOF is unknown, and no equation of motion has a residual."""
+    assert occupied_band(np.empty((SAMPLES, 0)), STEP, 10.0) == 1.0

@@ -124,6 +124,7 @@ def test_a_problem_has_no_way_to_the_truth():
         "uncertain",
         "acceleration_through",
         "priors",
+        "initial_motion",
     }
     record = hints(Problem)["record"]
     assert not {Truth, Measurements} & reachable(record, set())

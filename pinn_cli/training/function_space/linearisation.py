@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pinn_cli.errors import DivergenceError
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, Layers, kernel, linearised, pulled_back, pushed_forward
 from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
@@ -65,11 +66,20 @@ class Linearisation:
         )
         self.blocks: list[Block] = [observed, enforced]
         self.residual = torch.cat((first.flatten(), second.flatten()))
-        self.kernel = kernel(self.blocks)
         columns = tuple((parameter.kind, parameter.dof) for parameter in parameters.uncertain)
         self.by_parameter = rows.by_parameter(columns, seen, felt, values, noise) * parameters.prior_deviation(
             noise.spread
         )
+        if rows.deviation is not None:
+            self._add(*linearised(network, target.observation_time[:1], rows.initial)[:2])
+        self.kernel = kernel(self.blocks)
+
+    def _add(self, block: Block, residual: Tensor) -> None:
+        """Further residuals, which no parameter has a part in."""
+        self.blocks.append(block)
+        self.residual = torch.cat((self.residual, residual.flatten()))
+        none = self.by_parameter.new_zeros(block.size, self.by_parameter.shape[1])
+        self.by_parameter = torch.cat((self.by_parameter, none))
 
     def step(self, to_start: Layers, parameters: Tensor, precision: float, damping: float) -> Step:
         """Least squares of the linearised residuals, prior and damping.
@@ -89,8 +99,8 @@ class Linearisation:
         system = self.kernel / total
         system.addmm_(self.by_parameter, self.by_parameter.T)
         system.diagonal().add_(1.0)
-        factor, failed = torch.linalg.cholesky_ex(system)
-        if int(failed):
+        factor = cholesky(system)
+        if factor is None:
             raise DivergenceError(
                 "quasi_newton diverged: its normal matrix is singular; try network.width or training.collocation_points"
                 " of half the size"

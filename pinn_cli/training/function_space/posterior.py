@@ -12,12 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.errors import DivergenceError
 from pinn_cli.network.base import States
 from pinn_cli.network.embedding import BAND_MARGIN
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.record.subset import uniform_subset
+from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
 from pinn_cli.training.function_space.linearisation import Linearisation
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
@@ -31,6 +33,9 @@ class FunctionSpacePosterior:
 
     Args:
         search: At its solution.
+
+    Raises:
+        DivergenceError: The normal matrix there is singular.
 
     Attributes:
         noise: That of the search, its discrepancy widened for its colour: a model error that fills a part of the band
@@ -47,7 +52,10 @@ class FunctionSpacePosterior:
         self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
         system = self.linear.kernel / self.precision
         system.diagonal().add_(1.0)
-        self.factor = torch.linalg.cholesky(system)
+        factor = cholesky(system)
+        if factor is None:
+            raise DivergenceError("quasi_newton diverged: the normal matrix of its solution is singular")
+        self.factor = factor
         by_parameter = self.linear.by_parameter
         solved = torch.cholesky_solve(by_parameter, self.factor)
         covariance = torch.linalg.inv(torch.eye(solved.shape[1]).to(solved) + by_parameter.T @ solved)

@@ -27,12 +27,15 @@ class ResidualRows:
         target: What the motion is compared with, at P points.
         through: Of the accelerations, see :class:`pinn_cli.scheme.problem.Problem`.
         separate: Whether velocity is an output of its own, so that continuity is a residual too.
+        deviation: Prior standard deviations of displacement (m) and velocity (m/s) where the motion begins; None where
+            nothing is known about them.
     """
 
     chain: Chain
     target: Targets
     through: str
     separate: bool
+    deviation: tuple[float, float] | None = None
 
     def observed(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
         """Estimated minus measured response over its noise, (R_o, P)."""
@@ -52,6 +55,12 @@ class ResidualRows:
         if states.continuity is not None:
             rows.append(states.continuity.T / noise.continuity)
         return torch.cat(rows)
+
+    def initial(self, states: States) -> Tensor:
+        """Displacement, then velocity, of every DOF at one time over their prior deviations, (2 n, 1)."""
+        assert self.deviation is not None
+        displacement, velocity = self.deviation
+        return torch.cat((states.displacement / displacement, states.velocity / velocity), -1).mT
 
     @property
     def observed_count(self) -> int:
@@ -77,7 +86,7 @@ class ResidualRows:
         self, columns: tuple[tuple[str, int], ...], observed: States, enforced: States,
         parameters: Mapping[str, Tensor], noise: NoiseModel,
     ) -> Tensor:  # fmt: skip
-        """Derivatives of all residuals by parameters (kind, DOF from 0) of the chain, (R P, p)."""
+        """Derivatives of the observed and enforced rows by parameters (kind, DOF from 0) of the chain, (R P, p)."""
         out = observed.displacement.new_zeros(self.observed_count + self.enforced_count, self.points, len(columns))
         equation = self.target.equation
         std = torch.as_tensor(noise.physics_variance).to(out).sqrt()

@@ -54,7 +54,7 @@ class Levels:
 
 
 class Loss(NamedTuple):
-    """Sums of squares over their variances, all of which add up to the loss."""
+    """Sums of squares over their variances, which add up to the loss; ``prior``: of parameters and initial motion."""
 
     observation: float
     forces: float
@@ -82,6 +82,8 @@ class FunctionSpaceSearch(Stepwise):
         learn_spread: Whether the believed parameters' common spread follows them.
         history: Takes a row per iteration.
     """
+
+    long_steps = True
 
     def __init__(
         self,
@@ -131,6 +133,9 @@ class FunctionSpaceSearch(Stepwise):
         moved = sum(float((w - v).square().sum()) for w, v in zip(self._flat(), self._flat(self.start), strict=True))
         seen, balance, continuous = (float(x.square().sum()) for x in (observed, forces, continuity))
         prior = float(self._standardised().square().sum())
+        if self.rows.deviation is not None:
+            begins = self.rows.initial(self.network(self.rows.target.observation_time[:1]))
+            prior += float(begins.square().sum())
         return Loss(seen, balance, continuous, self.levels.precision * moved, prior)
 
     def _flat(self, position: Layers | None = None) -> list[Tensor]:

@@ -46,6 +46,7 @@ class Losses:
         self.simultaneous = hold_delay(record) == 0
         everything = targets(record, problem.chain, device, dtype)
         self.target = everything.at(torch.as_tensor(_samples(record, points), device=device))
+        self.deviation = problem.initial_deviation
         amplitudes = motion_amplitudes(record)
         self.scales = {
             quantity: _largest(getattr(record, quantity)) or amplitudes[quantity] for quantity in RESPONSE_QUANTITIES
@@ -78,9 +79,17 @@ class Losses:
         physics = self._mean_square(physics_residual(enforced, self.target, self.chain, values), "force")
         terms["forced"] = (physics * self.target.measured_force).sum()
         terms["unforced"] = (physics * self.target.unforced).sum()
-        if parameters.count:
-            terms["prior"] = parameters.prior() / len(self.target.physics_time)
+        if parameters.count or self.deviation is not None:
+            terms["prior"] = (parameters.prior() + self._initial(network)) / len(self.target.physics_time)
         return terms
+
+    def _initial(self, network: Network) -> Tensor:
+        """Sum of squares of the motion that the record begins with, in prior standard deviations, where it has any."""
+        if self.deviation is None:
+            return self.target.force.new_zeros(())
+        states = network(self.target.observation_time[:1])
+        displacement, velocity = self.deviation
+        return (states.displacement / displacement).square().sum() + (states.velocity / velocity).square().sum()
 
     def _mean_square(self, residual: Tensor, kind: str) -> Tensor:
         """(N, n) to (n,)."""
