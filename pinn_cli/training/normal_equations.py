@@ -21,12 +21,9 @@ from pinn_cli.physics import observation_masks, observation_residuals, physics_r
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.bordered import BorderedSystem
-<<<<<<< HEAD
 from pinn_cli.training.chain_rows import ChainRows
 from pinn_cli.training.dof_major import DofMajorSums
-=======
 from pinn_cli.training.initial_motion import initial_motion
->>>>>>> defects
 from pinn_cli.training.layout import BandLayout
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.subdomains import Subdomains
@@ -304,38 +301,11 @@ class NormalEquations:
         if self.ridge is None:
             self.ridge = RELATIVE_RIDGE * float(band[0].max())
         band[0] += self.ridge
-<<<<<<< HEAD
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
+        if self.begins is not None:
+            self.begins.add(torch.from_numpy(band), torch.from_numpy(gradient), point.unknowns.cpu())
         border = sums.border.reshape(self.layout.size, -1)[:, pick]
         places = sums.slope.size
         corner = sums.corner.reshape(places, places)[pick][:, pick] + np.diag(precision.cpu().numpy())
         slope = sums.slope.reshape(-1)[pick] + (precision * point.parameters).cpu().numpy()
         return BorderedSystem(band, border, corner, gradient, slope)
-=======
-        gradient = gradient + self.ridge * point.unknowns
-        if self.begins is not None:
-            self.begins.add(band, gradient, point.unknowns)
-        border, corner, slope = self._border(blocks)
-        corner = corner + torch.diag(precision).to(corner)
-        slope = slope + precision * point.parameters
-        arrays = (x.detach().cpu().numpy() for x in (band, border, corner, gradient, slope))
-        return BorderedSystem(*arrays)
-
-    def _border(self, blocks: Blocks) -> tuple[Tensor, Tensor, Tensor]:
-        """Columns of the uncertain parameters: against the readout, against each other, and their gradient."""
-        n, kinds = self.problem.record.ndof, len(self.kinds)
-        new = self.target.force.new_zeros
-        border, corner, slope = new((self.layout.size, kinds, n)), new((kinds, n, kinds, n)), new((kinds, n))
-        for i in range(n) if kinds else ():
-            against = self.layout.columns_of_dof(blocks.readout[:, i, :, blocks.columns : -1], i).unflatten(
-                -1, (kinds, 2)
-            )
-            block = blocks.parameters[i, :, :-1].reshape(kinds, 2, kinds, 2)
-            for x in range(min(2, n - i)):
-                border[:, :, i + x] += against[..., x]
-                slope[:, i + x] += blocks.parameters[i, :, -1].reshape(kinds, 2)[:, x]
-                for y in range(min(2, n - i)):
-                    corner[:, i + x, :, i + y] += block[:, x, :, y]
-        pick = self.column
-        return border.flatten(1)[:, pick], corner.flatten(2).flatten(0, 1)[pick][:, pick], slope.flatten()[pick]
->>>>>>> defects
