@@ -75,6 +75,7 @@ class Problem:
         priors: (kind, connection from 0) of every uncertain parameter to its prior, where their posterior distribution
             is wanted; None where estimates with standard deviations will do.
         initial_motion: Whether the motion begins anyhow (``free``) or at ``rest`` at the record's first sample.
+        alternatives: The same from other starts of the unknown parameters, for a training that can compare solutions.
     """
 
     chain: Chain
@@ -83,6 +84,7 @@ class Problem:
     acceleration_through: str = "derivative"
     priors: Mapping[tuple[str, int], Prior] | None = None
     initial_motion: str = FREE
+    alternatives: tuple[Problem, ...] = ()
 
     @property
     def initial_deviation(self) -> tuple[float, float] | None:

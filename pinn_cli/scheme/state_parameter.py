@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 
 from pinn_cli.legal_values import one_of, positive_number
 from pinn_cli.record.record import Record
@@ -13,7 +15,7 @@ from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
-from pinn_cli.scheme.starting_values import parameter_scales, starting_value
+from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, initial_values, unknown_places
 from pinn_cli.system.chain import Chain
 
@@ -26,11 +28,12 @@ class StateParameter(Scheme):
         unobserved: Likewise.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`.
-        initial: Where unknown parameters start, by kind, name or pattern; those that are not named start at the
-            record's own scale (:mod:`pinn_cli.scheme.starting_values`).
+        initial: What is said about unknown parameters, by kind, name or pattern, see :mod:`pinn_cli.scheme.starts`; of
+            a measured structure what is prescribed for the others, of a simulated one nothing: that is the truth.
+        starts: ``auto``, or the number of starts at most, of which the most probable solution is kept.
         positive: Kinds of parameters that cannot be negative.
-        prior_width: Prior standard deviation of an unknown parameter over its scale, which is its initial value or
-            that of the record, whichever is larger: wide enough to leave the answer to the record.
+        prior_width: Prior standard deviation of an unknown parameter over its scale, which is where it starts: wide
+            enough to leave the answer to the record.
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
             fixed, as the paper does.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
@@ -48,6 +51,7 @@ class StateParameter(Scheme):
         sensors: Mapping[str, bool] | None = None,
         unknown: str | Sequence[str] | None = None,
         initial: Mapping[str, float | None] | None = None,
+        starts: str | int = AUTO,
         positive: Sequence[str] = POSITIVE,
         prior_width: float = 10.0,
         parameter_uncertainty: float = 0.075,
@@ -57,6 +61,7 @@ class StateParameter(Scheme):
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
         self.unknown, self.initial = unknown, initial
+        self.starts = checked_starts(starts)
         self.positive = checked_positive(positive)
         self.prior_width = positive_number("scheme.prior_width", prior_width)
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
@@ -71,12 +76,15 @@ class StateParameter(Scheme):
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         places = unknown_places(prescribed, record, self.unknown)
         check_given(prescribed, places)
-        unknown = self._unknown(prescribed, record, places)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=places)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
-        uncertain = sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.dof))
-        through, begins = self.acceleration_through, self.initial_motion
-        return Problem(forgetful(prescribed, unknown), record, tuple(uncertain), through, initial_motion=begins)
+        problems: list[Problem] = []
+        for start in parameter_starts(prescribed, record, places, self._given(prescribed, record, places), self.starts):
+            unknown = [self._unknown(place, start[place]) for place in places]
+            uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.dof)))
+            chain, through = forgetful(prescribed, unknown), self.acceleration_through
+            problems.append(Problem(chain, record, uncertain, through, initial_motion=self.initial_motion))
+        return replace(problems[0], alternatives=tuple(problems[1:]))
 
     def posed_again(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.posed_again`: by default it is the sensors that say what is unknown."""
@@ -84,14 +92,15 @@ class StateParameter(Scheme):
         again.unknown = [parameter.name for parameter in problem.uncertain if parameter.unknown]
         return again.problem(prescribed, record)
 
-    def _unknown(self, prescribed: Chain, record: Record, places: Sequence[Place]) -> list[UncertainParameter]:
+    def _given(self, prescribed: Chain, record: Record, places: Collection[Place]) -> dict[Place, float]:
+        """What the user says about the unknown parameters."""
         given = initial_values(prescribed, self.initial, self.positive)
-        scales = parameter_scales(prescribed, record)
-        parameters = []
-        for kind, dof in places:
-            start = given.get((kind, dof), starting_value(kind, scales[kind]))
-            scale = max(abs(start), scales[kind])
-            parameters.append(
-                UncertainParameter(kind, dof, start, self.prior_width * scale, scale, True, kind in self.positive)
-            )
-        return parameters
+        if not record.simulated:
+            own = {place: float(prescribed.parameters[place[0]][place[1]]) for place in places}
+            given = {place: value for place, value in own.items() if math.isfinite(value)} | given
+        return {place: value for place, value in given.items() if place in places}
+
+    def _unknown(self, place: Place, start: Start) -> UncertainParameter:
+        kind, dof = place
+        width = self.prior_width * start.scale
+        return UncertainParameter(kind, dof, start.value, width, start.scale, True, kind in self.positive)

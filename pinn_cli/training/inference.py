@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
+from pinn_cli.errors import DivergenceError
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
@@ -52,12 +53,7 @@ def inferred(
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
-    evidence = settings.solved_by(problem, _built(design, problem), device, history)
-    force, _ = scales(problem)
-    noise = starting_noise(evidence)
-    noise = noise.pooled() if settings.pooled else noise
-    trained = evidence.search(noise, force, partial(simulated_start, evidence.equations))
-    found = Inferred(evidence, settled(evidence, trained, settings.pooled))
+    found = _best_start(problem, design, settings, device, history)
     for _ in range(REFINEMENTS):
         factor = knots_wanted(found.evidence, found.trained)
         finer = design.finer(factor)
@@ -68,6 +64,31 @@ def inferred(
             break
         design, found = finer, again
     return Inferred(found.evidence, found.evidence.widen_for_colour(found.trained))
+
+
+def _best_start(
+    problem: Problem, design: NetworkDesign, settings: InferenceSettings, device: str, history: History
+) -> Inferred:
+    """The most probable of the solutions from every start of the unknown parameters.
+
+    Raises:
+        DivergenceError: None could be solved.
+    """
+    solutions: list[Inferred] = []
+    failure: DivergenceError | None = None
+    for start in (problem, *problem.alternatives):
+        evidence = settings.solved_by(start, _built(design, start), device, history)
+        noise = starting_noise(evidence)
+        noise = noise.pooled() if settings.pooled else noise
+        try:
+            trained = evidence.search(noise, noise.discrepancy, partial(simulated_start, evidence.equations))
+        except DivergenceError as error:
+            failure = error
+            continue
+        solutions.append(Inferred(evidence, settled(evidence, trained, settings.pooled)))
+    if not solutions:
+        raise failure or DivergenceError("there is no start")
+    return max(solutions, key=lambda found: found.trained.log_evidence)
 
 
 def starting_noise(evidence: Evidence) -> NoiseModel:

@@ -1,0 +1,113 @@
+"""A record in the frequency domain: what its forces and its sensors have in common, and what a linear chain makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import LOWEST_BINS, lowest_level, record_band
+
+# Frequencies closer than this part of their value are taken together: no resonance is narrower that is worth a start.
+RELATIVE_RESOLUTION = 0.005
+# Frequencies at most, for few and for many DOFs: a dense matrix is inverted at each.
+MOST_FREQUENCIES, MANY_DOFS, MOST_FOR_MANY = 1200, 12, 200
+# The spectra reach this far beyond the record's band, where resonances of other sensors' noise may hide.
+BEYOND_BAND = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class CrossSpectra:
+    """Averaged products of the spectra of measured forces and sensors, over groups of neighbouring frequencies.
+
+    Attributes:
+        omega: (B,), rad/s.
+        forced: (F,), DOFs of the load cells, from 0.
+        sensors: (S,), DOFs of the response sensors, from 0.
+        orders: (S,), 0, 1, 2 for displacement, velocity, acceleration.
+        of_forces: (B, F, F), force times conjugate force.
+        of_both: (B, S, F), response times conjugate force.
+        of_sensors: (B, S), power of the response.
+        force_floor, sensor_floor: (F,) and (S,), what white noise adds to either power, at most.
+    """
+
+    omega: np.ndarray
+    forced: np.ndarray
+    sensors: np.ndarray
+    orders: np.ndarray
+    of_forces: np.ndarray
+    of_both: np.ndarray
+    of_sensors: np.ndarray
+    force_floor: np.ndarray
+    sensor_floor: np.ndarray
+
+    @classmethod
+    def of(cls, record: Record) -> CrossSpectra | None:
+        """Of a record whose forces are all measured or known to be zero; None of another."""
+        forced = np.flatnonzero(record.sensors("force"))
+        if not len(forced) or not np.isfinite(record.force).all():
+            return None
+        channels = [(q, dof) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
+        measured = np.stack([getattr(record, q)[:, dof] for q, dof in channels], axis=1)
+        forces, responses = _spectrum(record.force[:, forced]), _spectrum(measured)
+        frequency = np.fft.rfftfreq(len(record.time), record.step)
+        last = int(np.searchsorted(frequency, BEYOND_BAND * record_band(record), side="right"))
+        most = MOST_FREQUENCIES if record.ndof <= MANY_DOFS else MOST_FOR_MANY
+        first = np.array(_group_starts(LOWEST_BINS, max(last, LOWEST_BINS + 8), most))
+        first = first[first < len(frequency)]
+        stop = np.append(first[1:], min(max(last, LOWEST_BINS + 8), len(frequency)))
+        count = np.maximum(stop - first, 1)
+
+        def averaged(values: np.ndarray) -> np.ndarray:
+            sums = np.add.reduceat(values[: stop[-1]], first, axis=0)
+            return sums / count.reshape(-1, *[1] * (values.ndim - 1))
+
+        return cls(
+            2.0 * np.pi * averaged(frequency),
+            forced,
+            np.array([dof for _, dof in channels]),
+            np.array([RESPONSE_QUANTITIES.index(q) for q, _ in channels]),
+            averaged(np.einsum("bi,bj->bij", forces, forces.conj())),
+            averaged(np.einsum("bs,bj->bsj", responses, forces.conj())),
+            averaged(np.abs(responses) ** 2),
+            _floor(record.force[:, forced], record.step),
+            _floor(measured, record.step),
+        )
+
+    @cached_property
+    def differentiation(self) -> np.ndarray:
+        """(B, S), from displacement to what each sensor measures."""
+        return (1j * self.omega[:, None]) ** self.orders
+
+    def smoothing(self, width: float) -> np.ndarray:
+        """(O, B), averages over neighbours by a Gaussian of a relative width in frequency; fewer where it is wide."""
+        low, high = np.log(self.omega[0]), np.log(self.omega[-1])
+        centres = np.linspace(low, high, int(min(len(self.omega), max(8, 2.0 * (high - low) / width))))
+        spacing = np.gradient(self.omega) / self.omega
+        weights = spacing * np.exp(-0.5 * ((np.log(self.omega) - centres[:, None]) / width) ** 2)
+        kept = weights.sum(axis=1) > 0
+        return weights[kept] / weights[kept].sum(axis=1, keepdims=True)
+
+
+def _spectrum(x: np.ndarray) -> np.ndarray:
+    return np.fft.rfft((x - x.mean(axis=0)) * np.hanning(len(x))[:, None], axis=0)
+
+
+def _floor(x: np.ndarray, step: float) -> np.ndarray:
+    """(C,) power of white noise in :func:`_spectrum` of channels (N, C), at most."""
+    return np.array([lowest_level(column, step) for column in x.T]) ** 2 * float(np.sum(np.hanning(len(x)) ** 2))
+
+
+def _group_starts(first: int, stop: int, most: int) -> list[int]:
+    """Beginnings of groups of bins that are wider the higher they lie."""
+    resolution = RELATIVE_RESOLUTION
+    while True:
+        starts, at = [], first
+        while at < stop:
+            starts.append(at)
+            at += max(1, int(resolution * at))
+        if len(starts) <= most:
+            return starts
+        resolution *= 1.5

@@ -1,0 +1,203 @@
+"""Where unknown masses and stiffnesses may start: linear chains that make of the measured force what the sensors saw.
+
+Springs that are not linear count as the linear ones that come nearest. The misfit is smoothed over frequency, widely at
+first: where a resonance lies next to the measured one, smoothing lets the two overlap, and the way downhill leads from
+one to the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import record_band
+from pinn_cli.scheme.cross_spectra import CrossSpectra
+
+# Relative widths of the smoothing, one after the other, and how many starts go on to each.
+WIDTHS, SURVIVORS = (0.15, 0.05, 0.015), (6, 4, 3)
+# Common factors on the stiffnesses that are tried per decade.
+PER_DECADE = 8
+# Damping ratio at which damping starts where it is unknown.
+DAMPING = 0.02
+# Starts whose stiffnesses differ by less are one.
+SAME = 0.02
+# Power over the noise floor at which a frequency counts half.
+ABOVE_FLOOR = 10.0
+# How far one start and width may take a parameter, as a logarithm.
+FARTHEST = np.log(20.0)
+# Evaluations of the misfit for one start and width, at most.
+EVALUATIONS = 30
+# Frequencies of a start: the highest lies above this part of the lowest that the record can tell, the lowest below so
+# many times its highest.
+SLOWEST, FASTEST = 0.5, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A linear chain that may be the measured one.
+
+    Attributes:
+        parameters: ``m``, ``c``, ``k`` to (n,).
+        misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
+    """
+
+    parameters: dict[str, np.ndarray]
+    misfit: float
+
+
+def screened(record: Record, known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]) -> list[Candidate]:
+    """Candidates, the best first; none where a force is unknown or nothing is.
+
+    Args:
+        record: What was measured.
+        known: ``m``, ``c``, ``k`` to (n,), NaN where unknown.
+        guess: ``m``, ``k`` to (n,), where the unknown ones may be: their ratios count, and one start is the guess.
+    """
+    spectra = CrossSpectra.of(record)
+    if spectra is None or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
+        return []
+    model = LinearFit(spectra, known)
+    starts = _starts(model, record, guess)
+    found: list[tuple[float, np.ndarray]] = []
+    for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
+        model.smooth(width)
+        ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
+        starts = [starts[i] for _, i in ranked[: 2 * survivors]]
+        found = sorted((model.fitted(x) for x in starts[:survivors]), key=lambda pair: pair[0])
+        found = _distinct(found)
+        starts = [x for _, x in found]
+    return [Candidate(model.parameters(x), misfit) for misfit, x in found]
+
+
+class LinearFit:
+    """Masses, stiffnesses and the damping of a chain as logarithms, and the misfit of its frequency response.
+
+    Args:
+        spectra: Of the record.
+        known: See :func:`screened`.
+    """
+
+    def __init__(self, spectra: CrossSpectra, known: Mapping[str, np.ndarray]) -> None:
+        self.spectra, self.known = spectra, known
+        self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
+        self.damped = len(self.free["c"]) > 0
+        n = len(known["m"])
+        self.stretch = np.eye(n) - np.eye(n, k=-1)  # row i: elongation of connection i
+        self.smooth(WIDTHS[0])
+
+    def smooth(self, width: float) -> None:
+        """Choose how widely the misfit is smoothed."""
+        s = self.spectra
+        self.kernel = s.smoothing(width)
+        forces = np.einsum("bjj->bj", s.of_forces).real
+        sensed, driven = self.kernel @ s.of_sensors, self.kernel @ forces
+        size = sensed[:, :, None] * driven[:, None, :]
+        heard = (driven / (driven + ABOVE_FLOOR * s.force_floor))[:, None, :]
+        seen = (sensed / (sensed + ABOVE_FLOOR * s.sensor_floor))[:, :, None]
+        self.scale = heard * seen / np.sqrt(np.maximum(size, 1e-300))
+        self.common = self.scale * self._smoothed(s.of_both)
+        self.size = float(np.sum(np.abs(self.common) ** 2))
+
+    def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """The vector of unknowns at given masses and stiffnesses, each (n,)."""
+        m, k = (
+            np.where(np.isnan(self.known[kind]), value, self.known[kind])
+            for kind, value in (("m", mass), ("k", stiffness))
+        )
+        damping = [np.log(DAMPING)] if self.damped else []
+        return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping))
+
+    def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """``m``, ``c``, ``k`` (n,) at the unknowns x; unknown dampers have one damping ratio."""
+        m, k, c = (self.known[kind].copy() for kind in ("m", "k", "c"))
+        split = len(self.free["m"])
+        m[self.free["m"]] = np.exp(x[:split])
+        k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
+        if self.damped:
+            critical = 2.0 * np.sqrt(np.maximum(k, 1e-300) * m)
+            c[self.free["c"]] = np.exp(x[-1]) * critical[self.free["c"]]
+        return {"m": m, "c": c, "k": k}
+
+    def misfit(self, x: np.ndarray) -> float:
+        """See :class:`Candidate`."""
+        residual, _ = self._residual(x, slopes=False)
+        return float(np.sum(np.abs(residual) ** 2)) / max(self.size, 1e-300)
+
+    def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """The misfit and the unknowns at the bottom of the valley that x lies in."""
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            return _real(self._residual(x, slopes=False)[0].reshape(-1))
+
+        def jacobian(x: np.ndarray) -> np.ndarray:
+            return _real(self._residual(x, slopes=True)[1].reshape(-1, len(x)))
+
+        bounds = (x - FARTHEST, x + FARTHEST)
+        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
+        return self.misfit(found.x), found.x
+
+    def _smoothed(self, values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(len(values), -1)
+        return (self.kernel @ flat).reshape(-1, *values.shape[1:])
+
+    def _residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+        """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
+        s, p = self.spectra, self.parameters(x)
+        connection = p["k"] + 1j * s.omega[:, None] * p["c"]  # (B, n)
+        stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
+        stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
+        flexibility = np.linalg.inv(stiffness)
+        moved = flexibility[:, :, s.forced]  # (B, n, F)
+        response = s.differentiation[:, :, None] * moved[:, s.sensors]
+        residual = self.scale * self._smoothed(response @ s.of_forces) - self.common
+        if not slopes:
+            return residual, np.empty(0)
+        seen = s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
+        by = []
+        driven = moved @ s.of_forces
+        for dof in self.free["m"]:
+            by.append(p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]])
+        pull, stretched = seen @ self.stretch.T, self.stretch @ driven
+        for i in self.free["k"]:
+            rate = p["k"][i] + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
+            by.append(-np.reshape(rate, (-1, 1, 1)) * pull[:, :, [i]] * stretched[:, [i]])
+        if self.damped:
+            c = self.free["c"]
+            by.append(-1j * s.omega[:, None, None] * (pull[:, :, c] * p["c"][c]) @ stretched[:, c])
+        return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
+
+
+def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """The guess, and the best of many with a common factor on its stiffnesses, over all that the record can tell."""
+    mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
+    stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
+    rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
+    slow, fast = np.sqrt(np.maximum(rates[[0, -1]], 1e-300)) / (2.0 * np.pi)
+    least, most = 2.0 * np.log10(SLOWEST / record.duration / fast), 2.0 * np.log10(FASTEST * record_band(record) / slow)
+    factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
+    tried = [model.start(mass, factor * stiffness) for factor in factors]
+    misfits = np.array([model.misfit(x) for x in tried])
+    valleys = [
+        i
+        for i in range(len(tried))
+        if misfits[i] <= misfits[max(i - 1, 0)] and misfits[i] <= misfits[min(i + 1, len(tried) - 1)]
+    ]
+    valleys.sort(key=lambda i: misfits[i])
+    return [model.start(mass, stiffness), *(tried[i] for i in valleys[: SURVIVORS[0]])]
+
+
+def _distinct(found: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+    """Without those that ended where a better one did."""
+    kept: list[tuple[float, np.ndarray]] = []
+    for misfit, x in found:
+        if all(np.abs(x - other).max() > SAME for _, other in kept):
+            kept.append((misfit, x))
+    return kept
+
+
+def _real(values: np.ndarray) -> np.ndarray:
+    return np.concatenate((values.real, values.imag))

@@ -1,0 +1,128 @@
+"""Where unknown parameters start, and how far they may go: what the user says, else what the structure must be like.
+
+Masses, dampers and springs come from linear chains that make of the measured force what the sensors saw
+(:mod:`pinn_cli.scheme.screening`); several where one is not clearly the best. Where no force is known, or no linear
+chain comes near, they come from the record's own scale (:mod:`pinn_cli.scheme.starting_values`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.errors import InputError
+from pinn_cli.legal_values import is_whole_number
+from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.screening import DAMPING, screened
+from pinn_cli.scheme.starting_values import parameter_scales, starting_value
+from pinn_cli.scheme.unknowns import Place
+from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
+
+AUTO = "auto"
+# Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
+# a start of their own, so many at most.
+HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where one unknown parameter starts, and its order of magnitude."""
+
+    value: float
+    scale: float
+
+
+def checked_starts(starts: Any) -> int | None:
+    """``scheme.starts`` as the number of starts at most; None: as many as the record leaves open.
+
+    Raises:
+        InputError: Neither ``auto`` nor a positive whole number.
+    """
+    if starts == AUTO:
+        return None
+    if not is_whole_number(starts) or starts < 1:
+        raise InputError("scheme.starts", starts, "auto, or a whole number >= 1")
+    return int(starts)
+
+
+def parameter_starts(
+    prescribed: Chain, record: Record, places: Collection[Place], given: Mapping[Place, float], most: int | None
+) -> list[dict[Place, Start]]:
+    """Starts of the unknown parameters, the most promising first.
+
+    Args:
+        prescribed: The model; NaN where a measured structure has no value.
+        record: What was measured.
+        places: The unknown parameters.
+        given: What the user says of them. Of masses and springs their ratios count, and one start is what was given; a
+            damper or a nonlinear parameter starts there.
+        most: Starts at most; None: those that compete.
+    """
+    known, guess = _known(prescribed, places), _guess(prescribed, record, places, given)
+    candidates = [c for c in screened(record, known, guess) if c.misfit < HOPELESS]
+    if most is None:
+        candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
+    linear = [candidate.parameters for candidate in candidates[:most]]
+    return [_starts(prescribed, record, places, given, values) for values in linear or [_unscreened(known, guess)]]
+
+
+def _known(prescribed: Chain, places: Collection[Place]) -> dict[str, np.ndarray]:
+    """``m``, ``c``, ``k`` to (n,), NaN where unknown."""
+    known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_PARAMETERS}
+    for kind, dof in places:
+        if kind in known:
+            known[kind][dof] = np.nan
+    return known
+
+
+def _guess(
+    prescribed: Chain, record: Record, places: Collection[Place], given: Mapping[Place, float]
+) -> dict[str, np.ndarray]:
+    """Masses and stiffnesses (n,) that have the right ratios as far as anybody has said something about them."""
+    scales = parameter_scales(prescribed, record)
+    out = {}
+    for kind in ("m", "k"):
+        values = np.full(record.ndof, np.nan)
+        for (said, dof), value in given.items():
+            if said == kind and value > 0:
+                values[dof] = value
+        fixed = prescribed.parameters[kind].detach().cpu().double().numpy()
+        values = np.where([(kind, dof) in places for dof in range(record.ndof)], values, fixed)
+        positive = values[np.isfinite(values) & (values > 0)]
+        out[kind] = np.where(values > 0, values, np.median(positive) if positive.size else scales[kind])
+    return out
+
+
+def _unscreened(known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    m, k = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
+    return {"m": m, "k": k, "c": np.where(np.isnan(known["c"]), 0.0, known["c"])}
+
+
+def _starts(
+    prescribed: Chain,
+    record: Record,
+    places: Collection[Place],
+    given: Mapping[Place, float],
+    linear: Mapping[str, np.ndarray],
+) -> dict[Place, Start]:
+    scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
+    damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.abs(linear["k"]))
+    out = {}
+    for kind, dof in places:
+        place = (kind, dof)
+        if kind in ("m", "k"):
+            value = float(linear[kind][dof])
+            out[place] = Start(value, abs(value))
+        elif kind == "c":
+            value = given.get(place, float(linear["c"][dof]))
+            out[place] = Start(value, max(abs(value), float(damping[dof])))
+        else:
+            value = given.get(place, starting_value(kind, scales[kind]))
+            # A cubic spring as strong as the linear one beside it, at the motion that there is.
+            scale = float(abs(linear["k"][dof])) / size**2 if kind == "kappa" else scales[kind]
+            out[place] = Start(value, max(abs(value), scale))
+    return out
