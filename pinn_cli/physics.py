@@ -18,7 +18,7 @@ from torch import Tensor
 from pinn_cli.network.base import States
 from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
-from pinn_cli.record.spectrum import lowest_level, record_band
+from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.chain import Chain
 
 
@@ -128,7 +128,7 @@ def _between_samples(record: Record, force: np.ndarray, refinement: int) -> tupl
     """(P, n) force at the refined times, and the standard deviation of what the samples leave open there, N."""
     rms = np.sqrt(np.mean(force**2, axis=0))
     noise = [lowest_level(column, record.step) / level for column, level in zip(force.T, rms, strict=True) if level > 0]
-    points, spread = refined_history(force, record.step, record_band(record), refinement, max(noise, default=0.0))
+    points, spread = refined_history(force, refinement, max(noise, default=0.0))
     return points, spread[:, None] * rms
 
 

@@ -16,8 +16,9 @@ from scipy.linalg import cho_factor, cho_solve
 REACH = 16
 # Least power of a sample that is its own noise, over that of the process: keeps the weights of neighbours from exploding.
 LEAST_NOISE = 1e-7
-# No band reaches further than this part of the sampling rate: beyond it nothing is left to interpolate with.
-WIDEST_BAND = 0.45
+# The process fills the spectrum up to this part of the sampling rate, whatever the history's own band: the noise between
+# the samples is then that of the samples. Closer to one half nothing is left to interpolate with.
+BAND = 0.45
 
 
 def refined_times(time: np.ndarray, refinement: int) -> np.ndarray:
@@ -28,15 +29,11 @@ def refined_times(time: np.ndarray, refinement: int) -> np.ndarray:
     return np.interp(np.arange(last * refinement + 1) / refinement, np.arange(last + 1), time)
 
 
-def refined_history(
-    values: np.ndarray, step: float, band: float, refinement: int, noise: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
+def refined_history(values: np.ndarray, refinement: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Histories at :func:`refined_times`, and the standard deviation of what the samples leave open there.
 
     Args:
         values: (N, n), samples; they come out unchanged.
-        step: From sample to sample, s.
-        band: Frequency up to which there is content, Hz; no more than `WIDEST_BAND` of the sampling rate is used.
         refinement: Intervals that each step is divided into.
         noise: White noise of the samples over their rms. What it costs in the middle of a record is that of the samples
             themselves, and does not count.
@@ -53,7 +50,7 @@ def refined_history(
     width = min(2 * REACH, samples)
     reach = width // 2
     nugget = max(noise**2, LEAST_NOISE)
-    correlation = _correlation(min(band * step, WIDEST_BAND))
+    correlation = _correlation(BAND)
     neighbours = np.arange(width, dtype=float)
     factor = cho_factor(correlation(neighbours[:, None] - neighbours) + nugget * np.eye(width))
     for part in range(1, refinement):
@@ -72,3 +69,13 @@ def refined_history(
 def _correlation(band: float) -> Callable[[np.ndarray], np.ndarray]:
     """Of a process with an even spectrum up to ``band``, in cycles per sample, by lag in samples."""
     return lambda lag: np.sinc(2.0 * band * lag)
+
+
+def averaged_noise(width: float) -> float:
+    """Variance of white noise, interpolated and averaged over an interval, over that of the noise per samples in it.
+
+    What an average over ``width`` samples lets through beyond the Nyquist frequency is missing in an interpolated
+    history: the integral of sinc^2 from - width / 2 to width / 2.
+    """
+    x = np.linspace(0.0, width / 2.0, 2001)
+    return float(2.0 * np.trapezoid(np.sinc(x) ** 2, x))

@@ -19,7 +19,7 @@ from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.simulated_start import simulated_start
 
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
-REFINEMENTS, WORTHWHILE = 2, 1.15
+REFINEMENTS, WORTHWHILE = 2, 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     problem = evidence.equations.problem
     force, velocity = scales(problem)
     response, sensors = starting_levels(problem.record)
-    points = evidence.equations.refinement
+    points = evidence.equations.points_per_sample
     return NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity, points_per_sample=points)
 
 
@@ -108,7 +108,8 @@ def _refined(
     evidence = settings.solved_by(coarse.problem, _built(design, coarse.problem), device, history)
     fine = evidence.equations
     more = (fine.refinement / coarse.refinement) ** 0.5
-    noise = replace(trained.noise, discrepancy=more * trained.noise.discrepancy, points_per_sample=fine.refinement)
+    discrepancy, points = more * trained.noise.discrepancy, fine.points_per_sample
+    noise = replace(trained.noise, discrepancy=discrepancy, points_per_sample=points)
     again = evidence.train(noise, carried_over(trained, coarse, fine))
     if again is None or not again.solution.converged:
         return None

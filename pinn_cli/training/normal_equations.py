@@ -18,6 +18,7 @@ from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, tangent, targets
+from pinn_cli.record.between_samples import averaged_noise
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.bordered import BorderedSystem
@@ -99,6 +100,14 @@ class NormalEquations:
         self.ridge: float | None = None
         self._kept_point: Point | None = None
         self._kept_states: dict[int, States] = {}
+
+    @cached_property
+    def points_per_sample(self) -> float:
+        """See :class:`pinn_cli.training.noise_model.NoiseModel`."""
+        if self.refinement == 1:
+            return 1.0
+        width = 1.0 / self.network.free_intervals / self.problem.record.step
+        return self.refinement * averaged_noise(width)
 
     @cached_property
     def forces(self) -> Segments:
