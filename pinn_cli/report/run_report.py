@@ -22,8 +22,9 @@ from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.posterior_table import parameter_estimates, posterior_correlation
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.score import score_record, score_text
-from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text
+from pinn_cli.report.terminal import fitness_text, free_run_text, parameters_text, verdict_text
 from pinn_cli.report.writing import write_json, write_table
+from pinn_cli.verdict.judge import judge
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,9 +34,11 @@ if TYPE_CHECKING:
     from pinn_cli.config import RunConfig
     from pinn_cli.posterior.findings import PosteriorFindings
     from pinn_cli.record.record import Record, Response, Truth
+    from pinn_cli.scheme.problem import Problem
     from pinn_cli.stages import Stages
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.validation.base import Score
+    from pinn_cli.verdict.judge import Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,7 @@ class Results:
         baseline: What the configured baseline found; None where there is none.
         posterior: Of the parameters, where one was asked for.
         score: Of the estimate without the truth, where one was asked for.
+        problem: That was solved; without it there is no verdict.
     """
 
     record: Record
@@ -57,6 +61,7 @@ class Results:
     baseline: Estimate | None = None
     posterior: PosteriorFindings | None = None
     score: Score | None = None
+    problem: Problem | None = None
 
 
 def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
@@ -71,7 +76,7 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
 
     Returns:
         The tables of parameters, fitness, the free run and, where there are some, of the posterior's diagnostics and
-        both estimators, as text.
+        both estimators, as text; the verdict comes last.
     """
     record, truth, labels = results.record, results.truth, config.labels(estimator="pinn")
     estimate = _with_posterior(results.estimate, results.posterior)
@@ -80,6 +85,8 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         _, prescribed = config.model_error.chains(config.chain)
         free = free_run(prescribed, estimate, record)
         free_table = free_run_table(free, estimate, record, truth.response, config.labels(estimator="free_run"))
+    with stages("verdict"):
+        verdict = _verdict(results, estimate, free.response)
     with stages("report"):
         fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
         parameters = parameter_table(estimate.parameters, truth.parameters, labels)
@@ -100,12 +107,17 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         diagnostics = _write_posterior(config, results, directory, figures)
     record_of_run = run_record(config, estimate, stages.seconds) | (beside.record if beside else {})
     scored = score_record(config.validation.name, results.score)
-    write_json(record_of_run | _sampling_record(results.posterior) | scored, directory / "run.json")
+    judged = verdict.record() if verdict else {}
+    write_json(record_of_run | _sampling_record(results.posterior) | scored | judged, directory / "run.json")
     shown = [_parameters_text(parameters, estimate), fitness_text(fitness, record.observed, _published(labels))]
     shown += [free_run_text(free, free_table), diagnostics]
     shown += [beside.text(fitness, stages.seconds)] if beside else []
-    shown += [score_text(config.validation.name, results.score)]
+    shown += [score_text(config.validation.name, results.score), verdict_text(verdict) if verdict else ""]
     return "\n\n".join(text for text in shown if text)
+
+
+def _verdict(results: Results, estimate: Estimate, free: Response | None) -> Verdict | None:
+    return None if results.problem is None else judge(results.problem, estimate, results.baseline, free)
 
 
 def _draw(config: RunConfig, results: Results, beside: Beside | None, directory: Path) -> None:

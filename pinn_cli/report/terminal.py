@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pinn_cli.report.free_run import FreeRun
+    from pinn_cli.verdict.judge import Verdict
 
 WIDTH = 100
 DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
@@ -31,6 +32,19 @@ MARK = "! "
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
 _TITLES = {"fitness_percent": "fitness, printed formula", "range_fitness_percent": "fitness by range, as in the tables"}
 _NAME, _CELL, _GAP = 12, 9, "   "
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """The verdict in one line; what is not sound has its reasons above it, one after the other.
+
+    The line is the last but one of a run, whose last is the directory.
+    """
+    reasons = [reason for finding in verdict.reasons for reason in _folded(finding.text)]
+    return "\n".join([*reasons, f"verdict: {verdict.word}"])
+
+
+def _folded(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False)
 
 
 def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, published: pd.DataFrame | None = None) -> str:
