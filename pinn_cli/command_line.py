@@ -37,7 +37,7 @@ from pinn_cli.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.interruption import Interruption, watched
 from pinn_cli.memory import of_this_machine, ran_out
 from pinn_cli.override_errors import explain
-from pinn_cli.resume import StoredRun, going_on, resume_command
+from pinn_cli.resume import StoredRun, check_sound, going_on, resume_command
 from pinn_cli.run_lock import held
 from pinn_cli.sweep import collect, failure
 from pinn_cli.sweep.callback import ended_sweep
@@ -171,6 +171,11 @@ def _has_finished(jobs: Jobs, options: Namespace) -> bool:
         return False
     if jobs.stored.finished():
         print(f"finished before, nothing to do\n{jobs.stored.directory}")
+        if jobs.stored.strict:
+            try:
+                check_sound(jobs.stored.directory)
+            except NotSoundError as error:
+                jobs.report(error)
         return True
     sys.argv[1:] = jobs.stored.arguments
     jobs.stored.enter()

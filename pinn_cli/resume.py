@@ -112,6 +112,12 @@ class StoredRun:
         told = not retracked and is_told(self.directory, self.config)
         return told and is_finished(self.directory, self.config, self.cwd)
 
+    @property
+    def strict(self) -> bool:
+        """Whether its verdict must be sound: as the command line that resumes it says, else as it was started."""
+        given = [override.partition("=")[2] for override in self.given if setting_of(override) == "strict"]
+        return given[-1].lower() == "true" if given else self.config.get("strict") is True
+
     def enter(self) -> None:
         """Make its paths mean what they meant, if that folder is still there."""
         if self.cwd.is_dir():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,8 +55,15 @@ def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[
     if moved is not None and (not complete or moved.left < max(finding.left for finding in mended)):
         return [moved]
     if complete and (len(mended) == 1 or len(mended) < len(found)):
-        return mended
+        return mended if len(found) > 1 else [_or_force(mended[0])]
     return _odd_one_out(faulty, found) if not mended else []
+
+
+def _or_force(finding: Finding) -> Finding:
+    """One sensor alone cannot say which of the two is off."""
+    if finding.kind == "offset":
+        return finding
+    return replace(finding, text=f"{finding.text}; with one sensor, the force may be what is off")
 
 
 def explained(comparison: Comparison) -> Finding | None:
@@ -86,8 +94,8 @@ def _off(c: Comparison) -> bool:
 def _told_factor(value: float, std: float) -> tuple[str, str]:
     """The kind of a factor, and the words for it."""
     unit = unit_of(value, std)
-    if unit is not None:
-        return "unit", f"{value:.4g} times ({unit[0]:.6g}: {unit[1]}, or the reverse)"
+    if unit:
+        return "unit", f"{value:.4g} times ({unit})"
     if value < 0:
         return "sign", "the negative of" if abs(value + 1) < 2 * LEAST_GAIN else f"{value:.4g} times"
     return "gain", f"{value:.4g} times"
@@ -120,13 +128,12 @@ def _offset(c: Comparison) -> Finding | None:
 
 
 def _force_fault(found: Sequence[Comparison]) -> Finding | None:
-    """What all channels share: then the force is to blame, or with one channel the one or the other."""
+    """What all of several channels share: then the force is to blame."""
     factors, delays = [c.factor for c in found], [c.delay for c in found]
-    sensor = f"the {found[0].channel.name}" if len(found) == 1 else ""
     forced = np.flatnonzero(~np.all(found[0].force == 0.0, axis=0))
     dofs = ", ".join(str(dof + 1) for dof in forced)
     name = f"force of DOF {dofs}"
-    if sensor or len(forced) == 0:
+    if len(found) == 1 or len(forced) == 0:
         return None
     value = float(np.median([f.value for f in factors]))
     if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):

@@ -24,6 +24,8 @@ CLIPPED_SHARE, CLIPPED_SAMPLES = 0.002, 8
 CLIPPED_OVER_NEXT = 5
 # Equal samples in a row that make a dropout, if the channel moves on average by half its rms in that time.
 DROPOUT_SAMPLES, DROPOUT_MOTION = 8, 0.5
+# Levels of a converter so far apart, over the rms, are too coarse to tell.
+COARSE = 0.1
 # Share of its rms that some other channel must have meanwhile: else the structure may be at rest.
 OTHERS_MOVE = 0.2
 # An offset, over the channel's rms and over what its lowest frequencies leave open.
@@ -62,6 +64,8 @@ def _clipped(channel: Channel, record: Record) -> Finding | None:
 def _dropped_out(channel: Channel, record: Record) -> Finding | None:
     """Equal samples in a row for longer than the channel takes to move, while something else moves."""
     x = channel.measured
+    if np.min(np.diff(np.unique(x))) > COARSE * np.std(x):  # levels so far apart that a channel rests on each
+        return None
     runs = [run for run in _equal_runs(x) if _moves_within(x, run[1] - run[0]) and _others_move(channel, record, *run)]
     if not runs:
         return None

@@ -8,29 +8,32 @@ import math
 CLOSE = 0.03
 
 _FACTORS = {
-    9.80665: "g for m/s^2",
-    1e1: "ten times",
-    1e2: "cm for m",
-    1e3: "a unit for its thousandth (mm for m, kN for N)",
-    1e6: "a unit for its millionth",
-    25.4: "inches for mm",
-    0.0254: "inches for m",
-    0.3048: "feet for m",
-    4.4482216: "pound-force for N",
-    2 * math.pi: "Hz for rad/s",
+    9.80665: ("9.80665", "g and m/s^2, or kgf and N"),
+    1e1: ("10", "a decade"),
+    1e2: ("100", "cm and m"),
+    1e3: ("1000", "mm and m, or kN and N"),
+    1e6: ("1e6", "um and m, or MN and N"),
+    25.4: ("25.4", "inches and mm"),
+    1 / 0.0254: ("1/0.0254", "inches and m"),
+    1 / 0.3048: ("1/0.3048", "feet and m"),
+    4.4482216: ("4.448", "pounds-force and N"),
+    2 * math.pi: ("2 pi", "Hz and rad/s"),
 }
 
 
-def unit_of(factor: float, std: float = 0.0) -> tuple[float, str] | None:
-    """The exact factor and what was taken for what, in either direction; None where no unit fits.
+def unit_of(factor: float, std: float = 0.0) -> str:
+    """The factor and which two units were taken for each other: ``1/9.80665: g and m/s^2``; "" where no unit fits.
 
     Args:
         factor: Measured over expected.
         std: Its standard deviation.
     """
-    allowed = min(CLOSE, max(0.01, 4.0 * std / abs(factor))) if factor else 0.0
-    for exact, which in _FACTORS.items():
-        for value, text in ((exact, which), (1 / exact, which)):
-            if abs(abs(factor) / value - 1) < allowed:
-                return math.copysign(value, factor), text
-    return None
+    size, sign = abs(factor), "-" if factor < 0 else ""
+    allowed = min(CLOSE, max(0.01, 4.0 * std / size)) if size else 0.0
+    for exact, (written, units) in _FACTORS.items():
+        if abs(size / exact - 1) < allowed:
+            return f"{sign}{written}: {units}"
+        if abs(size * exact - 1) < allowed:
+            inverse = written[2:] if written.startswith("1/") else f"1/{written}"
+            return f"{sign}{inverse}: {units}"
+    return ""
