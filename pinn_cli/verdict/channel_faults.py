@@ -13,6 +13,7 @@ from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.units import unit_of
 
 if TYPE_CHECKING:
+    from pinn_cli.verdict.channel import Channel
     from pinn_cli.verdict.prediction import Prediction
 
 # NMSE up to which a channel counts as predicted. Sensors with 10 dB of noise are at 0.1 with a right chain; a lightly
@@ -161,7 +162,12 @@ def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     left = max(c.misfit for c in after)
     if left > REPRODUCED or left > MENDS_BY_MOVING * max(one.misfit, other.misfit):
         return None
-    name = f"{one.channel.quantity} of DOFs {one.channel.dof + 1} and {other.channel.dof + 1}"
+    return swap_finding(one.channel, other.channel, left)
+
+
+def swap_finding(one: Channel, other: Channel, left: float) -> Finding:
+    """That two channels are in each other's place."""
+    name = f"{one.quantity} of DOFs {one.dof + 1} and {other.dof + 1}"
     return Finding("swap", name, f"the {name} fit each other's place; swap their columns", left=left)
 
 

@@ -23,6 +23,7 @@ from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import parameter_findings
 from pinn_cli.verdict.prediction import LINEAR, Prediction, predicted
 from pinn_cli.verdict.record_faults import record_faults
+from pinn_cli.verdict.refit_causes import refit_causes
 from pinn_cli.verdict.sensor_findings import sensor_findings
 from pinn_cli.verdict.time_unit import time_unit_fault
 
@@ -124,4 +125,4 @@ def _causes(problem: Problem, estimated: Chain, estimate: Estimate, excused: Seq
     for chain, start in ((problem.chain, None), (estimated, None)):
         if (found := mass_fault(chain, record, start, excused)) is not None:
             return [found]
-    return []
+    return refit_causes(problem, excused)

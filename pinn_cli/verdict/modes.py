@@ -78,8 +78,8 @@ class Modes:
         if record.intersample == "zero_order_hold":
             angle = 0.5 * s.imag * record.step
             acting = force * (np.exp(-1j * angle) * np.sinc(angle / np.pi))[:, None]
-        modal = (acting / self.m) @ self.inputs.T / (s[:, None] - self.poles)
-        u = modal @ self.shapes.T
+        with np.errstate(divide="ignore", invalid="ignore"):  # a chain without stiffness has no answer to a mean force
+            u = ((acting / self.m) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
         v = s[:, None] * u
         a = (force - v @ self.C.T - u @ self.K.T) / self.m
         motion = [irfft(x, len(record.time), axis=0) for x in (u, v, a)]

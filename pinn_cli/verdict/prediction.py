@@ -57,7 +57,9 @@ def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None =
         return None
     modes = Modes.of({name: parameters[name] for name in LINEAR})
     if not any(value.any() for name, value in parameters.items() if name not in LINEAR):
-        return Prediction(modes.response(record), record, modes) if modes.stable else None
+        response = modes.response(record)
+        finite = np.isfinite(response.displacement).all() and modes.stable
+        return Prediction(response, record, modes) if finite else None
     substeps = substeps_needed(chain, record.step)
     samples = min(len(record.time), MOST_STEPS // substeps)
     if samples < len(modes.poles) * 8:

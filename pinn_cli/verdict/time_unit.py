@@ -34,16 +34,20 @@ def time_unit_fault(chain: Chain, record: Record, excused: Sequence[str] = ()) -
     """
     if not np.isfinite(record.force).all() or in_band(chain, record):
         return None
-    for seconds, unit in UNITS.items():
+    for seconds in UNITS:
         scaled = replace(record, time=record.time * seconds)
         if not in_band(chain, scaled) or (prediction := predicted(chain, scaled)) is None:
             continue
         misfits = [c.misfit for c in comparisons(prediction) if c.channel.name not in excused]
         if misfits and max(misfits) <= REPRODUCED:
-            reason = f"the chain does what was measured if the time is in {unit}"
-            remedy = f"multiply the time column by {seconds:.6g}"
-            return Finding("time_unit", "time", f"{reason}; {remedy}", "failed", max(misfits))
+            return unit_finding(seconds, max(misfits))
     return None
+
+
+def unit_finding(seconds: float, left: float) -> Finding:
+    """That the unit of the time axis is so many seconds long."""
+    reason = f"the chain does what was measured if the time is in {UNITS[seconds]}"
+    return Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed", left)
 
 
 def in_band(chain: Chain, record: Record) -> bool:
