@@ -13,15 +13,14 @@ import numpy as np
 
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.verdict.baseline_findings import baseline_findings
-from pinn_cli.verdict.channel_faults import REPRODUCED, channel_faults
-from pinn_cli.verdict.comparison import comparisons
+from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.estimated import estimated_chain
 from pinn_cli.verdict.finding import WORDS, Finding, Word
 from pinn_cli.verdict.mass_fault import mass_fault
 from pinn_cli.verdict.modes import Modes
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import parameter_findings
-from pinn_cli.verdict.prediction import LINEAR, Prediction, predicted
+from pinn_cli.verdict.prediction import LINEAR, Prediction, is_linear, predicted
 from pinn_cli.verdict.record_faults import record_faults
 from pinn_cli.verdict.refit_causes import refit_causes
 from pinn_cli.verdict.sensor_findings import sensor_findings
@@ -88,15 +87,18 @@ def judge(
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, chain) + baseline_findings(estimate, baseline)
     causes = channel_faults(prediction, excused) if prediction is not None else []
-    if findings and not causes and not _explains(prediction, excused):
-        causes = _causes(problem, chain, estimate, excused)
+    if not causes and not problem.identifies:
+        # A gain that believed parameters have made up for shows against the prescribed ones.
+        prescribed = predicted(problem.chain, record)
+        causes = [] if prescribed is None else channel_faults(prescribed, excused)
+    if findings and not causes:
+        causes = _causes(problem, chain, excused)
     return Verdict.of(own + causes + findings)
 
 
 def _prediction(chain: Chain, record: Record, estimate: Estimate, free_run: Response | None) -> Prediction | None:
     """Of the estimated chain; a nonlinear one takes a second to simulate, which is saved where that was done."""
-    linear = not any(value.any() for name, value in chain.parameters.items() if name not in LINEAR)
-    if free_run is not None and not linear and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
+    if free_run is not None and not is_linear(chain) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
         own = chain.parameters_like(np.empty(0))
         return Prediction(free_run, record, Modes.of({name: own[name] for name in LINEAR}))
     return predicted(chain, record, _start(estimate))
@@ -106,23 +108,11 @@ def _start(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
     return estimate.response.displacement[0], estimate.response.velocity[0]
 
 
-def _explains(prediction: Prediction | None, excused: Sequence[str]) -> bool:
-    """Whether a chain does what was measured, so that there is no cause to look for."""
-    if prediction is None:
-        return False
-    return all(c.misfit <= REPRODUCED for c in comparisons(prediction) if c.channel.name not in excused)
-
-
-def _causes(problem: Problem, estimated: Chain, estimate: Estimate, excused: Sequence[str]) -> list[Finding]:
+def _causes(problem: Problem, estimated: Chain, excused: Sequence[str]) -> list[Finding]:
     """The first cause that mends the prescribed chain's prediction or the estimated one's; nothing where none does."""
-    record = problem.record
-    for chain in (problem.chain, estimated):
-        if (found := time_unit_fault(chain, record, excused)) is not None:
-            return [found]
-    prediction = predicted(problem.chain, record)
-    if prediction is not None and (faults := channel_faults(prediction, excused)):
-        return faults
-    for chain, start in ((problem.chain, None), (estimated, None)):
-        if (found := mass_fault(chain, record, start, excused)) is not None:
-            return [found]
+    for test in (time_unit_fault, mass_fault):
+        for chain in (problem.chain, estimated):
+            found = test(chain, problem.record, excused=excused)
+            if found is not None:
+                return [found]
     return refit_causes(problem, excused)

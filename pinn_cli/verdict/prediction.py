@@ -56,7 +56,7 @@ def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None =
     if not all(np.isfinite(value).all() for value in parameters.values()) or (parameters["m"] <= 0).any():
         return None
     modes = Modes.of({name: parameters[name] for name in LINEAR})
-    if not any(value.any() for name, value in parameters.items() if name not in LINEAR):
+    if is_linear(chain):
         response = modes.response(record)
         finite = np.isfinite(response.displacement).all() and modes.stable
         return Prediction(response, record, modes) if finite else None
@@ -73,6 +73,11 @@ def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None =
     except OverflowsError:
         return None
     return Prediction(response, part, modes)
+
+
+def is_linear(chain: Chain) -> bool:
+    """Whether every nonlinear parameter of a chain is zero."""
+    return not any(bool(value.any()) for name, value in chain.parameters.items() if name not in LINEAR)
 
 
 def force_between_samples(record: Record, hold: str) -> Force:

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
 # (kind, connection from 0)
 Place = tuple[str, int]
-# Common factors of the unknown stiffnesses that are tried, and how many of them are followed.
-SCALES, FOLLOWED = np.geomspace(0.03, 30.0, 73), 4
+# Common factors of the unknown stiffnesses that are tried, from where the highest mode is at the end of the record's
+# band (force and sensors may end below it, noise above), and how many of them are followed.
+SCALES, FOLLOWED = np.geomspace(0.03, 100.0, 85), 4
 BINS, LEAST_LINES, NEIGHBOURS = 80, 3, 7
 # Wider than the band that the channels fill: a spectrum's end says where the last mode is.
 BEYOND = 1.2
@@ -119,11 +120,18 @@ def refitted(chain: Chain, record: Record, free: Sequence[Place], excused: Seque
     def misfit(x: np.ndarray) -> np.ndarray:
         return np.nan_to_num(spectra.misfit(Modes.of(_moved(own, free, x))), nan=50.0, posinf=50.0, neginf=-50.0)
 
+    first += stiff * np.log(_stiffening(own, record))
     tried = [first + stiff * np.log(scale) for scale in (SCALES if stiff.any() else (1.0,))]
     starts = _deepest([float(np.sum(np.abs(misfit(x)))) for x in tried])[:FOLLOWED]
     found = [least_squares(misfit, tried[start], loss="soft_l1", max_nfev=EVALUATIONS).x for start in starts]
     polished = [_polished(record, seen, own, free, x, levels) for x in found]
     return _linear(chain, free, min(polished, key=lambda pair: pair[0])[1])
+
+
+def _stiffening(own: dict[str, np.ndarray], record: Record) -> float:
+    """The factor on every stiffness that puts the highest natural frequency at the end of the record's band."""
+    highest = float(np.nanmax(Modes.of(own).natural_frequencies))
+    return float(record_band(record) / highest) ** 2 if highest > 0 else 1.0
 
 
 def _deepest(costs: Sequence[float]) -> list[int]:

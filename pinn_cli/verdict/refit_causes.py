@@ -13,7 +13,7 @@ from pinn_cli.verdict.channel import channels
 from pinn_cli.verdict.channel_faults import channel_faults, swap_finding
 from pinn_cli.verdict.comparison import comparisons
 from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.prediction import predicted
+from pinn_cli.verdict.prediction import is_linear, predicted
 from pinn_cli.verdict.refit import refitted
 from pinn_cli.verdict.time_unit import UNITS, unit_finding
 
@@ -35,12 +35,13 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
     """The one channel, mass or unit of time without which a chain with free stiffnesses does what was measured.
 
     Args:
-        problem: Some of whose stiffnesses are unknown; without any there is nothing to refit.
+        problem: Some of whose stiffnesses are unknown; without any there is nothing to refit. A nonlinear chain's
+            spectra are not those of a linear one, and masses would be blamed for the difference.
         excused: Names of channels whose fault is known already.
     """
     record = problem.record
     free = [(p.kind, p.dof) for p in problem.uncertain if p.unknown and p.kind == "k"]
-    if not free or not np.isfinite(record.force).all():
+    if not free or not is_linear(problem.chain) or not np.isfinite(record.force).all():
         return []
     as_given = _misfit(refitted(problem.chain, record, free, excused, levels=True), record, excused)
     found = [_channel(problem.chain, record, free, excused, as_given)]

@@ -62,3 +62,15 @@ def test_a_wrong_unit_of_time_is_the_cause(right_estimate):
     record = replace(problem.record, time=1000.0 * problem.record.time)
     verdict = judge(replace(problem, record=record), estimate)
     assert (verdict.word, verdict.reasons[0].kind) == ("failed", "time_unit")
+
+
+def test_a_gain_that_believed_parameters_made_up_for_shows_against_the_prescribed_ones(right_estimate):
+    problem, estimate = right_estimate
+    one = problem.record.keep({"acceleration": [3]})
+    record = altered(one, 3, lambda x: 1.15 * x)
+    believed = tuple(replace(p, unknown=False) for p in problem.uncertain)
+    absorbed = [
+        replace(p, estimate=p.estimate / 1.07, prescribed=p.estimate, unknown=False) for p in estimate.parameters
+    ]
+    verdict = judge(replace(problem, record=record, uncertain=believed), replace(estimate, parameters=absorbed))
+    assert verdict.reasons[0].kind == "gain"

@@ -9,6 +9,8 @@ import pytest
 from frame_records import altered
 
 from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.system.chain import Chain
+from pinn_cli.system.nonlinearity import Duffing
 from pinn_cli.verdict.refit import refitted
 from pinn_cli.verdict.refit_causes import refit_causes
 
@@ -66,3 +68,9 @@ def test_a_wrong_unit_of_time(problem):
 
 def test_prescribed_stiffnesses_are_not_refitted(problem):
     assert refit_causes(replace(problem, uncertain=()), ()) == []
+
+
+def test_nor_is_a_nonlinear_chain(problem):
+    m = problem.chain.parameters["m"] * 5.0
+    parameters = problem.chain.parameters | {"m": m, "kappa": 0.0 * m + 100.0}
+    assert refit_causes(replace(problem, chain=Chain(parameters, Duffing())), ()) == []
