@@ -4,11 +4,12 @@
     1  a defect of the program: its traceback
     2  input that no run can use: one line that says which setting, why and what to do
     3  a run that diverged: one line that says where
+    4  with strict=true, a run whose verdict is not sound: its results are written, and one line says why
     130  interrupted by Ctrl-C (SIGINT); pinn-run resume=DIRECTORY goes on
     143  the same by SIGTERM
     141  nobody reads the output any more
 
-`HYDRA_FULL_ERROR=1` adds the traceback to 2 and 3.
+`HYDRA_FULL_ERROR=1` adds the traceback to 2, 3 and 4.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from omegaconf import DictConfig
 
 from pinn_cli import run_directories
 from pinn_cli.command_options import read_options
-from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.interruption import Interruption, watched
 from pinn_cli.memory import of_this_machine, ran_out
 from pinn_cli.override_errors import explain
-from pinn_cli.resume import StoredRun, going_on, how_to_go_on
+from pinn_cli.resume import StoredRun, check_sound, going_on, how_to_go_on
 from pinn_cli.run_lock import held
 from pinn_cli.sweep import collect, failure
 from pinn_cli.sweep.callback import ended_sweep
@@ -47,7 +48,8 @@ log = logging.getLogger(__name__)
 
 Task = Callable[[DictConfig], float | None]
 
-STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 130, 141
+STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_NOT_SOUND, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 4, 130, 141
+Told = InputError | DivergenceError | NotSoundError
 HELP_WIDTH = 120
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
@@ -82,7 +84,7 @@ class Jobs:
             return self.task(config if self.stored is None else self.stored.configuration(config))
         except Exception as raised:
             error = _told(raised)
-            if not isinstance(error, InputError | DivergenceError):
+            if not isinstance(error, Told):
                 raise
             if isinstance(error, InputError):
                 self.unusable.append(directory)
@@ -100,13 +102,13 @@ class Jobs:
             kept.write(directory)
             return None
 
-    def report(self, error: InputError | DivergenceError) -> None:
+    def report(self, error: Told) -> None:
         """Print the error's one line and note the exit status that it asks for."""
         if self.full_error:
             traceback.print_exception(error)
         else:
             self.tell(str(error))
-        self.status = max(self.status, STATUS_INPUT if isinstance(error, InputError) else STATUS_DIVERGED)
+        self.status = max(self.status, failure.status_of(error))
 
     def tell(self, text: str) -> None:
         """Print one line on standard error."""
@@ -169,6 +171,11 @@ def _has_finished(jobs: Jobs, options: Namespace) -> bool:
         return False
     if jobs.stored.finished():
         print(f"finished before, nothing to do\n{jobs.stored.directory}")
+        if jobs.stored.strict:
+            try:
+                check_sound(jobs.stored.directory)
+            except NotSoundError as error:
+                jobs.report(error)
         return True
     sys.argv[1:] = jobs.stored.arguments
     jobs.stored.enter()

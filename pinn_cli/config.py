@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pinn_cli.training.base import Training
     from pinn_cli.validation.base import Validation
 
-VALUES = ("case", "seed", "device", "threads", "resume", "figures")
+VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict")
 NODES = (
     "system",
     "excitation",
@@ -101,6 +101,7 @@ class RunConfig:
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
         figures: Whether they are drawn; None: unless the run is a job of a sweep.
         checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
+        strict: Whether a verdict other than sound ends the run with exit status 4.
     """
 
     case: str
@@ -121,6 +122,7 @@ class RunConfig:
     resume: str | None
     figures: bool | None
     checkpoint_every_s: float | None
+    strict: bool
 
     @classmethod
     def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
@@ -149,7 +151,7 @@ class RunConfig:
         estimation = {name: build(config[name], name) for name in names}
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
-        again["figures"] = _figures(config)
+        again |= {"figures": _figures(config), "strict": _strict(config)}
         return cls(case, seed, device, threads, chain, model_error, source, **estimation, **again)
 
     @property
@@ -231,6 +233,12 @@ def _figures(config: DictConfig) -> bool | None:
     if config.figures is not None and not isinstance(config.figures, bool):
         raise InputError("figures", config.figures, "null, true or false")
     return config.figures
+
+
+def _strict(config: DictConfig) -> bool:
+    if not isinstance(config.strict, bool):
+        raise InputError("strict", config.strict, "true or false")
+    return config.strict
 
 
 def _checkpoint_every_s(config: DictConfig) -> float | None:

@@ -1,7 +1,8 @@
 """What can go wrong for a user, in one line each.
 
-Two kinds are told apart because a shell script must tell them apart: input that no run can use (exit status 2) and a
-run that diverged (exit status 3). Everything else is a defect of the program and keeps its traceback.
+Three kinds are told apart because a shell script must tell them apart: input that no run can use (exit status 2), a
+run that diverged (exit status 3), and with ``strict=true`` a run whose verdict is not sound (exit status 4).
+Everything else is a defect of the program and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -31,3 +32,7 @@ class InputError(ValueError):
 
 class DivergenceError(RuntimeError):
     """Training that left the numbers that a computer can hold: which term, at which iteration, what to try."""
+
+
+class NotSoundError(RuntimeError):
+    """A finished run whose verdict is not sound, where ``strict=true`` asks for one that is."""

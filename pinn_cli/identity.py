@@ -13,7 +13,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 # Where and how a run is made, which may differ from one start of it to the next.
-LEFT_OUT = ("device", "threads", "resume", "figures", "tracking", "training.checkpoint_every_s")
+LEFT_OUT = ("device", "threads", "resume", "figures", "strict", "tracking", "training.checkpoint_every_s")
 PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
 
 

@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from pinn_cli.command_line import execute
 from pinn_cli.config import RunConfig
 from pinn_cli.identity import flattened
-from pinn_cli.resume import RESULT, asked_to_resume, is_finished, stored_score
+from pinn_cli.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
 from pinn_cli.stages import Stages
 from pinn_cli.tracking.told import is_told
 
@@ -38,7 +38,7 @@ def run(composed: DictConfig) -> float | None:
     if config is None:
         if not in_sweep:
             print(f"finished before, nothing to do\n{directory}")
-        return stored_score(directory)
+        return _judged(composed, directory)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.tracking.base import Job
         from pinn_cli.tracking.follow import follow
@@ -53,6 +53,13 @@ def run(composed: DictConfig) -> float | None:
             tracked.results()
     if not in_sweep:
         print(f"{text}\n{directory}")
+    return _judged(composed, directory)
+
+
+def _judged(composed: DictConfig, directory: Path) -> float | None:
+    """The score of a finished run, whose verdict must be sound with ``strict=true``."""
+    if composed.get("strict") is True:
+        check_sound(directory)
     return stored_score(directory)
 
 
@@ -84,7 +91,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
         score = config.validation.score(problem, estimate, estimator)
     with stages("baseline"):
         baseline = config.baseline.solve(problem, context)
-    results = Results(record, measurements.truth, estimate, baseline, posterior, score)
+    results = Results(record, measurements.truth, estimate, baseline, posterior, score, problem)
     drawn = config.figures if config.figures is not None else not in_sweep
     return write_report(config, results, directory, stages, drawn)
 

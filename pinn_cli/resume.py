@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from pinn_cli.errors import InputError
+from pinn_cli.errors import InputError, NotSoundError
 from pinn_cli.identity import LEFT_OUT, Identity, is_left_out
 from pinn_cli.quoting import quoted, setting_of
 from pinn_cli.tracking.told import is_told
@@ -114,6 +114,12 @@ class StoredRun:
         told = not retracked and is_told(self.directory, self.config)
         return told and is_finished(self.directory, self.config, self.cwd)
 
+    @property
+    def strict(self) -> bool:
+        """Whether its verdict must be sound: as the command line that resumes it says, else as it was started."""
+        given = [override.partition("=")[2] for override in self.given if setting_of(override) == "strict"]
+        return given[-1].lower() == "true" if given else self.config.get("strict") is True
+
     def enter(self) -> None:
         """Make its paths mean what they meant, if that folder is still there."""
         if self.cwd.is_dir():
@@ -140,6 +146,18 @@ def stored_score(directory: Path) -> float | None:
     """The validation score of a finished run; None where it has none."""
     score = json.loads((directory / RESULT).read_text(encoding="utf-8")).get("validation", {}).get("score")
     return None if score is None else float(score)
+
+
+def check_sound(directory: Path) -> None:
+    """See to it that the verdict on a finished run is sound.
+
+    Raises:
+        NotSoundError: It is not, or the run has none; its first reason is told.
+    """
+    content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
+    if content.get("verdict") != "sound":
+        reason = next(iter(content.get("reasons", ())), "run.json has no verdict: resume=never runs it again")
+        raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {reason}")
 
 
 def going_on(config: DictConfig) -> DictConfig:

@@ -122,7 +122,9 @@ def test_a_baseline_is_compared_with(pinn_run: PinnRun) -> None:
     assert record["seconds"]["baseline"] > 0
     with xr.open_dataset(outcome.directory / "response.nc") as response:
         assert "displacement_kalman_smoother_std" in response
-    assert [line.split()[0] for line in outcome.out.splitlines()[-3:-1]] == ["pinn", "kalman_smoother"]
+    told, _, verdict = outcome.out.rpartition("\n\n")
+    assert [line.split()[0] for line in told.splitlines()[-2:]] == ["pinn", "kalman_smoother"]
+    assert verdict.splitlines()[-2].startswith("verdict: ")
 
 
 def test_a_record_whose_forces_are_all_unknown(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: Path) -> None:

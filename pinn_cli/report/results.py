@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pinn_cli.posterior.findings import PosteriorFindings
     from pinn_cli.record.record import Record, Truth
+    from pinn_cli.scheme.problem import Problem
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.validation.base import Score
 
@@ -23,6 +24,7 @@ class Results:
         baseline: What the configured baseline found; None where there is none.
         posterior: Of the parameters, where one was asked for.
         score: Of the estimate without the truth, where one was asked for.
+        problem: That was solved; without it there is no verdict.
     """
 
     record: Record
@@ -31,3 +33,4 @@ class Results:
     baseline: Estimate | None = None
     posterior: PosteriorFindings | None = None
     score: Score | None = None
+    problem: Problem | None = None

@@ -19,7 +19,9 @@ from pinn_cli.report.results import Results
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.run_text import Tables, run_text
 from pinn_cli.report.score import score_record
+from pinn_cli.report.terminal import verdict_text
 from pinn_cli.report.writing import write_json, write_table
+from pinn_cli.verdict.judge import judge
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from pinn_cli.report.free_run import FreeRun
     from pinn_cli.stages import Stages
     from pinn_cli.training.estimate import Estimate
+    from pinn_cli.verdict.judge import Verdict
 
 __all__ = ["Results", "write_report"]
 
@@ -45,13 +48,15 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         figures: Whether to draw them, which takes longer than all else.
 
     Returns:
-        What the run prints, from `pinn_cli.report.run_text.run_text`.
+        What the run prints, from `pinn_cli.report.run_text.run_text`; the verdict comes last.
     """
     results = replace(results, estimate=_with_posterior(results.estimate, results.posterior))
     beside = Beside.of(config, results.record, results.truth, results.baseline)
     with stages("free_run"):
         _, prescribed = config.model_error.chains(config.chain)
         free = free_run(prescribed, results.estimate, results.record)
+    with stages("verdict"):
+        verdict = _verdict(results, free.response)
     with stages("report"):
         tables = _tables(config, results, free)
         _write_tables(config, results, tables, beside, directory)
@@ -63,8 +68,10 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
         diagnostics = _write_posterior(config, results, directory, figures)
     record_of_run = run_record(config, results.estimate, stages.seconds) | (beside.record if beside else {})
     scored = score_record(config.validation.name, results.score)
-    write_json(record_of_run | _sampling_record(results.posterior) | scored, directory / "run.json")
-    return run_text(config, results, tables, free, beside, diagnostics, stages.seconds)
+    judged = verdict.record() if verdict else {}
+    write_json(record_of_run | _sampling_record(results.posterior) | scored | judged, directory / "run.json")
+    text = run_text(config, results, tables, free, beside, diagnostics, stages.seconds)
+    return f"{text}\n\n{verdict_text(verdict)}" if verdict else text
 
 
 def _tables(config: RunConfig, results: Results, free: FreeRun) -> Tables:
@@ -94,6 +101,10 @@ def _write_response(config: RunConfig, results: Results, free: FreeRun, beside: 
     labels, truth = config.labels(estimator="pinn"), results.truth.response
     dataset = response_dataset(results.estimate, results.record, truth, labels, free.response)
     write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
+
+
+def _verdict(results: Results, free: Response | None) -> Verdict | None:
+    return None if results.problem is None else judge(results.problem, results.estimate, results.baseline, free)
 
 
 def _draw(config: RunConfig, results: Results, beside: Beside | None, directory: Path) -> None:

@@ -7,11 +7,12 @@ import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.errors import DivergenceError, InputError, NotSoundError
 
 FILE = "failure.json"
 # As the command's exit status: what a shell script must tell apart.
-DEFECT, INPUT, DIVERGED = 1, 2, 3
+DEFECT, INPUT, DIVERGED, NOT_SOUND = 1, 2, 3, 4
+_STATUS = {InputError: INPUT, DivergenceError: DIVERGED, NotSoundError: NOT_SOUND}
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,8 @@ class Failure:
     @classmethod
     def of(cls, error: Exception) -> Failure:
         """What an exception means for the job that raised it."""
-        told = isinstance(error, InputError | DivergenceError)
-        reason = " ".join((str(error) if told else f"{type(error).__name__}: {error}").split())
-        status = INPUT if isinstance(error, InputError) else DIVERGED if told else DEFECT
+        status = status_of(error)
+        reason = " ".join((f"{type(error).__name__}: {error}" if status == DEFECT else str(error)).split())
         return cls(status, reason, "".join(traceback.format_exception(error)))
 
     @classmethod
@@ -51,6 +51,11 @@ class Failure:
         from pinn_cli.report.writing import write_json
 
         write_json(asdict(self), directory / FILE)
+
+
+def status_of(error: Exception) -> int:
+    """The exit status of a run that ends with this error."""
+    return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), DEFECT)
 
 
 def forget(directory: Path) -> None:

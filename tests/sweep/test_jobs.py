@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sweeps import made_sweep
 
-from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep.failure import FILE, Failure, forget
 from pinn_cli.sweep.jobs import Sweep
 
@@ -53,6 +53,7 @@ def test_what_is_no_sweep(tmp_path: Path, content: str | None, told: str) -> Non
     [
         (InputError("seed", 2, "another\nnumber"), 2, "seed=2: must be another number"),
         (DivergenceError("at  7"), 3, "at 7"),
+        (NotSoundError("the verdict"), 4, "the verdict"),
         (ZeroDivisionError("no\nway"), 1, "ZeroDivisionError: no way"),
     ],
 )

@@ -1,0 +1,194 @@
+"""What is wrong with a sensor or with the force, where the other channels say that the chain is right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.verdict.comparison import Comparison, compare, comparisons
+from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.units import unit_of
+
+if TYPE_CHECKING:
+    from pinn_cli.verdict.channel import Channel
+    from pinn_cli.verdict.prediction import Prediction
+
+# NMSE up to which a channel counts as predicted. Sensors with 10 dB of noise are at 0.1 with a right chain; a lightly
+# damped chain whose stiffnesses are 2 % off is above 0.5.
+REPRODUCED = 0.2
+# Readings of 60 random rigs without a fault: factors within 4 % (force with 21 dB of noise), delays within 0.1 sample,
+# offsets within 1.2 % of the channel's rms; up to 7, 10 and 3 standard deviations from what is right.
+LEAST_GAIN, LEAST_DELAY, LEAST_OFFSET = 0.06, 0.3, 0.05
+DEVIATIONS = 10.0
+# A cause must bring the channel's NMSE down to this share of what it was.
+MENDS = 0.9
+# A change of sensors is a claim about two channels at once and must mend more.
+MENDS_BY_MOVING = 0.3
+# Two factors or delays are the same within this share.
+SAME = 0.03
+
+
+def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[Finding]:
+    """The one channel, pair of channels or force whose mending makes the chain predict every sensor; else nothing.
+
+    Args:
+        prediction: Of a chain that may be right.
+        excused: Names of channels whose fault is known already, which are not compared.
+    """
+    found = [c for c in comparisons(prediction) if c.channel.name not in excused]
+    if not found:
+        return []
+    own = {c.channel.name: explained(c) for c in found}
+    faulty = [c for c in found if own[c.channel.name] is not None or c.misfit > REPRODUCED]
+    if not faulty:
+        return []
+    if len(faulty) == len(found):
+        common = _force_fault(found)
+        if common is not None:
+            return [common]
+    moved = _exchanged(faulty, prediction) or _misplaced(faulty, prediction)
+    told = [own[c.channel.name] for c in faulty]
+    mended = [finding for finding in told if finding is not None]
+    complete = len(mended) == len(faulty) and max(finding.left for finding in mended) <= REPRODUCED
+    if moved is not None and (not complete or moved.left < max(finding.left for finding in mended)):
+        return [moved]
+    if complete and (len(mended) == 1 or len(mended) < len(found)):
+        return mended if len(found) > 1 else [_or_force(mended[0])]
+    return _odd_one_out(faulty, found) if not mended else []
+
+
+def _or_force(finding: Finding) -> Finding:
+    """One sensor alone cannot say which of the two is off."""
+    if finding.kind == "offset":
+        return finding
+    return replace(finding, text=f"{finding.text}; with one sensor, the force may be what is off")
+
+
+def explained(comparison: Comparison) -> Finding | None:
+    """The fault of one channel that mends it best; None where it has none, or none that mends it."""
+    found = [f for f in (_factor(comparison), _delay(comparison), _offset(comparison)) if f is not None]
+    best = min(found, key=lambda finding: finding.left, default=None)
+    if best is None or best.left > REPRODUCED or best.left > MENDS * comparison.misfit:
+        return None
+    return best
+
+
+def _factor(c: Comparison) -> Finding | None:
+    if not _off(c):
+        return None
+    value, name = c.factor.value, c.channel.name
+    kind, text = _told_factor(value, c.factor.std)
+    reason = f"the {name} is {text} what the chain does under the measured force"
+    return Finding(kind, name, f"{reason}; {_remedy(kind, c.channel.setting, value)}", left=c.factor.left)
+
+
+def _off(c: Comparison) -> bool:
+    """Whether a factor differs from one, wherever between its two readings it lies."""
+    low, high = sorted((c.factor.value, c.reverse_factor))
+    outside = low > 1 + LEAST_GAIN or high < 1 / (1 + LEAST_GAIN)
+    return outside and c.factor.differs(1.0, 0.0, DEVIATIONS)
+
+
+def _told_factor(value: float, std: float) -> tuple[str, str]:
+    """The kind of a factor, and the words for it."""
+    unit = unit_of(value, std)
+    if unit:
+        return "unit", f"{value:.4g} times ({unit})"
+    if value < 0:
+        return "sign", "the negative of" if abs(value + 1) < 2 * LEAST_GAIN else f"{value:.4g} times"
+    return "gain", f"{value:.4g} times"
+
+
+def _remedy(kind: str, setting: str, value: float) -> str:
+    if kind == "unit":
+        return f"check the unit of {setting}"
+    if kind == "sign":
+        return f"check the direction of {setting}, and multiply it by -1"
+    return f"check the calibration of {setting}, or divide it by {value:.4g}"
+
+
+def _delay(c: Comparison) -> Finding | None:
+    if not c.delay.differs(0.0, LEAST_DELAY * c.step, DEVIATIONS):
+        return None
+    samples, name = c.delay.value / c.step, c.channel.name
+    later = "late" if samples > 0 else "early"
+    reason = f"the {name} is {abs(c.delay.value):.4g} s ({abs(samples):.2f} samples) {later}"
+    return Finding("delay", name, f"{reason}; shift its column in time", left=c.delay.left)
+
+
+def _offset(c: Comparison) -> Finding | None:
+    rms = float(np.sqrt(c.power))
+    if not c.offset.differs(0.0, LEAST_OFFSET * rms, DEVIATIONS):
+        return None
+    share, name = 100 * abs(c.offset.value) / rms, c.channel.name
+    reason = f"the {name} has an offset of {c.offset.value:.4g} ({share:.0f} % of its rms)"
+    return Finding("offset", name, f"{reason}; subtract it from its column", left=c.offset.left)
+
+
+def _force_fault(found: Sequence[Comparison]) -> Finding | None:
+    """What all of several channels share: then the force is to blame."""
+    factors, delays = [c.factor for c in found], [c.delay for c in found]
+    forced = np.flatnonzero(~np.all(found[0].force == 0.0, axis=0))
+    dofs = ", ".join(str(dof + 1) for dof in forced)
+    name = f"force of DOF {dofs}"
+    if len(found) == 1 or len(forced) == 0:
+        return None
+    value = float(np.median([f.value for f in factors]))
+    if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):
+        left = max(f.left for f in factors)
+        kind, text = _told_factor(1 / value, factors[0].std)
+        reason = f"every sensor says that the {name} is {text} what acts"
+        remedy = _remedy(kind, "data.force", 1 / value)
+        return Finding(kind, name, f"{reason}; {remedy}", left=left) if left <= REPRODUCED else None
+    late = float(np.median([d.value for d in delays]))
+    step = found[0].step
+    shifted = all(d.differs(0.0, LEAST_DELAY * step, DEVIATIONS) for d in delays)
+    if shifted and all(abs(d.value - late) < 0.2 * step for d in delays):
+        left = max(d.left for d in delays)
+        reason = f"every sensor says that the {name} is {abs(late):.4g} s {'early' if late > 0 else 'late'}"
+        return Finding("delay", name, f"{reason}; shift its column in time", left=left) if left <= REPRODUCED else None
+    return None
+
+
+def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding | None:
+    """Two sensors of one kind that fit each other's place."""
+    if len(faulty) != 2 or faulty[0].channel.quantity != faulty[1].channel.quantity:
+        return None
+    one, other = faulty
+    after = [compare(one.channel, prediction, other.channel.dof), compare(other.channel, prediction, one.channel.dof)]
+    left = max(c.misfit for c in after)
+    if left > REPRODUCED or left > MENDS_BY_MOVING * max(one.misfit, other.misfit):
+        return None
+    return swap_finding(one.channel, other.channel, left)
+
+
+def swap_finding(one: Channel, other: Channel, left: float) -> Finding:
+    """That two channels are in each other's place."""
+    name = f"{one.quantity} of DOFs {one.dof + 1} and {other.dof + 1}"
+    return Finding("swap", name, f"the {name} fit each other's place; swap their columns", left=left)
+
+
+def _misplaced(faulty: Sequence[Comparison], prediction: Prediction) -> Finding | None:
+    """One sensor that fits another DOF."""
+    if len(faulty) != 1:
+        return None
+    (one,) = faulty
+    others = [dof for dof in range(prediction.record.ndof) if dof != one.channel.dof]
+    tried = [(compare(one.channel, prediction, dof).misfit, dof) for dof in others]
+    left, dof = min(tried, default=(np.inf, 0))
+    if left > REPRODUCED or left > MENDS_BY_MOVING * one.misfit:
+        return None
+    reason = f"the {one.channel.name} fits DOF {dof + 1}"
+    return Finding("misplaced", one.channel.name, f"{reason}; check where that sensor is mounted", left=left)
+
+
+def _odd_one_out(faulty: Sequence[Comparison], found: Sequence[Comparison]) -> list[Finding]:
+    """The one sensor that is not predicted by a chain that predicts at least two others."""
+    if len(faulty) != 1 or len(found) < 3:
+        return []
+    name = faulty[0].channel.name
+    reason = f"the {name} alone is not what the chain does under the measured force"
+    return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", left=faulty[0].misfit)]

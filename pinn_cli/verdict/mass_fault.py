@@ -1,0 +1,162 @@
+"""The storey whose mass, put right, makes the chain predict every sensor.
+
+All storeys and factors are simulated at once from the start of the record: first over a few periods of the first mode,
+where a factor that is some per cent off still shows, then over more of it around the best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from pinn_cli.record.simulation import runge_kutta_step, substeps_needed
+from pinn_cli.verdict.channel import channels
+from pinn_cli.verdict.channel_faults import MENDS_BY_MOVING, REPRODUCED
+from pinn_cli.verdict.comparison import comparisons
+from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.modes import Modes
+from pinn_cli.verdict.prediction import LINEAR, force_between_samples, predicted
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Record
+    from pinn_cli.system.chain import Chain
+
+# Of a mass, from the least to the largest, 11 % apart: over ten periods the response of a chain whose frequency is 3 %
+# off is still half right.
+COARSE = np.geomspace(1 / 12, 12, 46)
+FINE = np.geomspace(1 / 1.12, 1.12, 17)
+PERIODS, MORE_PERIODS = 10.0, 40.0
+MOST_STEPS = 12_000
+# A factor nearer to one is no mistake of a person's.
+LEAST_FACTOR = 1.1
+# NMSE that counts as none: beyond it, one channel must not outweigh the others.
+FLOOR = 1e-3
+
+
+def mass_fault(
+    chain: Chain, record: Record, start: Sequence[np.ndarray] | None = None, excused: Sequence[str] = ()
+) -> Finding | None:
+    """The mass that mends the prediction, and its factor; None where no single one does.
+
+    Args:
+        chain: Whose masses are doubted, one at a time.
+        record: What was measured.
+        start: Displacement and velocity (n,) at the first sample; None: rest.
+        excused: Names of channels that have a fault of their own.
+    """
+    if not np.isfinite(record.force).all():
+        return None
+    before = _misfits(chain, record, start, excused)
+    dofs = np.repeat(np.arange(chain.ndof), len(COARSE))
+    factors = np.tile(COARSE, chain.ndof)
+    score = _scores(chain, record, dofs, factors, PERIODS, start, excused)
+    if not np.isfinite(score).any():
+        return None
+    best = int(np.argmin(score))
+    dof, factor = int(dofs[best]), float(factors[best])
+    for periods, spread in ((PERIODS, 1.0), (MORE_PERIODS, 0.25)):
+        tried = factor * FINE**spread
+        score = _scores(chain, record, np.full(len(tried), dof), tried, periods, start, excused)
+        factor = float(tried[np.argmin(score)])
+    if 1 / LEAST_FACTOR < factor < LEAST_FACTOR:
+        return None
+    left = _misfits(_with_mass(chain, dof, factor), record, start, excused)
+    if left > REPRODUCED or left > MENDS_BY_MOVING * before:
+        return None
+    name, value = f"m_{dof + 1}", float(chain.parameters["m"][dof]) * factor
+    reason = f"with {name} = {value:.4g} kg, {factor:.3g} times what is prescribed, the chain does what was measured"
+    return Finding("mass", name, f"{reason}; check system.m", left=left)
+
+
+def _misfits(chain: Chain, record: Record, start: Sequence[np.ndarray] | None, excused: Sequence[str]) -> float:
+    """The largest NMSE of any channel; infinite where the chain is unstable."""
+    prediction = predicted(chain, record, start)
+    if prediction is None:
+        return np.inf
+    return max((c.misfit for c in comparisons(prediction) if c.channel.name not in excused), default=np.inf)
+
+
+def _with_mass(chain: Chain, dof: int, factor: float) -> Chain:
+    scale = torch.ones_like(chain.parameters["m"])
+    scale[dof] = factor
+    return chain.with_parameters(m=chain.parameters["m"] * scale)
+
+
+def _scores(
+    chain: Chain,
+    record: Record,
+    dofs: np.ndarray,
+    factors: np.ndarray,
+    periods: float,
+    start: Sequence[np.ndarray] | None,
+    excused: Sequence[str],
+) -> np.ndarray:
+    """(H,) mean logarithm of the channels' NMSE for hypotheses of one mass each; infinite where there is none.
+
+    A sum of logarithms lets one channel be bad where all others are right.
+    """
+    seen = [c for c in channels(record) if c.name not in excused]
+    masses = np.tile(chain.parameters["m"].numpy().astype(float), (len(dofs), 1))
+    masses[np.arange(len(dofs)), dofs] *= factors
+    samples, substeps = _span(chain, record, masses, periods)
+    if not seen or samples < 4 * chain.ndof:
+        return np.full(len(dofs), np.inf)
+    motion = _simulated(chain, record, masses, samples, substeps, start)
+    total = np.zeros(len(dofs))
+    for c in seen:
+        measured = c.measured[:samples]
+        power = max(float(np.mean(measured**2)), np.finfo(float).tiny)
+        misfit = np.mean((motion[:, c.order, :, c.dof] - measured[:, None]) ** 2, axis=0) / power
+        total += np.log(misfit + FLOOR)
+    return np.where(np.isfinite(total), total / len(seen), np.inf)
+
+
+def _span(chain: Chain, record: Record, masses: np.ndarray, periods: float) -> tuple[int, int]:
+    """How many samples to follow, and in how many steps each."""
+    own = chain.parameters_like(np.empty(0))
+    first = float(np.nanmin(Modes.of({name: own[name] for name in LINEAR}).natural_frequencies))
+    lightest = chain.with_parameters(m=torch.as_tensor(masses.min(axis=0)))
+    substeps = max(1, -(-substeps_needed(lightest, record.step) // 2))  # twice the step: a per cent will do
+    wanted = periods / (first * record.step) if first > 0 else len(record.time)
+    return int(min(len(record.time), wanted, MOST_STEPS // substeps)), substeps
+
+
+def _simulated(
+    chain: Chain,
+    record: Record,
+    masses: np.ndarray,
+    samples: int,
+    substeps: int,
+    start: Sequence[np.ndarray] | None,
+) -> np.ndarray:
+    """(samples, 3, H, n): displacement, velocity and acceleration of every hypothesis."""
+    own = chain.parameters_like(np.empty(0))
+    parameters = {**own, "m": masses}
+
+    def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
+        return np.array((z[1], chain.acceleration(z[0], z[1], f, parameters)))
+
+    step = record.step / substeps
+    force = _half_steps(record, samples, substeps)
+    z = np.zeros((2, *masses.shape)) if start is None else np.tile(np.asarray(start)[:, None], (1, len(masses), 1))
+    out = np.empty((samples, 3, *masses.shape))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(samples):
+            out[k, :2] = z
+            out[k, 2] = chain.acceleration(z[0], z[1], record.force[k], parameters)
+            for s in range(substeps):
+                at = 2 * (k * substeps + s)
+                z = runge_kutta_step(slope, z, force[at], force[at + 1], force[at + 2], step)
+    return out
+
+
+def _half_steps(record: Record, samples: int, substeps: int) -> np.ndarray:
+    """(2 samples substeps + 1, n): the force at every half step."""
+    if record.intersample == "zero_order_hold":
+        held = np.repeat(record.force[:samples], 2 * substeps, axis=0)
+        return np.concatenate((held, held[-1:]))
+    times = record.time[0] + 0.5 * record.step / substeps * np.arange(2 * samples * substeps + 1)
+    return force_between_samples(record, "exact")(np.minimum(times, record.time[-1]))

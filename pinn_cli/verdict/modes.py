@@ -1,0 +1,107 @@
+"""The linear chain in modal coordinates: its natural frequencies, its free decays, its response to a record's force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
+
+from pinn_cli.record.record import Response
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.record.record import Record
+    from pinn_cli.verdict.channel import Channel
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Complex modes of M u'' + C u' + K u = f.
+
+    Attributes:
+        m: (n,), kg.
+        K, C: (n, n), N/m and N s/m.
+        poles: (2n,), 1/s.
+        shapes: (n, 2n), displacements of each mode.
+        inputs: (2n, n), what a unit acceleration f/m on a DOF puts into each mode.
+    """
+
+    m: np.ndarray
+    K: np.ndarray
+    C: np.ndarray
+    poles: np.ndarray
+    shapes: np.ndarray
+    inputs: np.ndarray
+
+    @classmethod
+    def of(cls, parameters: Mapping[str, np.ndarray]) -> Modes:
+        """Of the linear part of a chain.
+
+        Args:
+            parameters: ``m``, ``c``, ``k``, each (n,).
+        """
+        m = np.asarray(parameters["m"], dtype=float)
+        n, K, C = len(m), _tridiagonal(parameters["k"]), _tridiagonal(parameters["c"])
+        state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
+        poles, vectors = np.linalg.eig(state)
+        return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:])
+
+    @property
+    def stable(self) -> bool:
+        """Whether every free motion dies away; rounding is not held against it."""
+        return bool(np.all(self.poles.real <= 1e-9 * np.abs(self.poles)))
+
+    @property
+    def natural_frequencies(self) -> np.ndarray:
+        """(n,) undamped, Hz, ascending; NaN where the stiffness is negative."""
+        root = np.sqrt(self.m)
+        squares = np.linalg.eigvalsh(self.K / np.outer(root, root))
+        return np.sqrt(np.where(squares >= 0, squares, np.nan)) / (2 * np.pi)
+
+    def response(self, record: Record) -> Response:
+        """The response to the record's force, at its samples, up to free decays: its force repeats itself for ever.
+
+        The force is that of the record's ``intersample``: its sinusoids as they are, or held from sample to sample,
+        which delays them by half a step and weakens them by a sinc.
+
+        Raises:
+            ValueError: A force is unknown.
+        """
+        if not np.isfinite(record.force).all():
+            raise ValueError("a response needs every force")
+        force = rfft(record.force, axis=0)
+        s = 2j * np.pi * rfftfreq(len(record.time), record.step)
+        acting = force
+        if record.intersample == "zero_order_hold":
+            angle = 0.5 * s.imag * record.step
+            acting = force * (np.exp(-1j * angle) * np.sinc(angle / np.pi))[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a chain without stiffness has no answer to a mean force
+            u = ((acting / self.m) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
+        v = s[:, None] * u
+        a = (force - v @ self.C.T - u @ self.K.T) / self.m
+        motion = [irfft(x, len(record.time), axis=0) for x in (u, v, a)]
+        return Response(record.time, motion[0], motion[1], motion[2], record.force)
+
+    def decays(self, channel: Channel, record: Record) -> np.ndarray:
+        """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel.
+
+        Whatever the structure did before the record began, and what the repeated force of :meth:`response` leaves over
+        from the end, lies in their span.
+        """
+        upper = self.poles.imag >= 0
+        poles, shape = self.poles[upper], self.shapes[channel.dof, upper]
+        moving = np.abs(shape) > 1e-9 * np.max(np.abs(self.shapes))
+        time = record.time - record.time[0]
+        waves = np.exp(np.minimum(poles[moving].real, 0.0) * time[:, None] + 1j * poles[moving].imag * time[:, None])
+        basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
+        size = np.abs(np.diag(triangle))
+        return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]
+
+
+def _tridiagonal(x: np.ndarray) -> np.ndarray:
+    """(n, n) matrix of connections (n,), the first of them on the ground."""
+    x = np.asarray(x, dtype=float)
+    return np.diag(x + np.append(x[1:], 0.0)) - np.diag(x[1:], 1) - np.diag(x[1:], -1)

@@ -1,0 +1,132 @@
+"""What the inferred levels and the residuals say of an estimate: nothing explained, not white, a large discrepancy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
+from pinn_cli.verdict.channel import Channel, channels
+from pinn_cli.verdict.finding import Finding
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Record
+    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.training.estimate import Estimate
+
+# Noise levels are kept above a millionth of the channel's rms: what is found there was not found.
+BOUND = 2e-6
+# A sensor with 10 dB of noise has a third of its rms; at this share there is more noise than motion.
+NOTHING_EXPLAINED = 0.8
+# Rms of the discrepancy over that of the measured force. A linear model of a Duffing chain has a tenth.
+LARGE_DISCREPANCY, AS_LARGE_AS_FORCE = 0.2, 0.7
+# A white residual's power in one of so many bands is within a factor of two of their median's. The coloured part
+# counts where it is this share of the channel's own power: a gain 7 % off leaves it.
+BANDS, COLOURED, COLOURED_SHARE = 24, 5.0, 0.005
+# Effective parameters over samples of a channel: from here on the channel is copied rather than estimated.
+COPIED = 0.9
+NOT_CONVERGED = "iteration limit"
+
+
+def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """Every finding of this page, in the order of the channels."""
+    found: list[Finding] = []
+    for channel in channels(problem.record):
+        found += [f for f in (_level(channel, estimate), _colour(channel, problem.record, estimate)) if f is not None]
+    return found + _discrepancy(problem.record, estimate) + _copied(problem.record, estimate) + _unfinished(estimate)
+
+
+def sigma(estimate: Estimate, quantity: str, dof: int) -> float:
+    """The noise level that was found for a sensor, in its unit; NaN where the training infers none."""
+    levels = estimate.summary.get(f"sigma_{quantity}")
+    value = levels[dof] if isinstance(levels, list) and dof < len(levels) else None
+    return float("nan") if value is None else float(value)
+
+
+def _level(channel: Channel, estimate: Estimate) -> Finding | None:
+    rms = float(np.std(channel.measured))
+    level = sigma(estimate, channel.quantity, channel.dof)
+    if not np.isfinite(level) or rms == 0:
+        return None
+    if level <= BOUND * rms:
+        text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
+        return Finding("noise_at_bound", channel.name, f"{text}; use fewer knots (network.spacing) or more sensors")
+    if level >= NOTHING_EXPLAINED * rms:
+        text = (
+            f"the noise found in the {channel.name} is {100 * level / rms:.0f} % of its rms: nothing of it is explained"
+        )
+        return Finding("nothing_explained", channel.name, f"{text}; check that sensor and the model", "failed")
+    return None
+
+
+def _colour(channel: Channel, record: Record, estimate: Estimate) -> Finding | None:
+    """Whether what is left of a channel has a band of its own; only power above the median band is held against it."""
+    residual = channel.measured - channel.of(estimate.response)
+    if not np.isfinite(residual).all() or not np.std(channel.measured) > 0:
+        return None
+    frequency, power = periodogram(residual, record.step)
+    usable = (frequency > 0) & (frequency <= USABLE_NYQUIST_FRACTION * frequency[-1])
+    frequency, power = frequency[usable], power[usable]
+    pieces = np.array_split(np.arange(len(power)), min(BANDS, max(1, len(power) // 8)))
+    level = np.array([power[piece].mean() for piece in pieces])
+    high = level > COLOURED * np.median(level)
+    share = sum(power[piece].sum() for piece, is_high in zip(pieces, high, strict=True) if is_high) / power.sum()
+    nmse = float(np.mean(residual**2) / np.var(channel.measured))
+    if not high.any() or share * nmse < COLOURED_SHARE:
+        return None
+    worst = pieces[int(np.argmax(level))]
+    where = f"{frequency[worst[0]]:.3g} to {frequency[worst[-1]]:.3g} Hz"
+    text = f"the residual of the {channel.name} is not white: {100 * share:.0f} % of it is in excess, most at {where}"
+    return Finding("not_white", channel.name, f"{text}; check that sensor, or use a model that moves there")
+
+
+def _discrepancy(record: Record, estimate: Estimate) -> list[Finding]:
+    """Against the rms of the measured forces, together."""
+    levels = _numbers(estimate.summary.get("sigma_discrepancy"))
+    forced = record.sensors("force")
+    if not levels or not forced.any():
+        return []
+    rms = float(np.sqrt(np.mean(np.var(record.force[:, forced], axis=0))))
+    ratio = max(levels) / rms if rms > 0 else 0.0
+    if ratio < LARGE_DISCREPANCY:
+        return []
+    cell = _numbers(estimate.summary.get("sigma_force"))
+    beside = f" and {max(levels) / max(cell):.3g} times the load cell's noise" if cell and max(cell) > 0 else ""
+    text = f"the discrepancy of the model is {100 * ratio:.0f} % of the measured force{beside}: the model does not hold"
+    remedy = "check masses, units and the law of the springs"
+    word = "failed" if ratio >= AS_LARGE_AS_FORCE else "questionable"
+    return [Finding("discrepancy", "model", f"{text}; {remedy}", word)]  # type: ignore[arg-type]
+
+
+def _numbers(levels: Any) -> list[float]:
+    """The finite numbers in a level that may be one, a list by DOF, or named."""
+    if isinstance(levels, Mapping):
+        levels = list(levels.values())
+    flat = levels if isinstance(levels, list) else [levels]
+    return [float(x) for x in flat if isinstance(x, int | float) and np.isfinite(x)]
+
+
+def _copied(record: Record, estimate: Estimate) -> list[Finding]:
+    by_quantity = estimate.summary.get("effective_parameters")
+    if not isinstance(by_quantity, Mapping):
+        return []
+    found = []
+    for quantity in RESPONSE_QUANTITIES:
+        for dof, count in enumerate(by_quantity.get(quantity) or ()):
+            if count is not None and count >= COPIED * len(record.time):
+                name = Channel(quantity, dof, record.time).name
+                text = f"{count:.0f} effective parameters follow the {len(record.time)} samples of the {name}"
+                remedy = "use fewer knots (network.spacing), or check that sensor and the model"
+                found.append(Finding("copied", name, f"{text}; {remedy}"))
+    return found
+
+
+def _unfinished(estimate: Estimate) -> list[Finding]:
+    """Trainings by gradients always end at their limit, and have no standard deviations."""
+    if estimate.summary.get("stop_reason") != NOT_CONVERGED or np.isnan(estimate.std.displacement).all():
+        return []
+    text = "the training stopped at its iteration limit; raise training.iterations"
+    return [Finding("not_converged", "training", text)]

@@ -1,0 +1,136 @@
+"""What the estimated parameters say of an estimate: far from where they were believed, not determined, out of band."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.modes import Modes
+from pinn_cli.verdict.prediction import LINEAR
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pinn_cli.record.record import Record
+    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.chain import Chain
+    from pinn_cli.training.estimate import Estimate, ParameterEstimate
+
+# Prior standard deviations that a parameter may move: one in 16 000 moves further by chance.
+MOST_MOVED = 4.0
+# A start is a guess, often a decade off. One and a half decades are no guess any more, and three are another unit.
+DECADES, UNIT_DECADES = 1.5, 2.5
+# The common spread of the prescribed parameters, in units of what was believed.
+LARGE_SPREAD = 4.0
+# Standard deviation over value up to which an unknown stiffness or mass counts as identified, and any other parameter:
+# damping and nonlinearity show less in a record, and are asked for less closely.
+IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
+NAMED = 4
+
+
+def parameter_findings(problem: Problem, estimate: Estimate, chain: Chain) -> list[Finding]:
+    """Every finding of this page.
+
+    Args:
+        problem: For the record and for which parameters were unknown.
+        estimate: Whose parameters are judged.
+        chain: With the estimated parameters.
+    """
+    kinds = {p.name: p.kind for p in problem.uncertain}
+    unknown = [p for p in estimate.parameters if p.unknown]
+    believed = [p for p in estimate.parameters if not p.unknown]
+    found = [f for p in unknown for f in (_far_from_start(p), _undetermined(p, kinds.get(p.name, ""))) if f is not None]
+    return found + _moved(believed) + _spread(estimate) + _frequencies(chain, problem.record)
+
+
+def _far_from_start(p: ParameterEstimate) -> Finding | None:
+    """Of what cannot be negative in decades; else in prior standard deviations."""
+    if p.prescribed > 0 and p.estimate > 0:
+        decades = math.log10(p.estimate / p.prescribed)
+        if abs(decades) <= DECADES:
+            return None
+        where = "above" if decades > 0 else "below"
+        text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} its start"
+        word = "failed" if abs(decades) > UNIT_DECADES else "questionable"
+        remedy = f"check units and masses, or start elsewhere (scheme.initial.{p.name})"
+        return Finding("parameter", p.name, f"{text}, {p.prescribed:.4g}; {remedy}", word)  # type: ignore[arg-type]
+    if p.prior_std > 0 and abs(p.estimate - p.prescribed) > MOST_MOVED * p.prior_std:
+        text = f"{p.name} = {p.estimate:.4g} is more than {MOST_MOVED:.0f} prior standard deviations from its start"
+        return Finding("parameter", p.name, f"{text}; start elsewhere (scheme.initial.{p.name})")
+    return None
+
+
+def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
+    if not np.isfinite(p.std):
+        return None
+    if abs(p.estimate) <= 1e-9 * max(abs(p.prescribed), p.std):
+        text = f"{p.name} ended at zero"
+        return Finding("parameter", p.name, f"{text}; check the model, or start elsewhere (scheme.initial.{p.name})")
+    allowed = IDENTIFIED if kind in ("m", "k") else ROUGHLY_IDENTIFIED
+    relative = abs(p.std / p.estimate)
+    if relative <= allowed:
+        return None
+    text = f"the record does not determine {p.name}: its standard deviation is {100 * relative:.0f} % of its value"
+    return Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
+
+
+def _moved(believed: Sequence[ParameterEstimate]) -> list[Finding]:
+    """Together: one wrong parameter draws others along."""
+    moves = sorted(
+        ((abs(p.estimate - p.prescribed) / p.prior_std, p) for p in believed if p.prior_std > 0),
+        key=lambda pair: -pair[0],
+    )
+    far = [(move, p) for move, p in moves if move > MOST_MOVED]
+    if not far:
+        return []
+    told = ", ".join(f"{p.name} by {move:.3g}" for move, p in far[:NAMED])
+    more = f" and {len(far) - NAMED} more" if len(far) > NAMED else ""
+    text = f"prescribed parameters moved by many of their prior standard deviations: {told}{more}"
+    return [Finding("moved", far[0][1].name, f"{text}; check them, or declare them unknown")]
+
+
+def _spread(estimate: Estimate) -> list[Finding]:
+    spread = estimate.summary.get("parameter_spread")
+    if not isinstance(spread, int | float) or not spread > LARGE_SPREAD:
+        return []
+    text = f"the prescribed parameters are off by {spread:.3g} times what was believed (scheme.parameter_uncertainty)"
+    return [Finding("spread", "parameters", f"{text}; check them, the masses and the units")]
+
+
+def _frequencies(chain: Chain, record: Record) -> list[Finding]:
+    own = chain.parameters_like(np.empty(0))
+    frequencies = Modes.of({name: own[name] for name in LINEAR}).natural_frequencies
+    nyquist, least = 0.5 / record.step, 1.0 / record.duration
+    above, below = int(np.sum(frequencies > nyquist)), int(np.sum(frequencies < least))
+    found = []
+    if above:
+        text = (
+            f"{above} of {len(frequencies)} natural frequencies of the estimated chain are above the Nyquist frequency"
+        )
+        told = f"{text}, {nyquist:.4g} Hz (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
+        found.append(
+            Finding(
+                "frequencies", "natural frequencies", told, "failed" if above == len(frequencies) else "questionable"
+            )
+        )
+    if below:
+        text = f"{below} natural frequencies of the estimated chain are below one period per record, {least:.4g} Hz"
+        told = f"{text}; check the time axis and the units"
+        found.append(
+            Finding(
+                "frequencies", "natural frequencies", told, "failed" if below == len(frequencies) else "questionable"
+            )
+        )
+    if np.isnan(frequencies).any():
+        found.append(
+            Finding(
+                "frequencies",
+                "natural frequencies",
+                "the estimated chain is unstable: it has a negative stiffness",
+                "failed",
+            )
+        )
+    return found

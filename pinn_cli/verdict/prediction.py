@@ -1,0 +1,96 @@
+"""What a chain does under the measured force alone, as sensors would have seen it: no response sensor is looked at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.fft import irfft, rfft
+from scipy.interpolate import make_interp_spline
+
+from pinn_cli.record.simulation import OverflowsError, simulate, substeps_needed
+from pinn_cli.verdict.modes import Modes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.simulation import Force
+    from pinn_cli.system.chain import Chain
+
+# Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
+MOST_STEPS = 40_000
+# A spline through samples this many times as dense follows a force up to the Nyquist frequency to 1e-3.
+DENSER, SPLINE_DEGREE = 4, 5
+LINEAR = ("m", "c", "k")
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A response to the measured force, and the part of the record that it is of.
+
+    Attributes:
+        response: (M, n) each, up to free decays.
+        record: Its first M samples.
+        modes: Of the chain without its nonlinearity, whose free decays count as part of the prediction.
+    """
+
+    response: Response
+    record: Record
+    modes: Modes
+
+
+def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
+    """The response of a chain to the record's force; None where a force is unknown or the chain is unstable.
+
+    Args:
+        chain: Any. A linear one is solved in the frequency domain, exactly and in milliseconds; another one is
+            simulated from ``start`` on.
+        record: For its force and its times.
+        start: Displacement and velocity (n,) at the first sample; None: rest. Of a linear chain it does not matter.
+    """
+    if not np.isfinite(record.force).all():
+        return None
+    parameters = chain.parameters_like(np.empty(0))
+    if not all(np.isfinite(value).all() for value in parameters.values()) or (parameters["m"] <= 0).any():
+        return None
+    modes = Modes.of({name: parameters[name] for name in LINEAR})
+    if is_linear(chain):
+        response = modes.response(record)
+        finite = np.isfinite(response.displacement).all() and modes.stable
+        return Prediction(response, record, modes) if finite else None
+    substeps = substeps_needed(chain, record.step)
+    samples = min(len(record.time), MOST_STEPS // substeps)
+    if samples < len(modes.poles) * 8:
+        return None
+    part = record.until(samples)
+    hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
+    try:
+        response = simulate(
+            chain, force_between_samples(record, hold), part.time, hold, substeps=substeps, initial=start
+        )
+    except OverflowsError:
+        return None
+    return Prediction(response, part, modes)
+
+
+def is_linear(chain: Chain) -> bool:
+    """Whether every nonlinear parameter of a chain is zero."""
+    return not any(bool(value.any()) for name, value in chain.parameters.items() if name not in LINEAR)
+
+
+def force_between_samples(record: Record, hold: str) -> Force:
+    """The force at any time of the record.
+
+    Between samples taken barely fast enough a spline loses a good part of the force, so it goes through the samples of
+    the same sinusoids taken `DENSER` times as often. The record is mirrored at its end to make it periodic.
+    """
+    if hold == "zero_order":
+        return lambda time: record.force[: len(time)]
+    mirrored = np.concatenate((record.force, record.force[-2:0:-1]))
+    spectrum, count = rfft(mirrored, axis=0), len(mirrored)
+    spectrum[-1] *= 0.5  # the Nyquist line of an even number of samples stands for two once there are more samples
+    dense = DENSER * irfft(spectrum, DENSER * count, axis=0)[: DENSER * (len(record.time) - 1) + 1]
+    spline: Force = make_interp_spline(np.linspace(record.time[0], record.time[-1], len(dense)), dense, k=SPLINE_DEGREE)
+    return spline

@@ -1,0 +1,119 @@
+"""What a response channel says against itself: clipped, dropped out, without motion, off its zero."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.spectrum import periodogram
+from pinn_cli.verdict.channel import Channel, channels
+from pinn_cli.verdict.finding import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pinn_cli.record.record import Record
+
+# A clipped channel has this share of its samples exactly at an extreme value, and at least so many of them.
+CLIPPED_SHARE, CLIPPED_SAMPLES = 0.002, 8
+# A coarse converter puts many samples onto every level; onto the outermost no more than a few times as many as onto
+# the next (a sine wave: 2.4 times).
+CLIPPED_OVER_NEXT = 5
+# Equal samples in a row that make a dropout, if the channel moves on average by half its rms in that time.
+DROPOUT_SAMPLES, DROPOUT_MOTION = 8, 0.5
+# Levels of a converter so far apart, over the rms, are too coarse to tell.
+COARSE = 0.1
+# Share of its rms that some other channel must have meanwhile: else the structure may be at rest.
+OTHERS_MOVE = 0.2
+# An offset, over the channel's rms and over what its lowest frequencies leave open.
+LEAST_OFFSET, DEVIATIONS, LOW_LINES = 0.05, 10.0, 8
+
+
+def record_faults(record: Record) -> list[Finding]:
+    """The faults of all channels, at most one of each."""
+    tests = (_still, _clipped, _dropped_out, _off_zero)
+    return [
+        found
+        for channel in channels(record)
+        if (found := next((fault for test in tests if (fault := test(channel, record)) is not None), None)) is not None
+    ]
+
+
+def _still(channel: Channel, record: Record) -> Finding | None:
+    if np.ptp(channel.measured) > 0:
+        return None
+    text = f"the {channel.name} is {channel.measured[0]:.4g} throughout; leave that sensor out"
+    return Finding("still", channel.name, text, "failed")
+
+
+def _clipped(channel: Channel, record: Record) -> Finding | None:
+    """Samples piled up exactly at the largest or the smallest value."""
+    levels, counts = np.unique(channel.measured, return_counts=True)
+    least = max(CLIPPED_SAMPLES, CLIPPED_SHARE * len(channel.measured))
+    for end, step in ((-1, -1), (0, 1)):
+        if len(levels) > 2 and counts[end] >= least and counts[end] >= CLIPPED_OVER_NEXT * counts[end + step]:
+            share = 100 * counts[end] / len(channel.measured)
+            text = f"the {channel.name} is clipped at {levels[end]:.4g}: {share:.1f} % of its samples are exactly that"
+            return Finding("clip", channel.name, f"{text}; measure again with a wider range, or leave it out")
+    return None
+
+
+def _dropped_out(channel: Channel, record: Record) -> Finding | None:
+    """Equal samples in a row for longer than the channel takes to move, while something else moves."""
+    x = channel.measured
+    if np.min(np.diff(np.unique(x))) > COARSE * np.std(x):  # levels so far apart that a channel rests on each
+        return None
+    runs = [run for run in _equal_runs(x) if _moves_within(x, run[1] - run[0]) and _others_move(channel, record, *run)]
+    if not runs:
+        return None
+    samples = sum(end - begin for begin, end in runs)
+    first = record.time[runs[0][0]]
+    text = (
+        f"the {channel.name} drops out: {samples} samples in {len(runs)} runs do not change, the first at {first:.4g} s"
+    )
+    return Finding("dropout", channel.name, f"{text}; cut these out with data.start and data.stop, or leave it out")
+
+
+def _equal_runs(x: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First and last index + 1 of every run of `DROPOUT_SAMPLES` equal samples or more."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(x)) + 1, [len(x)]))
+    for begin, end in pairwise(edges):
+        if end - begin >= DROPOUT_SAMPLES:
+            yield int(begin), int(end)
+
+
+def _moves_within(x: np.ndarray, samples: int) -> bool:
+    """Whether a channel moves, over so many samples, by a good part of its rms."""
+    lag = max(1, min(samples // 2, len(x) // 2))
+    return bool(np.sqrt(np.mean((x[lag:] - x[:-lag]) ** 2)) > DROPOUT_MOTION * np.std(x))
+
+
+def _others_move(channel: Channel, record: Record, begin: int, end: int) -> bool:
+    for quantity in QUANTITIES:
+        for dof in np.flatnonzero(record.sensors(quantity)):
+            x = getattr(record, quantity)[:, dof]
+            if (quantity, int(dof)) != (channel.quantity, channel.dof) and np.std(x[begin:end]) > OTHERS_MOVE * np.std(
+                x
+            ):
+                return True
+    return False
+
+
+def _off_zero(channel: Channel, record: Record) -> Finding | None:
+    """A mean that no motion has: an acceleration's is the velocity won over the duration, a velocity's the way gone.
+
+    A displacement may have one, under a force that has.
+    """
+    if channel.order == 0:
+        return None
+    x, rms = channel.measured, float(np.std(channel.measured))
+    mean = float(np.mean(x))
+    power = periodogram(x, record.step)[1][2 : LOW_LINES + 2]  # the window spreads the mean over lines 0 and 1
+    std = np.sqrt(np.mean(power) / len(x))
+    if abs(mean) < LEAST_OFFSET * rms or abs(mean) < DEVIATIONS * std:
+        return None
+    text = f"the {channel.name} has an offset of {mean:.4g} ({100 * abs(mean) / rms:.0f} % of its rms)"
+    return Finding("offset", channel.name, f"{text}; subtract it from its column")

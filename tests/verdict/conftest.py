@@ -1,0 +1,43 @@
+"""A frame of three storeys under a force on its roof, with an accelerometer on every floor, and an estimate of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from frame_records import measure, measurements
+from small_problems import small_chain
+
+from pinn_cli.record.record import Record, Response
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.system.chain import Chain
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
+
+
+@pytest.fixture(scope="session")
+def frame() -> Chain:
+    return small_chain("linear", 3)
+
+
+@pytest.fixture(scope="session")
+def frame_record(frame: Chain) -> Record:
+    return measure(frame)
+
+
+@pytest.fixture(scope="session")
+def right_estimate(frame: Chain) -> tuple[Problem, Estimate]:
+    """A problem whose stiffnesses are unknown, and an estimate that is the truth."""
+    found = measurements(frame)
+    record, truth = found.record.keep({"acceleration": (1, 2, 3)}), found.truth.response
+    noise = [float(np.std(record.acceleration[:, i] - truth.acceleration[:, i])) for i in range(3)]
+    cell = float(np.std(record.force[:, 2] - truth.force[:, 2]))
+    std = Response(record.time, *(np.full(truth.force.shape, 1e-3 * np.std(truth.displacement)) for _ in range(4)))
+    unknown = tuple(UncertainParameter("k", i, 10.0, 100.0, unknown=True, positive=True) for i in range(3))
+    believed = tuple(UncertainParameter("c", i, 1.0, 0.075) for i in range(3))
+    parameters = [ParameterEstimate(f"k_{i}", 10.0, 15.0, 0.01, 14.98, 15.02, 100.0, True) for i in (1, 2, 3)]
+    parameters += [ParameterEstimate(f"c_{i}", 1.0, 1.0, 0.01, 0.98, 1.02, 0.075) for i in (1, 2, 3)]
+    summary = {
+        "stop_reason": "converged", "sigma_discrepancy": 1e-4, "parameter_spread": 0.5,
+        "sigma_force": [None, None, cell], "sigma_acceleration": noise,
+    }  # fmt: skip
+    return Problem(frame, record, unknown + believed), Estimate(truth, std, parameters, pd.DataFrame(), summary)

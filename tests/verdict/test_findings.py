@@ -1,0 +1,181 @@
+"""Each number of an estimate that tells of trouble, made bad in an estimate that is right otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frame_records import altered, measure
+
+from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.verdict.baseline_findings import baseline_findings
+from pinn_cli.verdict.estimated import drawn_chain, estimated_chain
+from pinn_cli.verdict.noise_findings import noise_findings
+from pinn_cli.verdict.parameter_findings import parameter_findings
+from pinn_cli.verdict.prediction import predicted
+from pinn_cli.verdict.sensor_findings import sensor_findings
+
+
+def kinds(findings):
+    return [(finding.kind, finding.suspect) for finding in findings]
+
+
+def with_summary(estimate, **entries):
+    return replace(estimate, summary=estimate.summary | entries)
+
+
+def with_parameter(given, which, **changes):
+    parameters = [replace(p, **changes) if p.name == which else p for p in given.parameters]
+    return replace(given, parameters=parameters)
+
+
+def of_parameters(problem, estimate):
+    return kinds(parameter_findings(problem, estimate, estimated_chain(problem, estimate)))
+
+
+def of_sensors(problem, estimate):
+    prediction = predicted(estimated_chain(problem, estimate), problem.record)
+    return kinds(sensor_findings(problem, estimate, prediction))
+
+
+def test_a_right_estimate_has_none(right_estimate):
+    problem, estimate = right_estimate
+    assert noise_findings(problem, estimate) == []
+    assert of_parameters(problem, estimate) == of_sensors(problem, estimate) == []
+    assert baseline_findings(estimate, estimate) == []
+
+
+@pytest.mark.parametrize(
+    ("share", "kind", "word"), [(1e-6, "noise_at_bound", "questionable"), (0.9, "nothing_explained", "failed")]
+)
+def test_noise_levels_that_were_not_found(right_estimate, share, kind, word):
+    problem, estimate = right_estimate
+    sigma = [share * problem.record.acceleration[:, 0].std(), *estimate.summary["sigma_acceleration"][1:]]
+    (found,) = noise_findings(problem, with_summary(estimate, sigma_acceleration=sigma))
+    assert (found.kind, found.suspect, found.word) == (kind, "acceleration of DOF 1", word)
+
+
+def test_a_residual_with_a_band_of_its_own(right_estimate):
+    problem, estimate = right_estimate
+    hum = np.sin(2 * np.pi * 0.8 * problem.record.time)
+    record = altered(problem.record, 2, lambda x: x + 0.15 * x.std() * hum)
+    (found,) = noise_findings(replace(problem, record=record), estimate)
+    assert (found.kind, found.suspect) == ("not_white", "acceleration of DOF 2")
+    assert "Hz" in found.text
+
+
+def test_much_white_noise_is_no_fault(frame, right_estimate):
+    problem, estimate = right_estimate
+    noisy = measure(frame, 10.0)
+    assert noise_findings(replace(problem, record=noisy), estimate) == []
+
+
+@pytest.mark.parametrize(("share", "word"), [(0.3, "questionable"), (2.0, "failed")])
+@pytest.mark.parametrize("shape", [float, lambda x: [x, None, x / 10], lambda x: {"forced": x, "unforced": x / 10}])
+def test_a_discrepancy_of_the_size_of_the_force(right_estimate, share, word, shape):
+    problem, estimate = right_estimate
+    level = shape(share * problem.record.force[:, 2].std())
+    (found,) = noise_findings(problem, with_summary(estimate, sigma_discrepancy=level))
+    assert (found.kind, found.word) == ("discrepancy", word)
+    assert f"{100 * share:.0f} % of the measured force" in found.text
+
+
+def test_a_channel_that_was_copied(right_estimate):
+    problem, estimate = right_estimate
+    counts = {"acceleration": [0.95 * len(problem.record.time), 40.0, None]}
+    found = noise_findings(problem, with_summary(estimate, effective_parameters=counts))
+    assert kinds(found) == [("copied", "acceleration of DOF 1")]
+
+
+def test_a_training_that_did_not_converge(right_estimate):
+    problem, estimate = right_estimate
+    stopped = with_summary(estimate, stop_reason="iteration limit")
+    assert kinds(noise_findings(problem, stopped)) == [("not_converged", "training")]
+    without = replace(stopped, std=replace(estimate.std, displacement=np.nan * estimate.std.displacement))
+    assert noise_findings(problem, without) == []
+
+
+@pytest.mark.parametrize(("start", "word"), [(0.2, "questionable"), (1.5e7, "failed")])
+def test_a_parameter_decades_from_its_start(right_estimate, start, word):
+    problem, estimate = right_estimate
+    (found,) = parameter_findings(problem, with_parameter(estimate, "k_2", prescribed=start), problem.chain)
+    assert (found.kind, found.suspect, found.word) == ("parameter", "k_2", word)
+    assert parameter_findings(problem, with_parameter(estimate, "k_2", prescribed=1.0), problem.chain) == []
+
+
+def test_an_unknown_parameter_that_left_its_prior(right_estimate):
+    problem, estimate = right_estimate
+    left = with_parameter(estimate, "k_2", prescribed=-1.0, prior_std=2.0)
+    assert of_parameters(problem, left) == [("parameter", "k_2")]
+
+
+def test_an_unknown_parameter_at_zero_or_undetermined(right_estimate):
+    problem, estimate = right_estimate
+    (found,) = parameter_findings(problem, with_parameter(estimate, "k_1", estimate=0.0), problem.chain)
+    assert (found.suspect, "ended at zero" in found.text) == ("k_1", True)
+    assert of_parameters(problem, with_parameter(estimate, "k_1", std=3.0)) == [("not_identified", "k_1")]
+    rough = replace(problem, uncertain=(UncertainParameter("kappa", 0, 1.0, 1.0, unknown=True),))
+    named = with_parameter(estimate, "k_1", name="kappa_1", std=3.0)
+    assert kinds(parameter_findings(rough, named, problem.chain)) == []
+
+
+def test_prescribed_parameters_that_moved(right_estimate):
+    problem, estimate = right_estimate
+    moved = with_parameter(estimate, "c_3", estimate=1.4)
+    assert of_parameters(problem, moved) == [("moved", "c_3")]
+    assert of_parameters(problem, with_summary(estimate, parameter_spread=9.0)) == [("spread", "parameters")]
+
+
+@pytest.mark.parametrize(
+    ("scale", "told"), [(1e4, "above the Nyquist"), (1e-6, "below one period"), (-1.0, "unstable")]
+)
+def test_natural_frequencies_that_the_record_cannot_hold(right_estimate, scale, told):
+    problem, estimate = right_estimate
+    chain = problem.chain.with_parameters(k=problem.chain.parameters["k"] * scale)
+    found = parameter_findings(problem, estimate, chain)
+    assert any(f.kind == "frequencies" and told in f.text and f.word == "failed" for f in found)
+
+
+def test_sensors_that_the_free_run_does_not_reproduce(right_estimate):
+    problem, estimate = right_estimate
+    wrong = estimate
+    for name in ("k_1", "k_2", "k_3"):
+        wrong = with_parameter(wrong, name, estimate=18.0)
+    found = of_sensors(problem, wrong)
+    assert found == [("free_run", f"acceleration of DOF {dof}") for dof in (1, 2, 3)]
+
+
+def test_what_the_parameters_deviations_allow_is_allowed(right_estimate):
+    problem, estimate = right_estimate
+    vague = estimate
+    for name in ("k_1", "k_2", "k_3"):
+        vague = with_parameter(vague, name, estimate=15.5, std=1.0)
+    assert of_sensors(problem, vague) == []
+
+
+def test_an_unstable_chain_has_no_free_run(right_estimate):
+    problem, estimate = right_estimate
+    unstable = with_parameter(estimate, "c_2", estimate=-5.0)
+    assert of_sensors(problem, unstable) == [("free_run", "model")]
+    unknown = replace(problem.record, force=np.full_like(problem.record.force, np.nan), unforced=np.zeros(3, bool))
+    assert sensor_findings(replace(problem, record=unknown), unstable, None) == []
+
+
+def test_drawn_chains_scatter_by_the_standard_deviations(right_estimate):
+    problem, estimate = right_estimate
+    random = np.random.default_rng(0)
+    k = np.array([drawn_chain(problem, estimate, random).parameters["k"].numpy() for _ in range(400)])
+    assert k.mean(axis=0) == pytest.approx(15.0, abs=0.003)
+    assert k.std(axis=0) == pytest.approx(0.01, rel=0.2)
+
+
+def test_a_baseline_that_differs(right_estimate):
+    _, estimate = right_estimate
+    other = with_parameter(estimate, "k_2", estimate=16.0)
+    assert kinds(baseline_findings(estimate, other)) == [("baseline", "k_2")]
+    assert baseline_findings(estimate, with_parameter(other, "k_2", std=0.5)) == []
+    displacement = estimate.response.displacement * np.array([1.0, 1.0, 1.5])
+    moved = replace(estimate, response=replace(estimate.response, displacement=displacement))
+    assert kinds(baseline_findings(estimate, moved)) == [("baseline", "displacement of DOF 3")]
+    assert baseline_findings(estimate, None) == []

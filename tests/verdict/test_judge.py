@@ -1,0 +1,76 @@
+"""The verdict as a whole: the word, the cause first, and the truth nowhere."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frame_records import altered
+
+from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.judge import Verdict, judge
+
+
+def test_a_right_estimate_of_a_good_record_is_sound(right_estimate):
+    verdict = judge(*right_estimate)
+    assert (verdict.word, verdict.reasons, verdict.sound) == ("sound", (), True)
+    assert verdict.record() == {"verdict": "sound", "reasons": []}
+
+
+def test_the_worst_word_wins_and_a_reason_is_told_once():
+    one, other = Finding("a", "x", "first"), Finding("b", "y", "second", "failed")
+    verdict = Verdict.of([one, other, one])
+    assert (verdict.word, [f.text for f in verdict.reasons]) == ("failed", ["first", "second"])
+
+
+def test_it_never_sees_the_truth():
+    names = {"problem", "estimate", "baseline", "free_run"}
+    assert set(inspect.signature(judge).parameters) == names
+
+
+@pytest.mark.parametrize("kind", ["gain", "sign", "clip"])
+def test_a_ruined_channel_makes_it_questionable_and_comes_first(right_estimate, kind):
+    problem, estimate = right_estimate
+    change = {"gain": lambda x: 1.15 * x, "sign": lambda x: -x, "clip": lambda x: np.clip(x, -x.std(), x.std())}[kind]
+    verdict = judge(replace(problem, record=altered(problem.record, 2, change)), estimate)
+    assert not verdict.sound
+    assert verdict.reasons[0].kind == kind
+    assert verdict.reasons[0].suspect == "acceleration of DOF 2"
+
+
+def test_the_prescribed_chain_tells_the_cause_where_the_estimated_one_absorbed_it(right_estimate):
+    problem, estimate = right_estimate
+    absorbed = [replace(p, estimate=20.0) if p.name == "k_1" else p for p in estimate.parameters]
+    record = altered(problem.record, 3, lambda x: x / 9.80665)
+    verdict = judge(replace(problem, record=record), replace(estimate, parameters=absorbed))
+    assert verdict.word == "failed"
+    assert (verdict.reasons[0].kind, verdict.reasons[0].suspect) == ("unit", "acceleration of DOF 3")
+
+
+def test_a_wrong_mass_is_the_cause(right_estimate):
+    problem, estimate = right_estimate
+    m = problem.chain.parameters["m"].clone()
+    m[1] *= 5.0
+    verdict = judge(replace(problem, chain=problem.chain.with_parameters(m=m)), estimate)
+    assert (verdict.word, verdict.reasons[0].kind, verdict.reasons[0].suspect) == ("failed", "mass", "m_2")
+
+
+def test_a_wrong_unit_of_time_is_the_cause(right_estimate):
+    problem, estimate = right_estimate
+    record = replace(problem.record, time=1000.0 * problem.record.time)
+    verdict = judge(replace(problem, record=record), estimate)
+    assert (verdict.word, verdict.reasons[0].kind) == ("failed", "time_unit")
+
+
+def test_a_gain_that_believed_parameters_made_up_for_shows_against_the_prescribed_ones(right_estimate):
+    problem, estimate = right_estimate
+    one = problem.record.keep({"acceleration": [3]})
+    record = altered(one, 3, lambda x: 1.15 * x)
+    believed = tuple(replace(p, unknown=False) for p in problem.uncertain)
+    absorbed = [
+        replace(p, estimate=p.estimate / 1.07, prescribed=p.estimate, unknown=False) for p in estimate.parameters
+    ]
+    verdict = judge(replace(problem, record=record, uncertain=believed), replace(estimate, parameters=absorbed))
+    assert verdict.reasons[0].kind == "gain"
