@@ -62,7 +62,10 @@ def refined_history(values: np.ndarray, refinement: int, noise: float = 0.0) -> 
             weights = cho_solve(factor, known)
             windows = first[inside - first == place][:, None] + np.arange(width)
             out[here * refinement + part] = np.einsum("k,ikn->in", weights, values[windows])
-            spread[here * refinement + part] = np.sqrt(max(1.0 - weights @ known - nugget, 0.0))
+            spread[here * refinement + part] = 1.0 - weights @ known
+        # In the middle of a record next to nothing is left open but the samples' own noise.
+        parts = spread[part::refinement]
+        parts[:] = np.sqrt(np.maximum(parts - parts.min(), 0.0))
     return out, spread
 
 

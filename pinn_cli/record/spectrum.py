@@ -13,6 +13,8 @@ FINEST_FLOOR = 1e-7
 AVERAGED_PIECES = 8
 # Parts of a spectrum among which its emptiest is looked for; the Hann window spreads a mean over the lowest bins.
 SPECTRUM_PARTS, LOWEST_BINS = 16, 2
+# Fewer bins above a band are no floor.
+FEWEST_BINS = 12
 
 
 def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -103,6 +105,24 @@ def lowest_level(x: np.ndarray, step: float) -> float:
     frequency, power = periodogram(x, step)
     usable = power[LOWEST_BINS : np.searchsorted(frequency, USABLE_NYQUIST_FRACTION * frequency[-1], side="right")]
     return float(np.sqrt(min(np.mean(part) for part in np.array_split(usable, min(SPECTRUM_PARTS, len(usable))))))
+
+
+def visible_floor(x: np.ndarray, step: float) -> float | None:
+    """Standard deviation of the white noise that a channel (N,) shows above its band; None where it shows none.
+
+    What lies above the band passes for noise if its lower half has the power of its upper half, within a quarter and
+    what chance allows.
+    """
+    frequency, power = periodogram(x, step)
+    top = USABLE_NYQUIST_FRACTION * frequency[-1]
+    above = power[(frequency > signal_band(x, step)) & (frequency <= top)][LOWEST_BINS:]
+    if len(above) < FEWEST_BINS:
+        return None
+    lower, upper = np.array_split(above, 2)
+    chance = 3.0 * np.sqrt(1.0 / len(lower) + 1.0 / len(upper))
+    if upper.mean() <= 0 or abs(np.log(lower.mean() / upper.mean())) > np.log(1.25) + chance:
+        return None
+    return float(np.sqrt(above.mean()))
 
 
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:

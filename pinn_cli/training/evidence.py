@@ -63,6 +63,7 @@ class ForceResiduals:
         seen, unseen: (n,), sums of squares, N^2. Discrepancy and sensor noise make up the one, the noise of a force
             sensor alone the other.
         count, beyond: Independent values of each, for every DOF; ``beyond`` is 0 where nothing is out of reach.
+        left_open: (n,), sum of the logarithms by which variances between the samples exceed those at the samples.
         observer: (n,) what the features see of the observer's residual, and its weights; None without one.
     """
 
@@ -71,12 +72,13 @@ class ForceResiduals:
     unseen: np.ndarray
     count: int
     beyond: int
+    left_open: np.ndarray
     observer: tuple[np.ndarray, np.ndarray] | None
 
     def misfit(self, noise: NoiseModel) -> float:
         """Chi^2 and log variances of what the features see, and of the force sensors' noise beyond."""
         variance, enforced = noise.physics_variance, self.enforced
-        total = float((self.seen / variance + self.count * np.log(variance))[enforced].sum())
+        total = float((self.seen / variance + self.count * np.log(variance) + self.left_open)[enforced].sum())
         forced = np.isfinite(noise.force) & enforced & (noise.force_variance > 0)
         if self.beyond:
             sensor = noise.force_variance[forced]
@@ -155,6 +157,7 @@ class Evidence:
         if "observer" in residuals:
             seen_there = self.observer_projection.sum_of_squares(residuals["observer"])
             observer = seen_there, weight["observer"].cpu().numpy()
+        left_open = np.zeros(len(enforced))
         whole = equations.force_residual(point).square().sum((0, 1)).cpu().numpy()
         if equations.averages is None:
             seen, count = self.projection.sum_of_squares(residuals["physics"]), equations.network.count
@@ -162,9 +165,11 @@ class Evidence:
             trust = weight["physics"] * torch.as_tensor(noise.physics_variance).to(weight["physics"])
             seen = (residuals["physics"].square() * trust).sum((0, 1)).cpu().numpy()
             count = equations.averages.count
+            if trust.ndim > 1:
+                left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).cpu().numpy()
         samples = len(equations.problem.record.time)
         beyond = max(samples - count, 0) if equations.refinement == 1 else 0
-        return ForceResiduals(enforced, seen, np.maximum(whole - seen, 0.0), count, beyond, observer)
+        return ForceResiduals(enforced, seen, np.maximum(whole - seen, 0.0), count, beyond, left_open, observer)
 
     def followed_force(self) -> np.ndarray:
         """(N, n), the measured force as far as the features follow it; 0 where there is none."""

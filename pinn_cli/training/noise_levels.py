@@ -15,7 +15,7 @@ import torch
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
-from pinn_cli.record.spectrum import lowest_level
+from pinn_cli.record.spectrum import lowest_level, visible_floor
 from pinn_cli.training.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel
 from pinn_cli.training.normal_equations import Point
@@ -32,6 +32,12 @@ DRAWS = 16
 FEWEST_LEFT = 1e-3
 # A discrepancy below this part of the force that acts, or of a load cell's noise, makes no motion better known.
 FINEST_DISCREPANCY, FINEST_OF_NOISE = 1e-6, 1e-2
+# A load cell has at least the noise that its spectrum shows, times this: where the motion tells it no better, none would
+# do as well, and bands would be too narrow.
+CERTAIN_FLOOR = 1.0
+# Part of the samples that it counts for that sensors of one kind are alike: enough where the record leaves a sensor's
+# noise open, since the motion follows it wherever it goes, and next to nothing elsewhere.
+KINSHIP = 0.01
 # Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
 LONGEST_STRIDE = 5.0
 
@@ -134,10 +140,26 @@ def updated(evidence: Evidence, trained: Trained, floor: NoiseModel) -> NoiseMod
             continue
         there, square = mask.cpu().numpy(), residuals[name].square().sum((0, 1)).cpu().numpy()
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
-        level = _limited(np.sqrt(square / left), noise.response[name])
+        weight, usual = KINSHIP * samples, _usual_level(equations.problem.record, name, noise.response[name])
+        found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
+        level = _limited(np.sqrt(found), noise.response[name])
         response[name] = np.where(there, np.maximum(level, floor.response[name]), noise.response[name])
     force = np.maximum(_limited(force, noise.force), floor.force)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
+
+
+def _usual_level(record: Record, quantity: str, levels: np.ndarray) -> np.ndarray:
+    """(n,) noise that each sensor would have if it were as good as the others of its kind; 0 where nothing is known.
+
+    A lone sensor has what its spectrum shows above its band, if it shows any.
+    """
+    channels = getattr(record, quantity)
+    rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(record.ndof)
+    there = np.flatnonzero(record.sensors(quantity))
+    for dof in there:
+        others = [levels[other] / rms[other] for other in there if other != dof and rms[other] > 0]
+        out[dof] = rms[dof] * np.median(others) if others else visible_floor(channels[:, dof], record.step) or 0.0
+    return out
 
 
 def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np.ndarray, float]:
@@ -167,7 +189,10 @@ def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
     discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
     response = {q: np.fmin(finest[q], noise.response[q]) for q in RESPONSE_QUANTITIES}
-    return replace(noise, response=response, force=np.fmin(finest["force"], noise.force), discrepancy=discrepancy)
+    for dof in np.flatnonzero(record.sensors("force")):
+        shown = visible_floor(record.force[:, dof], record.step)
+        finest["force"][dof] = max(finest["force"][dof], CERTAIN_FLOOR * (shown or 0.0))
+    return replace(noise, response=response, force=finest["force"], discrepancy=discrepancy)
 
 
 def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarray:

@@ -18,7 +18,6 @@ from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, tangent, targets
-from pinn_cli.record.between_samples import averaged_noise
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.bordered import BorderedSystem
@@ -106,8 +105,7 @@ class NormalEquations:
         """See :class:`pinn_cli.training.noise_model.NoiseModel`."""
         if self.refinement == 1:
             return 1.0
-        width = 1.0 / self.network.free_intervals / self.problem.record.step
-        return self.refinement * averaged_noise(width)
+        return float(self.refinement)
 
     @cached_property
     def forces(self) -> Segments:

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.physics import estimated_response
-from pinn_cli.record.record import Response
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
+from pinn_cli.training.noise_levels import values_taken
 from pinn_cli.training.parameter_posterior import parameter_posterior
 from pinn_cli.training.posterior import Posterior
 
@@ -32,7 +33,8 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "stop_reason": "converged" if trained.solution.converged else "iteration limit",
         "log_evidence": trained.log_evidence,
         "features_per_dof": equations.network.count,
-        "sigma_discrepancy": trained.noise.discrepancy,
+        "effective_parameters": _effective_parameters(evidence, trained),
+        "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
         "parameter_spread": trained.noise.spread,
         "sigma_force": _listed(trained.noise.force),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
@@ -55,6 +57,14 @@ def _share_force(evidence: Evidence, trained: Trained, response: Response, std: 
     force_std = std.force.copy()
     force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * noise.force[forced] ** 2)
     return acting_force(response, filtered, noise), replace(std, force=force_std)
+
+
+def _effective_parameters(evidence: Evidence, trained: Trained) -> dict[str, list[float | None]]:
+    """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
+    record = evidence.equations.problem.record
+    taken = values_taken(evidence, trained).response
+    sensors = {quantity: record.sensors(quantity) for quantity in RESPONSE_QUANTITIES}
+    return {q: _listed(np.where(there, taken[q], np.nan)) for q, there in sensors.items() if there.any()}
 
 
 def _listed(sigma: np.ndarray) -> list[float | None]:

@@ -1,4 +1,4 @@
-"""What a spline cannot follow of a motion, read off its own equation of motion between the averages that it obeys."""
+"""What a spline cannot follow of a motion, and how many knots it takes to follow it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.physics import tangent
-from pinn_cli.record.spectrum import record_band
+from pinn_cli.record.spectrum import periodogram, record_band
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations, Point
@@ -25,19 +25,22 @@ LARGEST_FACTOR = 2.0
 def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
     """(n,) rms of what the spline cannot follow of the accelerations, m/s^2.
 
-    Averaged over a knot interval the equation of motion holds; what is left of it inside the intervals is inertia that
-    the spline lacks. On a DOF with a load cell that is the load cell's noise as well: there it is the largest of the
-    others, per mass.
+    Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
+    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
     """
     equations = evidence.equations
-    if equations.averages is None:
+    network = equations.network
+    if not isinstance(network, SplineNetwork):
         return np.zeros(equations.problem.record.ndof)
-    split = evidence.force_residuals(trained.solution.point, trained.noise)
-    points = max(equations.physics.samples - split.count, 1)
-    mass = equations.parameters(trained.solution.point)["m"].cpu().numpy()
-    error = np.sqrt(split.unseen / points) / mass
-    unforced = equations.target.unforced.cpu().numpy()
-    return np.where(unforced, error, error[unforced].max() if unforced.any() else 0.0)
+    motion = equations.flat_states(equations.physics, trained.solution.point).acceleration.cpu().numpy()
+    rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
+    errors = []
+    for column in motion.T:
+        frequency, power = periodogram(column, step)
+        below = frequency <= rate / 2.0
+        image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
+        errors.append(np.sqrt(2.0 * float(np.sum(power[below] * image)) / len(column)))
+    return np.array(errors)
 
 
 def knots_wanted(evidence: Evidence, trained: Trained) -> float:
