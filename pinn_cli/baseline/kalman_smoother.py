@@ -13,10 +13,9 @@ from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import Levels, StateSpace
 from pinn_cli.legal_values import fraction, positive_number, true_or_false, whole_number
-from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.noise_model import sensor_noise
+from pinn_cli.training.inference import inferred_sensor_noise
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +50,7 @@ class KalmanSmoother(Baseline):
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate | None:
         """See :meth:`Baseline.solve`."""
-        response, force = sensor_noise(Spline().build(problem.record), problem.record)
+        response, force = inferred_sensor_noise(problem, run.device)
         smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
         try:
             last = self._last_pass(smoother, Levels(response, force, smoother.space.force_scale))

@@ -11,14 +11,12 @@ from pinn_cli.errors import InputError
 from pinn_cli.legal_values import finite_number, positive_number
 from pinn_cli.override_errors import likely
 from pinn_cli.posterior.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
-from pinn_cli.record.record import Record
-from pinn_cli.scheme.starting_values import parameter_scales
-from pinn_cli.scheme.unknowns import Place, all_names, places_of
+from pinn_cli.scheme.unknowns import Place, places_of
 from pinn_cli.system.chain import Chain
 from pinn_cli.targets import construct
 
 SETTING = "scheme.priors"
-# Standard deviation of the priors that nobody chose, over the record's own scale of the parameter.
+# Standard deviation of the priors that nobody chose, over the scale of the parameter's start.
 WIDE = 10.0
 
 
@@ -48,19 +46,17 @@ def checked_priors(given: Mapping[str, Any] | None) -> dict[str, Prior]:
 
 
 def with_defaults(
-    priors: Mapping[Place, Prior], chain: Chain, record: Record, positive: Sequence[str]
+    priors: Mapping[Place, Prior], scales: Mapping[Place, float], positive: Sequence[str]
 ) -> dict[Place, Prior]:
-    """A prior for every parameter of the chain: where none was chosen a wide one, on the record's scale.
+    """A prior for every unknown parameter: where none was chosen a wide one, on the scale of its start.
 
     Args:
         priors: Those that were chosen.
-        chain: The prescribed model.
-        record: What was measured.
+        scales: Of every unknown parameter.
         positive: Kinds of parameters that cannot be negative: HalfNormal, otherwise Normal around zero.
     """
-    scales = {kind: WIDE * scale for kind, scale in parameter_scales(chain, record).items()}
-    wide = {kind: HalfNormal(s) if kind in positive else Normal(0.0, s) for kind, s in scales.items()}
-    return {place: priors.get(place, wide[place[0]]) for place in all_names(chain).values()}
+    wide = {p: HalfNormal(WIDE * s) if p[0] in positive else Normal(0.0, WIDE * s) for p, s in scales.items()}
+    return {place: priors.get(place, wide[place]) for place in scales}
 
 
 def _prior(setting: str, node: Any) -> Prior:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
-from pinn_cli.scheme.starting_values import parameter_scales, starting_value
+from pinn_cli.scheme.starts import Start, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, unknown_places
 from pinn_cli.system.chain import Chain
 
@@ -74,22 +75,28 @@ class Bayesian(Scheme):
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != "m"]
         places = unknown_places(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
         check_given(prescribed, places)
-        priors = with_defaults(read_priors(self.priors, prescribed), prescribed, record, self.positive)
-        scales = parameter_scales(prescribed, record)
-        unknown = tuple(_unknown(place, priors[place], scales[place[0]]) for place in places)
+        starts = parameter_starts(prescribed, record, places, _given(prescribed, record, places), most=1)[0]
+        scales = {place: start.scale for place, start in starts.items()}
+        priors = with_defaults(read_priors(self.priors, prescribed), scales, self.positive)
+        unknown = tuple(_unknown(place, priors[place], starts[place]) for place in places)
         chain = forgetful(prescribed, unknown)
         chosen = {place: priors[place] for place in places}
         return Problem(chain, record, unknown, self.acceleration_through, chosen, self.initial_motion)
 
 
-def _unknown(place: Place, prior: Prior, scale: float) -> UncertainParameter:
+def _given(prescribed: Chain, record: Record, places: Collection[Place]) -> dict[Place, float]:
+    """What the user says of a measured structure's unknown parameters; of a simulated one it would be the truth."""
+    own = {(kind, dof): float(prescribed.parameters[kind][dof]) for kind, dof in places}
+    return {} if record.simulated else {place: value for place, value in own.items() if math.isfinite(value)}
+
+
+def _unknown(place: Place, prior: Prior, start: Start) -> UncertainParameter:
     """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says."""
     kind, dof = place
     centre, width = prior.mean, prior.std
     chosen = np.isfinite(centre) and np.isfinite(width) and width > 0
-    scale = max(scale, abs(centre), width) if chosen else scale
-    start = centre if chosen and centre != 0 else starting_value(kind, scale)
-    return UncertainParameter(kind, dof, float(start), WIDTH * scale, scale, True, prior.positive)
+    scale = max(start.scale, abs(centre), width) if chosen else start.scale
+    return UncertainParameter(kind, dof, start.value, WIDTH * scale, scale, True, prior.positive)
 
 
 def _check_sensors(record: Record) -> None:

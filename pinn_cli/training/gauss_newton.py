@@ -21,7 +21,7 @@ from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.history import History
-from pinn_cli.training.inference import InferenceSettings, Inferred, inferred, starting_noise
+from pinn_cli.training.inference import ITERATIONS, TOLERANCE, InferenceSettings, Inferred, inferred, starting_noise
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.posterior_estimate import posterior_estimate
@@ -49,8 +49,8 @@ class GaussNewton(Training):
 
     def __init__(
         self,
-        iterations: int = 12,
-        tolerance: float = 1e-6,
+        iterations: int = ITERATIONS,
+        tolerance: float = TOLERANCE,
         weights: str | Mapping[str, float] = "inferred",
         learn_spread: bool = True,
         pooled: bool = False,

@@ -5,19 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
 from pinn_cli.errors import DivergenceError
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_levels import settled, starting_levels
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_levels import settled
+from pinn_cli.training.noise_model import NoiseModel, starting_levels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.resolution import carried_over, knots_wanted
 from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.simulated_start import simulated_start
 
+# Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
+ITERATIONS, TOLERANCE = 12, 1e-6
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
 
@@ -64,6 +69,19 @@ def inferred(
             break
         design, found = finer, again
     return Inferred(found.evidence, found.evidence.widen_for_colour(found.trained))
+
+
+def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Noise of every response sensor and of every force sensor, each (n,), for estimators that infer none themselves.
+
+    That of a spline's solution of the same problem; where there is none, what the spectra show.
+    """
+    settings, history = InferenceSettings(ITERATIONS, TOLERANCE, learn_spread=True, pooled=False), History(False)
+    try:
+        found = _best_start(replace(problem, alternatives=()), Spline(), settings, device, history)
+    except DivergenceError:
+        return starting_levels(problem.record)
+    return found.trained.noise.response, found.trained.noise.force
 
 
 def _best_start(

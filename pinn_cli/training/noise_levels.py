@@ -15,13 +15,11 @@ import torch
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
-from pinn_cli.record.spectrum import lowest_level, visible_floor
+from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.training.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel
 from pinn_cli.training.normal_equations import Point
 
-# Where a sensor's noise starts, over the rms of its channel, unless the emptiest part of its spectrum has less.
-FIRST_SENSOR = 0.1
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
 # Most that a standard deviation may change in one round: the solution under it has to follow.
@@ -40,24 +38,6 @@ CERTAIN_FLOOR = 1.0
 KINSHIP = 0.01
 # Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
 LONGEST_STRIDE = 5.0
-
-
-def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Where the noise of every response sensor and of every force sensor starts, each (n,), NaN where there is none.
-
-    The emptiest part of a channel's spectrum bounds its noise from above; the scatter of repeats tells it.
-    """
-    levels = {}
-    for quantity in QUANTITIES:
-        levels[quantity] = np.full(record.ndof, np.nan)
-        for dof in np.flatnonzero(record.sensors(quantity)):
-            channel = getattr(record, quantity)[:, dof]
-            rms = float(np.sqrt(np.mean(channel**2)))
-            level = min(FIRST_SENSOR * rms, lowest_level(channel, record.step))
-            if record.repeats is not None:
-                level = float(record.repeats.noise_of_mean(quantity)[dof])
-            levels[quantity][dof] = max(level, FINEST_SENSOR * rms)
-    return {quantity: levels[quantity] for quantity in RESPONSE_QUANTITIES}, levels["force"]
 
 
 def settled(evidence: Evidence, trained: Trained, pooled: bool = False) -> Trained:

@@ -15,12 +15,16 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
-from pinn_cli.record.spectrum import white_level
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import lowest_level, white_level
 
 # No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error
 # rule.
 FINEST_SENSOR = 1e-6
+# Where a sensor's noise starts, over the rms of its channel, unless the emptiest part of its spectrum has less.
+FIRST_SENSOR = 0.1
+# Features over samples from which on they follow whatever the samples are.
+FOLLOWS_ALL = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,11 +141,32 @@ class FeatureProjection:
         return (values.cpu() - self.segments.scatter(fitted.to(self.segments.mask.device)).cpu()).numpy()
 
 
+def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Where the noise of every response sensor and of every force sensor starts, each (n,), NaN where there is none.
+
+    The emptiest part of a channel's spectrum bounds its noise from above; the scatter of repeats tells it.
+    """
+    levels = {}
+    for quantity in QUANTITIES:
+        levels[quantity] = np.full(record.ndof, np.nan)
+        for dof in np.flatnonzero(record.sensors(quantity)):
+            channel = getattr(record, quantity)[:, dof]
+            rms = float(np.sqrt(np.mean(channel**2)))
+            level = min(FIRST_SENSOR * rms, lowest_level(channel, record.step))
+            if record.repeats is not None:
+                level = float(record.repeats.noise_of_mean(quantity)[dof])
+            levels[quantity][dof] = max(level, FINEST_SENSOR * rms)
+    return {quantity: levels[quantity] for quantity in RESPONSE_QUANTITIES}, levels["force"]
+
+
 def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """White noise of every response sensor and of every force sensor, each (n,), NaN where there is none.
 
-    From the scatter of repeats where there are any, otherwise from what the features cannot follow.
+    From the scatter of repeats where there are any, otherwise from what the features cannot follow, and where they
+    follow everything from the emptiest part of each spectrum.
     """
+    if network.count > FOLLOWS_ALL * len(record.time):
+        return starting_levels(record)
     segments = network.segments(torch.as_tensor(record.time))
     output = first_output(network, segments)
     value, rate, curvature = output_features(network, segments)

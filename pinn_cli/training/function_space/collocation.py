@@ -22,7 +22,8 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features, sensor_noise
+from pinn_cli.training.inference import inferred_sensor_noise
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 
 # Points per period of the record's band; below that a motion between the points is seen by nothing.
 FEWEST_PER_PERIOD = 2.5
@@ -59,7 +60,7 @@ def collocate(problem: Problem, every: Targets, points: int | None, most_rows: i
     """
     record, target = problem.record, every
     network = Spline().build(record)
-    response, force = sensor_noise(network, record)
+    response, force = inferred_sensor_noise(problem, str(every.force.device))
     count = _points(problem, points, most_rows, network.count)
     samples = torch.as_tensor(uniform_subset(len(record.time), count), device=every.force.device)
     if network.count < len(record.time):
