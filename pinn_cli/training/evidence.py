@@ -186,7 +186,9 @@ class Evidence:
         network = self.equations.network
         return FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
 
-    def search(self, noise: NoiseModel, force: float, second_start: Callable[[], Point | None]) -> Trained:
+    def search(
+        self, noise: NoiseModel, force: float, second_start: Callable[[], Point | None], refined: bool = True
+    ) -> Trained:
         """Most probable discrepancy and spread, from rest and, where that finds no good model, from another start.
 
         Where a structure is strongly nonlinear, the motion that soft physics finds may lie in the wrong valley.
@@ -195,23 +197,24 @@ class Evidence:
             noise: Sensor noise; its discrepancy is ignored.
             force: That acts, N.
             second_start: Another motion to begin with; None: there is none.
+            refined: Whether to close in on the peak; not where all levels settle together afterwards.
 
         Raises:
             DivergenceError: Even the softest physics cannot be solved.
         """
-        found = self.scan(noise, force, self.equations.start())
+        found = self.scan(noise, force, self.equations.start(), refined)
         if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
             return found
         start = second_start()
         if start is None:
             return found
         try:
-            other = self.scan(noise, SUSPICIOUS_DISCREPANCY * force, start)
+            other = self.scan(noise, SUSPICIOUS_DISCREPANCY * force, start, refined)
         except DivergenceError:
             return found
         return max(found, other, key=lambda trained: trained.log_evidence)
 
-    def scan(self, noise: NoiseModel, largest: float, start: Point) -> Trained:
+    def scan(self, noise: NoiseModel, largest: float, start: Point, refined: bool = True) -> Trained:
         """Most probable discrepancy and spread of the parameters, searched from soft physics to stiff.
 
         Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
@@ -222,6 +225,7 @@ class Evidence:
             noise: Sensor noise; its discrepancy is ignored.
             largest: Where to begin, N: with a start at rest the force that acts.
             start: The motion to begin with.
+            refined: See :meth:`search`.
 
         Raises:
             DivergenceError: The first problem cannot be solved.
@@ -245,7 +249,7 @@ class Evidence:
             raise DivergenceError(
                 "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
             )
-        return self._settle_spread(self._refine(tried, best))
+        return self._settle_spread(self._refine(tried, best)) if refined else best
 
     def _refine(self, tried: list[Trained], best: Trained) -> Trained:
         """Close in on the most probable discrepancy by parabolas through the best and its neighbours."""

@@ -99,7 +99,8 @@ def _best_start(
         noise = starting_noise(evidence)
         noise = noise.pooled() if settings.pooled else noise
         try:
-            trained = evidence.search(noise, noise.discrepancy, partial(simulated_start, evidence.equations))
+            second = partial(simulated_start, evidence.equations)
+            trained = evidence.search(noise, noise.discrepancy, second, refined=False)
         except DivergenceError as error:
             failure = error
             continue

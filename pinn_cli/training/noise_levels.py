@@ -25,7 +25,7 @@ ROUNDS, SETTLED = 25, 0.01
 # Most that a standard deviation may change in one round: the solution under it has to follow.
 LARGEST_CHANGE = 10.0
 # Draws from the posterior that tell how many values the solution has taken up.
-DRAWS = 16
+DRAWS = 8
 # Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
 FEWEST_LEFT = 1e-3
 # A discrepancy below this part of the force that acts, or of a load cell's noise, makes no motion better known.

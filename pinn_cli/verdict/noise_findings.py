@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
 from pinn_cli.verdict.channel import Channel, channels
 from pinn_cli.verdict.finding import Finding
@@ -26,7 +25,7 @@ LARGE_DISCREPANCY, AS_LARGE_AS_FORCE = 0.2, 0.7
 # A white residual's power in one of so many bands is within a factor of two of their median's. The coloured part
 # counts where it is this share of the channel's own power: a gain 7 % off leaves it.
 BANDS, COLOURED, COLOURED_SHARE = 24, 5.0, 0.005
-# Effective parameters over samples of a channel: from here on the channel is copied rather than estimated.
+# Effective parameters over samples of all channels: from here on they are copied rather than estimated.
 COPIED = 0.9
 NOT_CONVERGED = "iteration limit"
 
@@ -53,7 +52,9 @@ def _level(channel: Channel, estimate: Estimate) -> Finding | None:
         return None
     if level <= BOUND * rms:
         text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
-        return Finding("noise_at_bound", channel.name, f"{text}; use fewer knots (network.spacing) or more sensors")
+        return Finding(
+            "noise_at_bound", channel.name, f"{text}; use fewer knots (network.knots_per_period) or more sensors"
+        )
     if level >= NOTHING_EXPLAINED * rms:
         text = (
             f"the noise found in the {channel.name} is {100 * level / rms:.0f} % of its rms: nothing of it is explained"
@@ -110,18 +111,19 @@ def _numbers(levels: Any) -> list[float]:
 
 
 def _copied(record: Record, estimate: Estimate) -> list[Finding]:
+    """As many effective parameters as samples, over all response sensors.
+
+    One accelerometer beside a poor load cell is rightly followed wherever it goes; all of them are not.
+    """
     by_quantity = estimate.summary.get("effective_parameters")
     if not isinstance(by_quantity, Mapping):
         return []
-    found = []
-    for quantity in RESPONSE_QUANTITIES:
-        for dof, count in enumerate(by_quantity.get(quantity) or ()):
-            if count is not None and count >= COPIED * len(record.time):
-                name = Channel(quantity, dof, record.time).name
-                text = f"{count:.0f} effective parameters follow the {len(record.time)} samples of the {name}"
-                remedy = "use fewer knots (network.spacing), or check that sensor and the model"
-                found.append(Finding("copied", name, f"{text}; {remedy}"))
-    return found
+    counts = [count for values in by_quantity.values() for count in values if count is not None]
+    samples = len(counts) * len(record.time)
+    if not counts or sum(counts) < COPIED * samples:
+        return []
+    text = f"{sum(counts):.0f} effective parameters follow the {samples} samples of all sensors: they were copied"
+    return [Finding("copied", "sensors", f"{text}; check the model, or use fewer knots (network.knots_per_period)")]
 
 
 def _unfinished(estimate: Estimate) -> list[Finding]:
