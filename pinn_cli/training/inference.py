@@ -23,6 +23,9 @@ from pinn_cli.training.simulated_start import simulated_start
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
+# A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
+# noisy as their spectra say.
+NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
 
@@ -99,8 +102,7 @@ def _best_start(
         noise = starting_noise(evidence)
         noise = noise.pooled() if settings.pooled else noise
         try:
-            second = partial(simulated_start, evidence.equations)
-            trained = evidence.search(noise, noise.discrepancy, second, refined=False)
+            trained = _searched(evidence, noise)
         except DivergenceError as error:
             failure = error
             continue
@@ -108,6 +110,23 @@ def _best_start(
     if not solutions:
         raise failure or DivergenceError("there is no start")
     return max(solutions, key=lambda found: found.trained.log_evidence)
+
+
+def _searched(evidence: Evidence, noise: NoiseModel) -> Trained:
+    """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
+
+    Raises:
+        DivergenceError: Even the softest physics cannot be solved.
+    """
+    second = partial(simulated_start, evidence.equations)
+    best = evidence.search(noise, noise.discrepancy, second, refined=False)
+    for factor in NOISIER:
+        if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
+            break
+        response = {quantity: factor * level for quantity, level in noise.response.items()}
+        again = evidence.search(replace(noise, response=response), noise.discrepancy, second, refined=False)
+        best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))
+    return best
 
 
 def starting_noise(evidence: Evidence) -> NoiseModel:

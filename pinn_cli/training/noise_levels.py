@@ -57,7 +57,8 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False) -> Train
         change = _log_levels(found) - _log_levels(trained.noise)
         noise = _moved(trained.noise, _stride(steps, change), floor).with_spread(evidence.learned_spread(trained))
         again = evidence.train(noise, trained.solution.point)
-        if again is None or not again.solution.converged:
+        # One that is still on its way is followed as long as it is the more probable one already.
+        if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
             break
         steps.append(change)
         gain, trained = again.log_evidence - trained.log_evidence, again

@@ -16,12 +16,13 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
-from pinn_cli.record.spectrum import lowest_level, white_level
+from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
 
 # No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error
 # rule.
 FINEST_SENSOR = 1e-6
-# Where a sensor's noise starts, over the rms of its channel, unless the emptiest part of its spectrum has less.
+# Where a sensor's noise starts that no spectrum shows, over the rms of its channel, unless the emptiest part of its
+# spectrum has less.
 FIRST_SENSOR = 0.1
 # Features over samples from which on they follow whatever the samples are.
 FOLLOWS_ALL = 0.9
@@ -144,7 +145,8 @@ class FeatureProjection:
 def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Where the noise of every response sensor and of every force sensor starts, each (n,), NaN where there is none.
 
-    The emptiest part of a channel's spectrum bounds its noise from above; the scatter of repeats tells it.
+    What a channel's spectrum shows above its band, if it shows anything; else its emptiest part, which bounds the noise
+    from above; the scatter of repeats tells it.
     """
     levels = {}
     for quantity in QUANTITIES:
@@ -152,7 +154,7 @@ def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
         for dof in np.flatnonzero(record.sensors(quantity)):
             channel = getattr(record, quantity)[:, dof]
             rms = float(np.sqrt(np.mean(channel**2)))
-            level = min(FIRST_SENSOR * rms, lowest_level(channel, record.step))
+            level = visible_floor(channel, record.step) or min(FIRST_SENSOR * rms, lowest_level(channel, record.step))
             if record.repeats is not None:
                 level = float(record.repeats.noise_of_mean(quantity)[dof])
             levels[quantity][dof] = max(level, FINEST_SENSOR * rms)
