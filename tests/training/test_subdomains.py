@@ -98,6 +98,7 @@ def dynamic_stiffness_error(degree: int, per_period: float) -> float:
     found = Subdomains(network.segments(time))
     omega = 2.0 * np.pi / per_period
     sine = torch.sin(omega * time)[:, None]
+
     # m u'' + c u' + k u = f with the sine its exact solution: far from resonance, so that k is told.
     def rows(values: torch.Tensor) -> np.ndarray:
         local = found(values)[:, 0].numpy()
