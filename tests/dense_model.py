@@ -14,7 +14,8 @@ from pinn_cli.physics import hold_delay
 class DenseModel:
     """Displacement and velocity of every DOF, the force residual, and their variances under an example's noise.
 
-    The discrepancy is as rich as the features: what they cannot follow of a measured force is its sensor's noise alone.
+    The equation of motion holds on the average over every knot interval, with those at the ends divided until there are
+    as many averages as features but two. What the features cannot follow of a measured force is its sensor's noise alone.
     Weights are (K, n); parameters are a vector in the order of the problem's uncertain ones.
     """
 
@@ -29,6 +30,8 @@ class DenseModel:
         self.at_force = tuple(spline.derivative(order)(later) for order in range(3))
         self.record, self.shape = record, (network.count, record.ndof)
         self.basis = np.linalg.qr(self.at_force[0])[0]
+        cell = np.clip(np.floor((later - network.start) / width).astype(int), 0, network.intervals - 1)
+        self.averaging = averaging_matrix(cell, network.intervals, network.count - 2)
         self.forced = record.sensors("force")
         self.set_noise(s)
         self.values = {kind: value.numpy().copy() for kind, value in self.problem.chain.parameters.items()}
@@ -66,9 +69,10 @@ class DenseModel:
         kappa = p.get("kappa", np.zeros(self.shape[1]))
         carried = p["c"] * de + p["k"] * e + kappa * e**3
         residual = p["m"] * a + carried - np.append(carried[:, 1:], np.zeros((len(u), 1)), axis=1) - self.record.force
+        seen = self.averaging.T @ (self.averaging @ residual)
         finer = np.zeros(self.shape[1])
-        finer[self.forced] = 1.0 / self.sensor - 1.0 / self.variance[self.forced]
-        weighted = 2.0 * (residual / self.variance + self.unseen(residual) * finer)
+        finer[self.forced] = 1.0 / self.sensor
+        weighted = 2.0 * (seen / self.variance + self.unseen(residual) * finer)
         total += 0.5 * float(np.sum(residual * weighted))
         by_carried = np.diff(weighted, axis=1, prepend=0.0)
         by_e, by_de = by_carried * (p["k"] + 3.0 * kappa * e**2), by_carried * p["c"]
@@ -83,10 +87,9 @@ class DenseModel:
         return total, by_weights, np.array(by_theta)
 
     def squares_of_force(self, weights: np.ndarray, theta: Sequence[float]) -> tuple[float, float]:
-        """Sum of squares of the measured forces' residuals that the features can follow, and of the rest, N^2."""
+        """Sum of squares of the averages of the measured forces' residuals, and of what no feature follows, N^2."""
         residual = (self.required(weights, theta) - self.record.force) * self.forced
-        rest = float(np.sum(self.unseen(residual) ** 2))
-        return float(np.sum(residual**2)) - rest, rest
+        return float(np.sum((self.averaging @ residual) ** 2)), float(np.sum(self.unseen(residual) ** 2))
 
     def required(self, weights: np.ndarray, theta: Sequence[float]) -> np.ndarray:
         """(N, n), the force that a motion takes."""
@@ -108,10 +111,10 @@ class DenseModel:
         self.set_noise(s)
         least, determinant = self.marginal(theta)
         forced, repeats = self.forced, self.record.repeats
-        count, samples = self.shape[0], len(self.record.time)
+        count, samples, averages = self.shape[0], len(self.record.time), len(self.averaging)
         unseen = np.sum(self.unseen(self.force(theta) - self.record.force)[:, forced] ** 2, axis=0)
-        least += float(np.sum(unseen * (1.0 / self.sensor - 1.0 / self.variance[forced])))
-        logarithms = count * np.log(self.variance).sum() + 2.0 * (samples - count) * forced.sum() * s
+        least += float(np.sum(unseen / self.sensor))
+        logarithms = averages * np.log(self.variance).sum() + 2.0 * (samples - count) * forced.sum() * s
         if repeats is not None:
             logarithms += (repeats.square["force"][forced] / (repeats.count * self.sensor)).sum()
             logarithms += 2.0 * repeats.freedom * forced.sum() * s
@@ -130,7 +133,8 @@ class DenseModel:
         chain = np.kron(np.diag(p["m"]), curvature)
         for kind, features in (("c", rate), ("k", value)):
             chain += np.kron(below.T @ np.diag(p[kind]) @ below, features)
-        groups = [(chain, self.record.force, np.sqrt(self.variance))]
+        chain = np.kron(np.eye(n), self.averaging) @ chain
+        groups = [(chain, self.averaging @ self.record.force, np.sqrt(self.variance))]
         for name, features in (("displacement", self.value), ("velocity", self.rate)):
             groups.append((np.kron(np.eye(n), features), getattr(self.record, name), self.noise.response[name]))
         hessian, right, constant = np.zeros((n * count, n * count)), np.zeros(n * count), 0.0
@@ -140,3 +144,31 @@ class DenseModel:
             right += matrix.T @ (weight * measured.T.ravel())
             constant += float(np.sum(weight * measured.T.ravel() ** 2))
         return hessian, right, constant
+
+
+def averaging_matrix(cell: np.ndarray, intervals: int, wanted: int) -> np.ndarray:
+    """(wanted, N): sums over the samples of an interval, or of a part of one, over the root of their number.
+
+    Args:
+        cell: (N,), the interval of every sample, none of them empty.
+        intervals: In all.
+        wanted: Rows; intervals are divided into three at most, alternately from the beginning and from the end.
+    """
+    points = np.bincount(cell, minlength=intervals)
+    pieces, lacking = np.ones(intervals, dtype=int), wanted - intervals
+    for order, share in (
+        (range(intervals), (lacking + 1) // 2),
+        (reversed(range(intervals)), lacking // 2),
+    ):
+        for group in order:
+            more = min(share, min(points[group], 3) - pieces[group])
+            pieces[group], share = pieces[group] + more, share - more
+    rows = []
+    for group in range(intervals):
+        samples = np.flatnonzero(cell == group)
+        piece = np.arange(len(samples)) * pieces[group] // len(samples)
+        for part in range(pieces[group]):
+            row = np.zeros(len(cell))
+            row[samples[piece == part]] = 1.0 / np.sqrt(np.sum(piece == part))
+            rows.append(row)
+    return np.array(rows)

@@ -19,7 +19,9 @@ def test_a_run_leaves_what_was_unknown_and_what_was_found(pinn_run: PinnRun) -> 
     assert set(table["scheme"]) == {"state_parameter"}
     assert list(table.index) == [f"{kind}_{dof}" for kind in ("c", "k", "kappa") for dof in (1, 2, 3)]
     assert table.loc[["k_2", "kappa_2"], "true"].tolist() == [15.0, 100.0]
-    assert table.loc[["k_2", "kappa_2"], "start"].tolist() == [5.0, 0.0]
+    # The linear chain that comes nearest to the record takes the place of the stiffness that was given.
+    assert 0.1 * 15.0 < table.loc["k_2", "start"] < 10.0 * 15.0
+    assert table.loc["kappa_2", "start"] == 0.0
     assert table.loc["k_1", "prescribed"] == 15.0
     assert (table["start"].isna() != table["prescribed"].isna()).all()
     assert table.drop(columns=["start", "prescribed"]).notna().all(axis=None)

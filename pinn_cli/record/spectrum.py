@@ -13,8 +13,9 @@ FINEST_FLOOR = 1e-7
 AVERAGED_PIECES = 8
 # Parts of a spectrum among which its emptiest is looked for; the Hann window spreads a mean over the lowest bins.
 SPECTRUM_PARTS, LOWEST_BINS = 16, 2
-# Fewer bins above a band are no floor.
-FEWEST_BINS = 12
+# Fewer bins above a band are no floor, and neither is more than this part of a channel's power: a signal that fills the
+# spectrum evenly looks like that.
+FEWEST_BINS, MOST_OF_POWER = 12, 0.5
 
 
 def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -121,6 +122,8 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
     lower, upper = np.array_split(above, 2)
     chance = 3.0 * np.sqrt(1.0 / len(lower) + 1.0 / len(upper))
     if upper.mean() <= 0 or abs(np.log(lower.mean() / upper.mean())) > np.log(1.25) + chance:
+        return None
+    if above.mean() > MOST_OF_POWER * power.mean():
         return None
     return float(np.sqrt(above.mean()))
 

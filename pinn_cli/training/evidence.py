@@ -158,9 +158,11 @@ class Evidence:
             seen_there = self.observer_projection.sum_of_squares(residuals["observer"])
             observer = seen_there, weight["observer"].cpu().numpy()
         left_open = np.zeros(len(enforced))
-        whole = equations.force_residual(point).square().sum((0, 1)).cpu().numpy()
+        forces = equations.force_residual(point)
+        followed = self.projection.sum_of_squares(forces)
+        unseen = np.maximum(forces.square().sum((0, 1)).cpu().numpy() - followed, 0.0)
         if equations.averages is None:
-            seen, count = self.projection.sum_of_squares(residuals["physics"]), equations.network.count
+            seen, count = followed, equations.network.count
         else:  # averages between the samples count as far as the samples tell what acts there
             trust = weight["physics"] * torch.as_tensor(noise.physics_variance).to(weight["physics"])
             seen = (residuals["physics"].square() * trust).sum((0, 1)).cpu().numpy()
@@ -168,8 +170,9 @@ class Evidence:
             if trust.ndim > 1:
                 left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).cpu().numpy()
         samples = len(equations.problem.record.time)
-        beyond = max(samples - count, 0) if equations.refinement == 1 else 0
-        return ForceResiduals(enforced, seen, np.maximum(whole - seen, 0.0), count, beyond, left_open, observer)
+        # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
+        beyond = max(samples - equations.network.count, 0) if equations.refinement == 1 else 0
+        return ForceResiduals(enforced, seen, unseen, count, beyond, left_open, observer)
 
     def followed_force(self) -> np.ndarray:
         """(N, n), the measured force as far as the features follow it; 0 where there is none."""

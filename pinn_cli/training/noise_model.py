@@ -118,8 +118,10 @@ class FeatureProjection:
         band = torch.zeros((span + 1) * segments.count, dtype=gram.dtype)
         band.index_add_(0, ((row - column) * segments.count + column)[lower], gram[lower])
         array = band.reshape(span + 1, -1).numpy()
-        # Derivatives of splines are one polynomial short of independent: a touch of ridge decides among equals.
-        array[0] += 1e-10 * array[0].max()
+        # Derivatives of splines are one polynomial short of independent: a touch of ridge decides among equals. It is
+        # relative to each feature: those that only just reach into the record are small, and features all the same.
+        array[0] *= 1.0 + 1e-10
+        array[0] += 1e-15 * array[0].max()
         self.factor = cholesky_banded(array, lower=True)
 
     def _moments(self, values: Tensor) -> np.ndarray:

@@ -259,9 +259,9 @@ class NormalEquations:
         return self._system(sums, point, self.precision(noise))
 
     def _sums(self) -> TimeMajorSums | DofMajorSums:
-        """Nothing yet, in the order of the layout."""
+        """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""
         features, kinds, n = self.physics.feature.shape[1], len(self.kinds), self.problem.record.ndof
-        if self.layout.feature_first:
+        if isinstance(self.network, SplineNetwork):
             return TimeMajorSums(self.network.channels, features, self.physics.count, n, kinds)
         return DofMajorSums(self.layout, features, kinds, self.target.force)
 

@@ -9,11 +9,13 @@ from small_problems import accelerations, measured, small_chain, sped_up
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.spectrum import (
     band_share,
+    lowest_level,
     occupied_band,
     periodogram,
     record_band,
     signal_band,
     signal_edges,
+    visible_floor,
     white_level,
 )
 
@@ -150,3 +152,52 @@ def test_silence_is_white():
 def test_no_histories_fill_the_whole_band():
     """As where the force on every DOF is unknown, and no equation of motion has a residual."""
     assert occupied_band(np.empty((SAMPLES, 0)), STEP, 10.0) == 1.0
+
+
+def test_the_lowest_level_is_that_of_white_noise_and_no_less_than_its_part():
+    found = [lowest_level(white(0.2, seed=seed)[:, 0], STEP) for seed in range(20)]
+    # The least of sixteen means over 51 frequencies each: a little below.
+    assert np.mean(found) == pytest.approx(0.2, rel=0.2)
+    assert max(found) < 0.21
+
+
+@pytest.mark.parametrize("low", [0.1, 6.0])
+def test_the_lowest_level_is_found_beside_a_signal_wherever_that_lies(low):
+    """A record whose content reaches the Nyquist frequency shows its noise below its band."""
+    nyquist = 0.5 / STEP
+    for high in (0.3 * nyquist, 0.99 * nyquist):
+        x = banded(low, high)[:, 0] + white(0.01)[:, 0]
+        if low < 1.0 and high > 0.9 * nyquist:
+            assert lowest_level(x, STEP) > 0.1  # nothing but signal: an upper bound
+        else:
+            assert lowest_level(x, STEP) == pytest.approx(0.01, rel=0.3)
+
+
+def test_the_lowest_level_bounds_the_noise_of_a_short_channel():
+    x = np.random.default_rng(0).normal(size=40)
+    assert 0.0 < lowest_level(x, 1.0) < 1.5
+
+
+@pytest.mark.parametrize("noise", [1e-3, 0.03, 0.3])
+def test_the_visible_floor_is_the_noise_above_the_band(noise):
+    found = [visible_floor(banded(0.1, 8.0)[:, 0] + white(noise, seed=seed)[:, 0], STEP) for seed in range(10)]
+    np.testing.assert_allclose(found, noise, rtol=0.15)
+
+
+def test_there_is_no_visible_floor_where_the_signal_reaches_the_nyquist_frequency():
+    x = banded(0.1, 0.79 * 0.5 / STEP)[:, 0] + white(0.01)[:, 0]
+    assert visible_floor(x, STEP) is None
+
+
+def test_a_slope_above_the_band_is_no_floor():
+    """The response of a structure to broadband noise falls off above its band; that is not what its sensor adds."""
+    frequency = np.fft.rfftfreq(SAMPLES, STEP)
+    for power in (1, 2):
+        spectrum = np.fft.rfft(white(1.0, seed=4)[:, 0]) / np.maximum(frequency, 1.0) ** power
+        assert visible_floor(np.fft.irfft(spectrum, SAMPLES), STEP) is None
+
+
+def test_floors_go_with_the_unit():
+    x = banded(0.1, 4.0)[:, 0] + white(0.05)[:, 0]
+    for level in (lowest_level, visible_floor):
+        assert level(1e-6 * x, STEP) == pytest.approx(1e-6 * level(x, STEP))

@@ -125,6 +125,7 @@ def test_a_problem_has_no_way_to_the_truth():
         "acceleration_through",
         "priors",
         "initial_motion",
+        "alternatives",
     }
     record = hints(Problem)["record"]
     assert not {Truth, Measurements} & reachable(record, set())

@@ -201,5 +201,5 @@ def test_a_preset_of_real_runs(pinn_run: PinnRun, tmp_path: Path, monkeypatch: p
     last = scores[scores["withheld_dof"] == "all"]
     assert sorted(trials["score"]) == pytest.approx(sorted(last["score"]))  # jobs are in the order of their names
     first = {name: trials[name].iloc[0] for name in ("network.knots_per_period", "network.degree")}
-    assert first == {"network.knots_per_period": 4.0, "network.degree": 5}
+    assert first == {"network.knots_per_period": 4.0, "network.degree": 6}
     assert "best of 2 trials" in outcome.out

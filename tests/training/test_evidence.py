@@ -38,8 +38,10 @@ def disturbed(
     record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
     equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record, (), through))
     noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
-    # K values per DOF carry the power of N samples.
-    put_in = level * np.sqrt(SAMPLES / equations.network.count)
+    # An average over a knot interval carries the power of its samples, less what varies within the interval: of what
+    # fills the band up to f, the mean of sinc^2 up to f times the interval.
+    within = np.sinc(np.linspace(0.0, band[1] * equations.network.spacing, 101))
+    put_in = level * np.sqrt(SAMPLES / INTERVALS * np.mean(within**2))
     return Evidence(equations, 12, 1e-6, lambda losses, noise: None), noise, put_in
 
 
@@ -75,20 +77,23 @@ def test_the_derivative_of_the_evidence_is_that_of_its_formula():
     evidence, noise, put_in = disturbed(0.1, 1)
     equations = evidence.equations
 
-    def trained(x: float):
-        return evidence.train(noise.with_discrepancy(put_in * np.exp(x)), equations.start())
+    middle, step = evidence.train(noise.with_discrepancy(put_in), equations.start()), 1e-3
 
-    middle, step = trained(0.0), 1e-3
-    numerical = (trained(step).log_evidence - trained(-step).log_evidence) / (2 * step)
+    def log_evidence(x: float) -> float:
+        """At the same motion: what no feature follows moves with it, and is not among what it makes least."""
+        level, point = noise.with_discrepancy(put_in * np.exp(x)), middle.solution.point
+        return evidence.log_evidence(point, level, equations.assemble(point, level).factor())
+
+    numerical = (log_evidence(step) - log_evidence(-step)) / (2 * step)
     # Physics alone depends on the discrepancy: sum (x^2 - 1) + tr(H^-1 H_physics) per share of the discrepancy.
     variance, squared = middle.noise.physics_variance, middle.noise.discrepancy**2
-    seen = evidence.projection.sum_of_squares(equations.residuals(middle.solution.point)["physics"])
+    seen = equations.residuals(middle.solution.point)["physics"].square().sum((0, 1)).numpy()
     share = squared / variance
     size = equations.layout.size
     inverse = np.linalg.inv(dense_band(equations, middle.solution.point, middle.noise))
     change = dense_band(equations, middle.solution.point, middle.noise, step=1e-4)
     trace = -0.5 * np.sum(inverse * change)
-    expected = float(((seen / variance - equations.network.count) * share).sum() + trace)
+    expected = float(((seen / variance - equations.averages.count) * share).sum() + trace)
     assert size == len(inverse)
     assert numerical == pytest.approx(expected, rel=0.01, abs=0.5)
 
@@ -134,16 +139,17 @@ def test_without_parameters_the_spread_stays():
 
 @pytest.mark.parametrize("through", ["observer", "both"])
 def test_the_force_sensors_noise_has_the_same_likelihood_through_every_comparison(through):
+    # With samples that no feature follows, which tell the noise; with as many features as samples next to nothing does.
     found = {}
     for way in ("derivative", through):
         chain = small_chain()
-        record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+        record = measured(chain, snr_db=50.0, duration=20.0, samples=513).record.keep({"acceleration": (1, 3)})
         problem = Problem(chain, record, (UncertainParameter("k", 1, 15.0, 150.0, unknown=True),), way)
         equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
         evidence = Evidence(equations, 20, 1e-6, lambda losses, noise: None)
         noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
         likelihood = marginal_likelihood(evidence, evidence.train(noise, equations.start()))
-        s = likelihood.s_std * np.linspace(-6.0, 6.0, 121)
+        s = likelihood.s_std * np.linspace(-16.0, 16.0, 321)
         values = [likelihood.evaluate(likelihood.peak, each)[0] for each in s]
         found[way] = s[np.argmax(values)] / likelihood.s_std
     assert abs(found["derivative"]) < 5.0

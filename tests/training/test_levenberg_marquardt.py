@@ -95,7 +95,8 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
         motion = equations.flat_states(equations.physics, point)[:3]
         return equations.chain.external_force(*motion, equations.parameters(point))
 
-    for given, function in ((torch.stack(posterior.states(equations.observation)), states), (posterior.force(), force)):
+    moved = torch.stack(posterior.states(equations.observation))
+    for given, function in ((moved, states), (posterior.force(equations.physics), force)):
         rows = jacobian(function, z)
         expected = ((rows @ covariance) * rows).sum(-1).sqrt().reshape(given.shape)
         torch.testing.assert_close(given, expected, rtol=1e-5, atol=1e-9)

@@ -14,6 +14,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.training.bordered import BorderedSystem
+from pinn_cli.training.dof_major import DofMajorSums
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations, Point
 
@@ -214,9 +215,20 @@ def test_without_bounds_a_step_is_a_sum():
     torch.testing.assert_close(moved.parameters, point.parameters - 5.0)
 
 
-def test_more_dofs_than_a_chunk_holds(monkeypatch):
-    monkeypatch.setattr("pinn_cli.training.blocks.CHUNK", 1)
-    assert_agrees(posed(random_record(3), through="both", kinds=("k",)))
+@pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
+def test_more_dofs_than_a_chunk_holds(monkeypatch, design):
+    for sums in ("time_major", "dof_major"):
+        monkeypatch.setattr(f"pinn_cli.training.{sums}.CHUNK", 1)
+    assert_agrees(posed(random_record(3), "duffing", design, "both", ("k",)))
+
+
+@pytest.mark.parametrize("ndof", [1, 2])
+def test_global_features_are_never_summed_by_diagonals(ndof):
+    """Every pair of features is a diagonal then: minutes for the features of an ordinary record."""
+    equations = posed(random_record(ndof), design=Fourier(harmonics=3))
+    assert equations.layout.feature_first  # the narrower band of so few
+    assert isinstance(equations._sums(), DofMajorSums)
+    assert_agrees(equations)
 
 
 def test_parameters_at_a_point():
@@ -270,7 +282,7 @@ def test_unobserved_and_unenforced_dofs_weigh_nothing():
 def test_a_splines_band_does_not_grow_with_the_record():
     short, long = (posed(random_record(3), design=Spline(intervals=n)).layout for n in (5, 12))
     assert short.feature_first
-    assert short.half_width == long.half_width == 5 * 3 + 2
+    assert short.half_width == long.half_width == 6 * 3 + 2
 
 
 def test_global_features_are_ordered_by_dof():
@@ -298,5 +310,6 @@ def test_residuals_vanish_at_padding_and_without_sensors():
     residuals = equations.residuals(somewhere(equations))
     assert set(residuals) == {"velocity", "acceleration", "physics"}
     assert not residuals["velocity"][..., 0].any()
-    for name, segments in (("velocity", equations.observation), ("physics", equations.physics)):
-        assert not residuals[name][segments.mask == 0].any()
+    assert not residuals["velocity"][equations.observation.mask == 0].any()
+    assert residuals["physics"].shape == (equations.averages.count, 1, 2)
+    assert not equations.force_residual(somewhere(equations))[equations.physics.mask == 0].any()
