@@ -157,22 +157,21 @@ class Evidence:
         if "observer" in residuals:
             seen_there = self.observer_projection.sum_of_squares(residuals["observer"])
             observer = seen_there, weight["observer"].cpu().numpy()
-        left_open = np.zeros(len(enforced))
-        forces = equations.force_residual(point)
-        followed = self.projection.sum_of_squares(forces)
-        unseen = np.maximum(forces.square().sum((0, 1)).cpu().numpy() - followed, 0.0)
+        left_open, unseen = np.zeros(len(enforced)), np.zeros(len(enforced))
+        # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
+        beyond = len(equations.problem.record.time) - equations.network.count if equations.refinement == 1 else 0
+        if beyond > 0:
+            forces = equations.force_residual(point)
+            unseen = forces.square().sum((0, 1)).cpu().numpy() - self.projection.sum_of_squares(forces)
         if equations.averages is None:
-            seen, count = followed, equations.network.count
+            seen, count = self.projection.sum_of_squares(residuals["physics"]), equations.network.count
         else:  # averages between the samples count as far as the samples tell what acts there
             trust = weight["physics"] * torch.as_tensor(noise.physics_variance).to(weight["physics"])
             seen = (residuals["physics"].square() * trust).sum((0, 1)).cpu().numpy()
             count = equations.averages.count
             if trust.ndim > 1:
                 left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).cpu().numpy()
-        samples = len(equations.problem.record.time)
-        # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
-        beyond = max(samples - equations.network.count, 0) if equations.refinement == 1 else 0
-        return ForceResiduals(enforced, seen, unseen, count, beyond, left_open, observer)
+        return ForceResiduals(enforced, seen, np.maximum(unseen, 0.0), count, max(beyond, 0), left_open, observer)
 
     def followed_force(self) -> np.ndarray:
         """(N, n), the measured force as far as the features follow it; 0 where there is none."""
