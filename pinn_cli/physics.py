@@ -92,7 +92,8 @@ def targets(
     Args:
         record: What was measured.
         chain: The prescribed model, for its masses.
-        device, dtype: Of the tensors.
+        device: Of the tensors.
+        dtype: Likewise.
         refinement: Collocation points for every sample. More than one needs a band-limited force.
     """
 

@@ -14,8 +14,8 @@ from pinn_cli.physics import hold_delay
 class DenseModel:
     """Displacement and velocity of every DOF, the force residual, and their variances under an example's noise.
 
-    The equation of motion holds on the average over every knot interval, with those at the ends divided until there are
-    as many averages as features but two. What the features cannot follow of a measured force is its sensor's noise alone.
+    The equation of motion holds on the average over every knot interval, with those at the ends divided until there
+    are as many averages as features but two. What the features cannot follow of a measured force is its sensor's noise.
     Weights are (K, n); parameters are a vector in the order of the problem's uncertain ones.
     """
 
@@ -160,9 +160,10 @@ def averaging_matrix(cell: np.ndarray, intervals: int, wanted: int) -> np.ndarra
         (range(intervals), (lacking + 1) // 2),
         (reversed(range(intervals)), lacking // 2),
     ):
+        left = share
         for group in order:
-            more = min(share, min(points[group], 3) - pieces[group])
-            pieces[group], share = pieces[group] + more, share - more
+            more = min(left, min(points[group], 3) - pieces[group])
+            pieces[group], left = pieces[group] + more, left - more
     rows = []
     for group in range(intervals):
         samples = np.flatnonzero(cell == group)

@@ -15,10 +15,10 @@ from scipy.linalg import cho_factor, cho_solve
 # Neighbours on either side. A history that fills 78 % of the band up to the Nyquist frequency is told to 4e-6 of its
 # rms with 32 of them, to 5e-4 with 16: as much as the noise of a load cell of 65 dB.
 REACH = 32
-# Least power of a sample that is its own noise, over that of the process: keeps the weights of neighbours from exploding.
+# Least power of a sample that is its own noise, over that of the process: keeps the weights from exploding.
 LEAST_NOISE = 1e-7
-# The process fills the spectrum up to this part of the sampling rate, whatever the history's own band: the noise between
-# the samples is then that of the samples. Closer to one half nothing is left to interpolate with.
+# The process fills the spectrum up to this part of the sampling rate, whatever the history's own band: the noise
+# between the samples is then that of the samples. Closer to one half nothing is left to interpolate with.
 BAND = 0.45
 
 
@@ -73,13 +73,3 @@ def refined_history(values: np.ndarray, refinement: int, noise: float = 0.0) -> 
 def _correlation(band: float) -> Callable[[np.ndarray], np.ndarray]:
     """Of a process with an even spectrum up to ``band``, in cycles per sample, by lag in samples."""
     return lambda lag: np.sinc(2.0 * band * lag)
-
-
-def averaged_noise(width: float) -> float:
-    """Variance of white noise, interpolated and averaged over an interval, over that of the noise per samples in it.
-
-    What an average over ``width`` samples lets through beyond the Nyquist frequency is missing in an interpolated
-    history: the integral of sinc^2 from - width / 2 to width / 2.
-    """
-    x = np.linspace(0.0, width / 2.0, 2001)
-    return float(2.0 * np.trapezoid(np.sinc(x) ** 2, x))

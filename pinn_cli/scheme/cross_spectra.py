@@ -1,4 +1,4 @@
-"""A record in the frequency domain: what its forces and its sensors have in common, and what a linear chain makes of it."""
+"""A record in the frequency domain: what its forces and its sensors have in common."""
 
 from __future__ import annotations
 

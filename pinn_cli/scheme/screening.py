@@ -19,10 +19,14 @@ from pinn_cli.scheme.cross_spectra import CrossSpectra
 
 # Relative widths of the smoothing, one after the other, and how many starts go on to each.
 WIDTHS, SURVIVORS = (0.15, 0.05, 0.015), (6, 4, 3)
+# Loss factor that every spring has at least: nothing is singular at a resonance then.
+LEAST_LOSS = 1e-5
 # Common factors on the stiffnesses that are tried per decade.
 PER_DECADE = 8
 # Damping ratio at which damping starts where it is unknown.
 DAMPING = 0.02
+# Squared frequencies below this part of the highest are those of a chain that is loose somewhere.
+LOOSE = 1e-8
 # Starts whose stiffnesses differ by less are one.
 SAME = 0.02
 # Power over the noise floor at which a frequency counts half.
@@ -147,7 +151,7 @@ class LinearFit:
     def _residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
         s, p = self.spectra, self.parameters(x)
-        connection = p["k"] + 1j * s.omega[:, None] * p["c"]  # (B, n)
+        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, n)
         stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
         stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
         flexibility = np.linalg.inv(stiffness)
@@ -159,8 +163,8 @@ class LinearFit:
         seen = s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
         by = []
         driven = moved @ s.of_forces
-        for dof in self.free["m"]:
-            by.append(p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]])
+        squared = s.omega[:, None, None] ** 2
+        by += [p["m"][dof] * squared * seen[:, :, [dof]] * driven[:, [dof]] for dof in self.free["m"]]
         pull, stretched = seen @ self.stretch.T, self.stretch @ driven
         for i in self.free["k"]:
             rate = p["k"][i] + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
@@ -176,7 +180,11 @@ def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -
     mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
     stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
     rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
-    slow, fast = np.sqrt(np.maximum(rates[[0, -1]], 1e-300)) / (2.0 * np.pi)
+    # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
+    stiff = rates[rates > LOOSE * rates[-1]]
+    if not stiff.size:
+        return [model.start(mass, stiffness)]
+    slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)
     least, most = 2.0 * np.log10(SLOWEST / record.duration / fast), 2.0 * np.log10(FASTEST * record_band(record) / slow)
     factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
     tried = [model.start(mass, factor * stiffness) for factor in factors]

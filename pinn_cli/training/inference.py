@@ -1,4 +1,4 @@
-"""From a problem to its most probable solution: the discrepancy is searched, noise levels settle, features get finer."""
+"""From a problem to its most probable solution: discrepancy searched, noise levels settled, features fine enough."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     problem = evidence.equations.problem
     force, velocity = scales(problem)
     response, sensors = starting_levels(problem.record)
-    points = evidence.equations.points_per_sample
+    points = evidence.equations.refinement
     return NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity, points_per_sample=points)
 
 
@@ -146,7 +146,7 @@ def _refined(
     evidence = settings.solved_by(coarse.problem, _built(design, coarse.problem), device, history)
     fine = evidence.equations
     more = (fine.refinement / coarse.refinement) ** 0.5
-    discrepancy, points = more * trained.noise.discrepancy, fine.points_per_sample
+    discrepancy, points = more * trained.noise.discrepancy, fine.refinement
     noise = replace(trained.noise, discrepancy=discrepancy, points_per_sample=points)
     again = evidence.train(noise, carried_over(trained, coarse, fine))
     if again is None or not again.solution.converged:

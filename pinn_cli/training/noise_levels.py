@@ -30,9 +30,6 @@ DRAWS = 8
 FEWEST_LEFT = 1e-3
 # A discrepancy below this part of the force that acts, or of a load cell's noise, makes no motion better known.
 FINEST_DISCREPANCY, FINEST_OF_NOISE = 1e-6, 1e-2
-# A load cell has at least the noise that its spectrum shows, times this: where the motion tells it no better, none would
-# do as well, and bands would be too narrow.
-CERTAIN_FLOOR = 1.0
 # Part of the samples that it counts for that sensors of one kind are alike: enough where the record leaves a sensor's
 # noise open, since the motion follows it wherever it goes, and next to nothing elsewhere.
 KINSHIP = 0.01
@@ -170,9 +167,11 @@ def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
     discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
     response = {q: np.fmin(finest[q], noise.response[q]) for q in RESPONSE_QUANTITIES}
+    # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would do
+    # as well, and bands would be too narrow.
     for dof in np.flatnonzero(record.sensors("force")):
         shown = visible_floor(record.force[:, dof], record.step)
-        finest["force"][dof] = max(finest["force"][dof], CERTAIN_FLOOR * (shown or 0.0))
+        finest["force"][dof] = max(finest["force"][dof], shown or 0.0)
     return replace(noise, response=response, force=finest["force"], discrepancy=discrepancy)
 
 

@@ -38,9 +38,9 @@ class NoiseModel:
         discrepancy: Of the force that the model leaves out, per collocation point, on every DOF, N.
         continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
         occupied: Share of the features' band that the discrepancy fills, 1 where it is taken for white.
-        spread: Prior standard deviation of the uncertain parameters, in common, over the one that the user prescribed.
-        points_per_sample: Variance of a force sensor's noise at a collocation point over that at a sample: points between
-            the samples share their noise, which counts as if it were each point's own.
+        spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
+        points_per_sample: Collocation points for every force sample: between the samples lies the noise of the samples,
+            in the same band, and a point's own is so many times as large in variance.
     """
 
     response: dict[str, np.ndarray]
@@ -49,7 +49,7 @@ class NoiseModel:
     continuity: float
     spread: float = 1.0
     occupied: float = 1.0
-    points_per_sample: float = 1.0
+    points_per_sample: int = 1
 
     def with_discrepancy(self, discrepancy: float) -> NoiseModel:
         """The same sensors under another model error."""

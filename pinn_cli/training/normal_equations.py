@@ -101,13 +101,6 @@ class NormalEquations:
         self._kept_states: dict[int, States] = {}
 
     @cached_property
-    def points_per_sample(self) -> float:
-        """See :class:`pinn_cli.training.noise_model.NoiseModel`."""
-        if self.refinement == 1:
-            return 1.0
-        return float(self.refinement)
-
-    @cached_property
     def forces(self) -> Segments:
         """The features at the times of the force samples: those of :attr:`physics`, where every point is a sample."""
         if self.refinement == 1:

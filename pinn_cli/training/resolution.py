@@ -13,8 +13,8 @@ from pinn_cli.training.normal_equations import NormalEquations, Point
 
 # The error of a spline's accelerations falls with this power of the knots.
 ORDER = 5
-# Part of a sensor's noise, or of a spring's standard deviation, that the spline's own error may be: beyond it the spline
-# should be finer.
+# Part of a sensor's noise, or of a spring's standard deviation, that the spline's own error may be: beyond it the
+# spline should be finer.
 TOLERATED = 0.3
 # So far above the highest resonance a record still tells of stiffness.
 BEYOND_RESONANCE = 1.3
@@ -44,7 +44,7 @@ def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
 
 
 def knots_wanted(evidence: Evidence, trained: Trained) -> float:
-    """How many times as many knots would make the spline's error small against all that the record tells; at least 1."""
+    """How many times the knots make the spline's error small against all that the record tells; at least 1."""
     if evidence.equations.averages is None:
         return 1.0
     wanted = max(_for_the_sensors(evidence, trained), _for_the_parameters(evidence, trained))

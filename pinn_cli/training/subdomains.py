@@ -62,7 +62,7 @@ class Subdomains:
         return weight @ values
 
     def by_interval(self, averages: Tensor) -> Tensor:
-        """(intervals, n) averages over whole intervals, of (I, 1, n), in the order of time and with the same scaling."""
+        """(intervals, n) averages over whole intervals, of (I, 1, n), in the order of time, scaled alike."""
         root, intervals = self.points.sqrt(), int(self.interval[-1]) + 1
         total = averages.new_zeros((intervals, averages.shape[-1]))
         total.index_add_(0, self.interval, averages[:, 0] * root[:, None])
@@ -89,9 +89,11 @@ def _pieces(points: list[int], wanted: int) -> list[int]:
     pieces = [min(1, n) for n in points]
     lacking = max(0, wanted - sum(pieces))
     half = len(points) // 2
-    for groups, share in ((range(half), lacking - lacking // 2), (range(len(points) - 1, half - 1, -1), lacking // 2)):
+    first, last = range(half), range(len(points) - 1, half - 1, -1)
+    for groups, share in ((first, lacking - lacking // 2), (last, lacking // 2)):
+        left = share
         for group in groups:
-            more = max(0, min(share, min(points[group], MOST_PIECES) - pieces[group]))
+            more = max(0, min(left, min(points[group], MOST_PIECES) - pieces[group]))
             pieces[group] += more
-            share -= more
+            left -= more
     return pieces
