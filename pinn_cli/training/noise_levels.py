@@ -167,8 +167,8 @@ def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
     discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
     response = {q: np.fmin(finest[q], noise.response[q]) for q in RESPONSE_QUANTITIES}
-    # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would do
-    # as well, and bands would be too narrow.
+    # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
+    # do as well, and bands would be too narrow.
     for dof in np.flatnonzero(record.sensors("force")):
         shown = visible_floor(record.force[:, dof], record.step)
         finest["force"][dof] = max(finest["force"][dof], shown or 0.0)
