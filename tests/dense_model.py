@@ -15,7 +15,7 @@ class DenseModel:
     """Displacement and velocity of every DOF, the force residual, and their variances under an example's noise.
 
     The equation of motion holds on the average over every knot interval, with those at the ends divided until there are
-    as many averages as features but two. What the features cannot follow of a measured force is its sensor's noise alone.
+    as many averages as features but two. What the features cannot follow of a measured force is its sensor's noise.
     Weights are (K, n); parameters are a vector in the order of the problem's uncertain ones.
     """
 
@@ -156,13 +156,12 @@ def averaging_matrix(cell: np.ndarray, intervals: int, wanted: int) -> np.ndarra
     """
     points = np.bincount(cell, minlength=intervals)
     pieces, lacking = np.ones(intervals, dtype=int), wanted - intervals
-    for order, share in (
-        (range(intervals), (lacking + 1) // 2),
-        (reversed(range(intervals)), lacking // 2),
-    ):
+    for order, share in ((range(intervals), (lacking + 1) // 2), (reversed(range(intervals)), lacking // 2)):
+        left = share
         for group in order:
-            more = min(share, min(points[group], 3) - pieces[group])
-            pieces[group], share = pieces[group] + more, share - more
+            more = min(left, min(points[group], 3) - pieces[group])
+            pieces[group] += more
+            left -= more
     rows = []
     for group in range(intervals):
         samples = np.flatnonzero(cell == group)

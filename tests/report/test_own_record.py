@@ -14,7 +14,8 @@ from pinn_cli.report.labels import LABELS
 from pinn_cli.report.residuals import COLUMNS
 
 SETTINGS = (
-    *SMALL, "system.m=10", "system.c=1", "system.k=15", "system.kappa=100", "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}",
+    *SMALL, "system.m=10", "system.c=1", "system.k=15", "system.kappa=100",
+    "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}",
     "data.acceleration={1: a1, 2: a2, 3: a3}", "figures=false",
 )  # fmt: skip
 
