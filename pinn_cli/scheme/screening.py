@@ -163,9 +163,12 @@ class LinearFit:
         seen = s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
         by = []
         driven = moved @ s.of_forces
-        squared = s.omega[:, None, None] ** 2
-        by += [p["m"][dof] * squared * seen[:, :, [dof]] * driven[:, [dof]] for dof in self.free["m"]]
         pull, stretched = seen @ self.stretch.T, self.stretch @ driven
+        for dof in self.free["m"]:
+            slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
+            if dof in self.free["c"]:  # critical damping grows with the mass
+                slope = slope - 0.5j * s.omega[:, None, None] * p["c"][dof] * pull[:, :, [dof]] * stretched[:, [dof]]
+            by.append(slope)
         for i in self.free["k"]:
             rate = p["k"][i] + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
             by.append(-np.reshape(rate, (-1, 1, 1)) * pull[:, :, [i]] * stretched[:, [i]])
@@ -176,7 +179,7 @@ class LinearFit:
 
 
 def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """The guess, and the best of many with a common factor on its stiffnesses, over all that the record can tell."""
+    """The guess, and the best of many with a common factor on its stiffnesses or masses that the record can tell."""
     mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
     stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
     rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
@@ -187,7 +190,9 @@ def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -
     slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)
     least, most = 2.0 * np.log10(SLOWEST / record.duration / fast), 2.0 * np.log10(FASTEST * record_band(record) / slow)
     factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
-    tried = [model.start(mass, factor * stiffness) for factor in factors]
+    # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
+    lighter = np.ones_like(factors) if len(model.free["k"]) else factors
+    tried = [model.start(mass / by, factor * stiffness) for factor, by in zip(factors, lighter, strict=True)]
     misfits = np.array([model.misfit(x) for x in tried])
     valleys = [
         i

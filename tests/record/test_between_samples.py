@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.record.between_samples import LEAST_NOISE, averaged_noise, refined_history, refined_times
+from pinn_cli.record.between_samples import LEAST_NOISE, refined_history, refined_times
 
 SAMPLES = 400
 
@@ -81,10 +81,3 @@ def test_refined_times_pass_through_the_samples():
     np.testing.assert_array_equal(found[::4], time)
     assert np.all(np.diff(found) > 0)
     assert refined_times(time, 1) is time
-
-
-def test_averaged_noise_is_what_a_fine_interpolation_averages_to():
-    """Over many samples the average is theirs; over few, the sinc between them has less."""
-    assert averaged_noise(200.0) == pytest.approx(1.0, abs=0.01)
-    assert averaged_noise(1.0) == pytest.approx(0.774, abs=0.01)
-    assert averaged_noise(0.5) < averaged_noise(1.0) < averaged_noise(3.0)

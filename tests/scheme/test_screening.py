@@ -1,0 +1,106 @@
+"""Linear chains that make of the measured force what the sensors saw, from guesses that are far off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from independent_records import IndependentRecord, frame_record
+
+from pinn_cli.scheme.cross_spectra import CrossSpectra
+from pinn_cli.scheme.screening import LinearFit, screened
+
+
+def linear(**settings) -> IndependentRecord:
+    return frame_record(rate=100.0, duration=20.0, cubic=False, **settings)
+
+
+def known(made: IndependentRecord, *unknown: str) -> dict[str, np.ndarray]:
+    return {kind: np.where(kind in unknown, np.nan, getattr(made.structure, kind)) for kind in ("m", "c", "k")}
+
+
+def guess(made: IndependentRecord, **factors: float) -> dict[str, np.ndarray]:
+    uneven = np.array([1.0, 1.15, 0.9])
+    return {kind: factors.get(kind, 1.0) * uneven * getattr(made.structure, kind) for kind in ("m", "k")}
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_stiffnesses_come_out_from_a_guess_a_decade_off(factor):
+    made = linear()
+    best = screened(made.record, known(made, "k"), guess(made, k=factor))[0]
+    np.testing.assert_allclose(best.parameters["k"], made.structure.k, rtol=0.03)
+    assert best.misfit < 0.1
+    for kind in ("m", "c"):
+        np.testing.assert_array_equal(best.parameters[kind], getattr(made.structure, kind))
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_from_one_sensor_too(factor):
+    made = linear(sensors=(("velocity", (1,)),))
+    best = screened(made.record, known(made, "k"), guess(made, k=factor))[0]
+    np.testing.assert_allclose(best.parameters["k"], made.structure.k, rtol=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.2, 3.0])
+def test_masses_come_out_beside_known_stiffnesses(factor):
+    made = linear()
+    best = screened(made.record, known(made, "m"), guess(made, m=factor))[0]
+    np.testing.assert_allclose(best.parameters["m"], made.structure.m, rtol=0.03)
+
+
+def test_masses_and_stiffnesses_and_dampers_come_out_together():
+    """The measured force says how heavy all is."""
+    made = linear()
+    best = screened(made.record, known(made, "m", "c", "k"), guess(made, k=10.0, m=2.0))[0]
+    np.testing.assert_allclose(best.parameters["k"], made.structure.k, rtol=0.05)
+    np.testing.assert_allclose(best.parameters["m"], made.structure.m, rtol=0.05)
+    np.testing.assert_allclose(best.parameters["c"], made.structure.c, rtol=0.6)
+
+
+def test_candidates_are_sorted_and_distinct():
+    made = linear()
+    found = screened(made.record, known(made, "k"), guess(made, k=10.0))
+    misfits = [candidate.misfit for candidate in found]
+    assert misfits == sorted(misfits)
+    for i, one in enumerate(found):
+        for other in found[:i]:
+            assert np.abs(np.log(one.parameters["k"] / other.parameters["k"])).max() > 0.02
+
+
+def test_nothing_is_screened_without_all_forces_or_without_anything_unknown():
+    made = linear()
+    force = made.record.force.copy()
+    force[:, 1] = np.nan
+    unforced = np.array([True, False, False])
+    partly = replace(made.record, force=force, unforced=unforced)
+    assert CrossSpectra.of(partly) is None
+    assert screened(partly, known(made, "k"), guess(made)) == []
+    assert screened(made.record, known(made, "c"), guess(made)) == []
+
+
+def test_slopes_of_the_misfit_are_those_of_its_values():
+    made = linear(sensors=(("acceleration", (1, 3)), ("displacement", (2,))))
+    fit = LinearFit(CrossSpectra.of(made.record), known(made, "m", "c", "k"))
+    x = fit.start(*(guess(made, k=1.3)[kind] for kind in ("m", "k")))
+    _, slopes = fit._residual(x, slopes=True)
+    assert slopes.shape[-1] == len(x) == 7
+    for i, move in enumerate(1e-6 * np.eye(len(x))):
+        ends = [fit._residual(x + s * move, slopes=False)[0] for s in (1.0, -1.0)]
+        rise = (ends[0] - ends[1]) / 2e-6
+        np.testing.assert_allclose(slopes[..., i], rise, atol=1e-6 * np.abs(rise).max())
+
+
+def test_spectra_hold_what_force_and_response_have_in_common():
+    """Response over force is the structure's own frequency response, at its resonances and between them."""
+    made = linear(snr_db=60.0)
+    spectra, s = CrossSpectra.of(made.record), made.structure
+    given = spectra.of_both[:, :, 0] / spectra.of_forces[:, 0, :]
+    below = np.eye(3) - np.eye(3, k=-1)
+    expected = []
+    for omega in spectra.omega:
+        dynamic = below.T @ np.diag(s.k + 1j * omega * s.c) @ below - omega**2 * np.diag(s.m)
+        expected.append(-(omega**2) * np.linalg.inv(dynamic)[:, 2])
+    inside = (spectra.omega > 2 * np.pi * 0.7) & (spectra.omega < 2 * np.pi * 19.0)
+    error = np.abs(given - expected)[inside]
+    assert np.median(error / np.abs(expected)[inside]) < 0.1

@@ -1,0 +1,73 @@
+"""How many starts unknown parameters have, and where."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calls import PinnRun
+from independent_records import IndependentRecord, frame_record
+
+from pinn_cli.scheme.starts import checked_starts
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.nonlinearity import Duffing
+
+
+@pytest.fixture(scope="module")
+def made() -> IndependentRecord:
+    return frame_record(rate=100.0, duration=20.0)
+
+
+def posed(made: IndependentRecord, factor: float, **settings):
+    s = made.structure
+    chain = build_chain(3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=(factor * s.k).tolist(), kappa=s.kappa.tolist())
+    scheme = StateParameter(unobserved=[], unknown="k_*", **settings)
+    return scheme.problem(chain, made.record)
+
+
+def starts(problem) -> list[np.ndarray]:
+    return [np.array([q.prescribed for q in p.uncertain if q.unknown]) for p in (problem, *problem.alternatives)]
+
+
+def test_auto_and_whole_numbers_are_settings():
+    assert checked_starts("auto") is None
+    assert [checked_starts(n) for n in (1, 5)] == [1, 5]
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "1.5", "many", "null", "true"])
+def test_others_are_refused_in_one_line(pinn_run: PinnRun, value: str) -> None:
+    done = pinn_run("scheme=state_parameter", f"scheme.starts={value}")
+    assert done.status == 2
+    assert done.err.strip().count("\n") == 0
+    assert done.err.startswith(f"pinn-run: scheme.starts={value if value not in ('null', 'true') else ''}")
+    assert "must be auto, or a whole number >= 1" in done.err
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_the_first_start_is_near_whatever_a_user_says(made, factor):
+    """A cubic spring makes the linear one that comes nearest stiffer than its own stiffness."""
+    first = starts(posed(made, factor))[0] / made.structure.k
+    assert np.all((first > 0.8) & (first < 2.0))
+
+
+def test_there_are_no_more_starts_than_asked_for(made):
+    assert len(starts(posed(made, 10.0, starts=1))) == 1
+    several = starts(posed(made, 10.0, starts=3))
+    assert 1 <= len(several) <= 3
+    for i, one in enumerate(several):
+        assert all(np.abs(np.log(one / other)).max() > 0.01 for other in several[:i])
+
+
+def test_alternatives_are_the_same_problem_from_elsewhere(made):
+    problem = posed(made, 10.0, starts=3)
+    for other in problem.alternatives:
+        assert other.record is problem.record
+        assert [p.name for p in other.uncertain] == [p.name for p in problem.uncertain]
+        assert not other.alternatives
+
+
+def test_priors_are_as_wide_as_the_start_is_large(made):
+    for parameter in posed(made, 1.0, prior_width=7.0).uncertain:
+        if parameter.unknown:
+            assert parameter.prior_std == pytest.approx(7.0 * parameter.prescribed)
+            assert parameter.lower == -parameter.prescribed

@@ -1,0 +1,84 @@
+"""A frame of three storeys in SI units, recorded by another simulator, through the whole program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from calls import Outcome, PinnRun
+from independent_records import IndependentRecord, frame_record
+
+from pinn_cli.report.fitness import fitness_percent
+
+WITHIN_95 = 1.959964
+UNKNOWN = ("scheme=state_parameter", "scheme.unknown=[k_*,kappa_1]")
+
+
+@pytest.fixture
+def made() -> IndependentRecord:
+    return frame_record(rate=100.0, duration=20.0)
+
+
+def written(made: IndependentRecord, folder: Path) -> tuple[str, ...]:
+    """The record as a file, and the settings that name its columns and the structure."""
+    record, s = made.record, made.structure
+    columns = {"t": record.time, "f": record.force[:, 2], **{f"a{i + 1}": record.acceleration[:, i] for i in range(3)}}
+    pd.DataFrame(columns).to_csv(folder / "frame.csv", index=False)
+    structure = [f"system.{kind}={getattr(s, kind).tolist()}" for kind in ("m", "c", "k", "kappa")]
+    return (
+        "system=duffing", "system.ndof=3", *structure, "data=csv", f"data.path={folder / 'frame.csv'}", "data.time=t",
+        "data.force={3: f}", "data.acceleration={1: a1, 2: a2, 3: a3}", "figures=false",
+    )  # fmt: skip
+
+
+def run_json(done: Outcome) -> dict:
+    return json.loads((done.directory / "run.json").read_text())
+
+
+def parameters(done: Outcome) -> pd.DataFrame:
+    table = pd.read_csv(done.directory / "parameters.csv")
+    return (table[table["estimator"] == "pinn"] if "estimator" in table else table).set_index("parameter")
+
+
+def test_the_motion_of_a_known_frame(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
+    done = pinn_run(*written(made, tmp_path))
+    assert done.status == 0, done.err
+    with xr.open_dataset(done.directory / "response.nc") as response:
+        for quantity, least in (("displacement", 98.5), ("velocity", 98.5), ("acceleration", 97.0)):
+            true, found = getattr(made.truth, quantity), response[quantity].values
+            assert np.mean(fitness_percent(found, true)) >= least, quantity
+            inside = np.abs(found - true) < WITHIN_95 * response[f"{quantity}_std"].values
+            assert 0.85 < inside.mean() < 0.995, quantity
+    assert run_json(done)["verdict"] == "sound", run_json(done)["reasons"]
+
+
+def test_unknown_springs_from_the_default_start(pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path) -> None:
+    nothing = ("system.k=null", "system.kappa=[null,0,0]")
+    done = pinn_run(*written(made, tmp_path), *UNKNOWN, *nothing)
+    assert done.status == 0, done.err
+    table, s = parameters(done), made.structure
+    for i in range(3):
+        row = table.loc[f"k_{i + 1}"]
+        assert row["estimate"] == pytest.approx(s.k[i], rel=0.01)
+        assert row["estimate"] == pytest.approx(s.k[i], abs=4.0 * row["std"])
+    assert table.loc["kappa_1", "estimate"] == pytest.approx(s.kappa[0], rel=0.1)
+    assert run_json(done)["verdict"] == "sound", run_json(done)["reasons"]
+
+
+def test_starts_a_hundred_times_too_low_and_too_high_end_at_the_same_place(
+    pinn_run: PinnRun, made: IndependentRecord, tmp_path: Path
+) -> None:
+    found = []
+    for factor in (0.01, 100.0):
+        start = ", ".join(f"k_{i + 1}: {factor * k:.0f}" for i, k in enumerate(made.structure.k))
+        done = pinn_run(*written(made, tmp_path), "scheme=state_parameter", "scheme.unknown=[k_*]",
+                        f"scheme.initial={{{start}}}")  # fmt: skip
+        assert done.status == 0, done.err
+        table = parameters(done)
+        found.append([table.loc[f"k_{i}", "estimate"] for i in (1, 2, 3)])
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
+    np.testing.assert_allclose(found[0], made.structure.k, rtol=0.01)
