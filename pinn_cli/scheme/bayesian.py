@@ -77,8 +77,9 @@ class Bayesian(Scheme):
         check_given(prescribed, places)
         starts = parameter_starts(prescribed, record, places, _given(prescribed, record, places), most=1)[0]
         scales = {place: start.scale for place, start in starts.items()}
-        priors = with_defaults(read_priors(self.priors, prescribed), scales, self.positive)
-        unknown = tuple(_unknown(place, priors[place], starts[place]) for place in places)
+        told = read_priors(self.priors, prescribed)
+        priors = with_defaults(told, scales, self.positive)
+        unknown = tuple(_unknown(place, priors[place], starts[place], place in told) for place in places)
         chain = forgetful(prescribed, unknown)
         chosen = {place: priors[place] for place in places}
         return Problem(chain, record, unknown, self.acceleration_through, chosen, self.initial_motion)
@@ -90,13 +91,21 @@ def _given(prescribed: Chain, record: Record, places: Collection[Place]) -> dict
     return {} if record.simulated else {place: value for place, value in own.items() if math.isfinite(value)}
 
 
-def _unknown(place: Place, prior: Prior, start: Start) -> UncertainParameter:
-    """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says."""
+def _unknown(place: Place, prior: Prior, start: Start, told: bool) -> UncertainParameter:
+    """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says.
+
+    Args:
+        place: Which.
+        prior: Of it.
+        start: What the record says of it.
+        told: Whether the prior is the user's own; then it begins at its mean.
+    """
     kind, dof = place
     centre, width = prior.mean, prior.std
     chosen = np.isfinite(centre) and np.isfinite(width) and width > 0
     scale = max(start.scale, abs(centre), width) if chosen else start.scale
-    return UncertainParameter(kind, dof, start.value, WIDTH * scale, scale, True, prior.positive)
+    first = centre if told and chosen and centre != 0 else start.value
+    return UncertainParameter(kind, dof, float(first), WIDTH * scale, scale, True, prior.positive)
 
 
 def _check_sensors(record: Record) -> None:

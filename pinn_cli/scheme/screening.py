@@ -170,7 +170,7 @@ class LinearFit:
                 slope = slope - 0.5j * s.omega[:, None, None] * p["c"][dof] * pull[:, :, [dof]] * stretched[:, [dof]]
             by.append(slope)
         for i in self.free["k"]:
-            rate = p["k"][i] + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
+            rate = p["k"][i] * (1.0 + LEAST_LOSS * 1j) + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
             by.append(-np.reshape(rate, (-1, 1, 1)) * pull[:, :, [i]] * stretched[:, [i]])
         if self.damped:
             c = self.free["c"]

@@ -125,14 +125,14 @@ def test_priors_by_kind_and_by_name(measurements):
     assert priors["kappa", 2] == Normal(0.0, 100.0)
 
 
-def test_priors_that_nobody_chose_are_wide_on_the_records_scale(measurements):
+def test_priors_that_nobody_chose_are_wide_on_the_scale_of_their_start(measurements):
     problem = posed(measurements, unknown="*", positive=["m", "c", "k"])
-    scales = parameter_scales(small_chain(), problem.record)
-    for (kind, _), prior in problem.priors.items():
-        expected = Normal(0.0, WIDE * scales[kind]) if kind == "kappa" else HalfNormal(WIDE * scales[kind])
-        assert prior == expected
+    for parameter in problem.uncertain:
+        prior = problem.priors[parameter.kind, parameter.dof]
+        width = WIDE * parameter.scale
+        assert prior == (Normal(0.0, width) if parameter.kind == "kappa" else HalfNormal(width))
     truth = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
-    assert all(value < 2.0 * WIDE * scales[kind] for kind, value in truth.items())
+    assert all(truth[p.kind] < 2.0 * WIDE * p.scale for p in problem.uncertain)
 
 
 def test_only_what_may_be_negative_may_be_negative(measurements):
