@@ -112,17 +112,20 @@ def _starts(
     scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
     damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.abs(linear["k"]))
     out = {}
+    # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
+    typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
     for kind, dof in places:
         place = (kind, dof)
         if kind in ("m", "k"):
             value = float(linear[kind][dof])
-            out[place] = Start(value, abs(value))
+            out[place] = Start(value, max(abs(value), typical[kind]))
         elif kind == "c":
             value = given.get(place, float(linear["c"][dof]))
             out[place] = Start(value, max(abs(value), float(damping[dof])))
         else:
             value = given.get(place, starting_value(kind, scales[kind]))
             # A cubic spring as strong as the linear one beside it, at the motion that there is.
-            scale = float(abs(linear["k"][dof])) / size**2 if kind == "kappa" else scales[kind]
+            stiffness = max(float(abs(linear["k"][dof])), typical["k"])
+            scale = stiffness / size**2 if kind == "kappa" else scales[kind]
             out[place] = Start(value, max(abs(value), scale))
     return out
