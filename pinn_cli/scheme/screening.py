@@ -175,7 +175,7 @@ class LinearFit:
 
 
 def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """The guess, and the best of many with a common factor on its stiffnesses or masses, over all that records can tell."""
+    """The guess, and the best of many with a common factor on its stiffnesses or masses, over all that records tell."""
     mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
     stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
     rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
