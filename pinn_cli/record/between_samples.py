@@ -52,8 +52,7 @@ def refined_history(values: np.ndarray, refinement: int, noise: float = 0.0) -> 
     reach = width // 2
     nugget = max(noise**2, LEAST_NOISE)
     correlation = _correlation(BAND)
-    neighbours = np.arange(width, dtype=float)
-    factor = cho_factor(correlation(neighbours[:, None] - neighbours) + nugget * np.eye(width))
+    neighbours, factor = _neighbours(width, nugget)
     for part in range(1, refinement):
         inside = np.arange(samples - 1)
         first = np.clip(inside - reach + 1, 0, samples - width)
@@ -64,10 +63,23 @@ def refined_history(values: np.ndarray, refinement: int, noise: float = 0.0) -> 
             windows = first[inside - first == place][:, None] + np.arange(width)
             out[here * refinement + part] = np.einsum("k,ikn->in", weights, values[windows])
             spread[here * refinement + part] = 1.0 - weights @ known
-        # In the middle of a record next to nothing is left open but the samples' own noise.
+        # In the middle of a long record next to nothing is left open but the samples' own noise.
         parts = spread[part::refinement]
-        parts[:] = np.sqrt(np.maximum(parts - parts.min(), 0.0))
+        parts[:] = np.sqrt(np.maximum(parts - _in_the_middle(part / refinement, nugget), 0.0))
     return out, spread
+
+
+def _neighbours(width: int, nugget: float) -> tuple[np.ndarray, tuple[np.ndarray, bool]]:
+    """Places of the samples that one value is told from, and the Cholesky factor of their covariance."""
+    places = np.arange(width, dtype=float)
+    return places, cho_factor(_correlation(BAND)(places[:, None] - places) + nugget * np.eye(width))
+
+
+def _in_the_middle(part: float, nugget: float) -> float:
+    """Variance that is left open with `REACH` neighbours on either side, at a part of a step."""
+    places, factor = _neighbours(2 * REACH, nugget)
+    known = _correlation(BAND)(REACH - 1 + part - places)
+    return float(1.0 - known @ cho_solve(factor, known))
 
 
 def _correlation(band: float) -> Callable[[np.ndarray], np.ndarray]:

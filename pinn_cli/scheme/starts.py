@@ -22,7 +22,7 @@ from pinn_cli.scheme.starting_values import parameter_scales, starting_value
 from pinn_cli.scheme.unknowns import Place
 from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
 
-AUTO = "auto"
+AUTO, GIVEN = "auto", "given"
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
 # a start of their own, so many at most.
 HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
@@ -37,15 +37,15 @@ class Start:
 
 
 def checked_starts(starts: Any) -> int | None:
-    """``scheme.starts`` as the number of starts at most; None: as many as the record leaves open.
+    """``scheme.starts`` as the number of starts at most; None: as many as the record leaves open; 0: what was given.
 
     Raises:
-        InputError: Neither ``auto`` nor a positive whole number.
+        InputError: Neither ``auto`` nor ``given`` nor a positive whole number.
     """
-    if starts == AUTO:
-        return None
+    if starts in (AUTO, GIVEN):
+        return None if starts == AUTO else 0
     if not is_whole_number(starts) or starts < 1:
-        raise InputError("scheme.starts", starts, "auto, or a whole number >= 1")
+        raise InputError("scheme.starts", starts, "auto, given, or a whole number >= 1")
     return int(starts)
 
 
@@ -60,10 +60,10 @@ def parameter_starts(
         places: The unknown parameters.
         given: What the user says of them. Of masses and springs their ratios count, and one start is what was given; a
             damper or a nonlinear parameter starts there.
-        most: Starts at most; None: those that compete.
+        most: Starts at most; None: those that compete; 0: one, at what was given, whatever the record says.
     """
     known, guess = _known(prescribed, places), _guess(prescribed, record, places, given)
-    candidates = [c for c in screened(record, known, guess) if c.misfit < HOPELESS]
+    candidates = [c for c in screened(record, known, guess) if c.misfit < HOPELESS] if most != 0 else []
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     linear = [candidate.parameters for candidate in candidates[:most]]
@@ -112,17 +112,20 @@ def _starts(
     scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
     damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.abs(linear["k"]))
     out = {}
+    # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
+    typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
     for kind, dof in places:
         place = (kind, dof)
         if kind in ("m", "k"):
             value = float(linear[kind][dof])
-            out[place] = Start(value, abs(value))
+            out[place] = Start(value, max(abs(value), typical[kind]))
         elif kind == "c":
             value = given.get(place, float(linear["c"][dof]))
             out[place] = Start(value, max(abs(value), float(damping[dof])))
         else:
             value = given.get(place, starting_value(kind, scales[kind]))
             # A cubic spring as strong as the linear one beside it, at the motion that there is.
-            scale = float(abs(linear["k"][dof])) / size**2 if kind == "kappa" else scales[kind]
+            stiffness = max(float(abs(linear["k"][dof])), typical["k"])
+            scale = stiffness / size**2 if kind == "kappa" else scales[kind]
             out[place] = Start(value, max(abs(value), scale))
     return out

@@ -30,7 +30,8 @@ class StateParameter(Scheme):
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`.
         initial: What is said about unknown parameters, by kind, name or pattern, see :mod:`pinn_cli.scheme.starts`; of
             a measured structure what is prescribed for the others, of a simulated one nothing: that is the truth.
-        starts: ``auto``, or the number of starts at most, of which the most probable solution is kept.
+        starts: ``auto``, or the number of starts at most, of which the most probable solution is kept; ``given``:
+            exactly where ``initial`` says.
         positive: Kinds of parameters that cannot be negative.
         prior_width: Prior standard deviation of an unknown parameter over its scale, which is where it starts: wide
             enough to leave the answer to the record.

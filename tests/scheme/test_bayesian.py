@@ -18,7 +18,6 @@ from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.bayesian import WIDTH, Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.scheme.starting_values import parameter_scales
 from pinn_cli.scheme.state_parameter import StateParameter
 
 

@@ -103,8 +103,9 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
     np.testing.assert_allclose(factor.corner_covariance, covariance[size:, size:], rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("nonlinearity", ["duffing", "van_der_pol"])
-def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity):
+# Cubic springs pull harder the further a start is off: it has to be close for seven whole steps to do.
+@pytest.mark.parametrize(("nonlinearity", "away"), [("duffing", 0.3), ("van_der_pol", 3.0)])
+def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity, away):
     equations, noise = posed(nonlinearity, uncertain=True)
     # A record that a point of the network fits exactly, so that Gauss-Newton is Newton there.
     there = solved(equations, noise, tolerance=1e-6).point
@@ -120,7 +121,7 @@ def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity):
     )
     truth = joined(there)
     generator = torch.Generator().manual_seed(3)
-    shift = 3.0 * truth.abs().mean() * torch.randn(len(truth), generator=generator, dtype=truth.dtype)
+    shift = away * truth.abs().mean() * torch.randn(len(truth), generator=generator, dtype=truth.dtype)
     point = there.moved((shift[: exact.layout.size], shift[exact.layout.size :]))
     errors = []
     for _ in range(7):

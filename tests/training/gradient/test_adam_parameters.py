@@ -111,7 +111,6 @@ SHRUNK = ("system.ndof=5", "simulation.duration=12", "simulation.samples=256", "
 STATE_PARAMETER = "experiment=paper_training_state_parameter"
 
 
-@pytest.mark.xfail(reason="unknown stiffnesses start at a linear chain fitted to the record, not at the paper's 10")
 @pytest.mark.parametrize(
     ("experiment", "starts"),
     [
