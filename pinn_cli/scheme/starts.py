@@ -110,10 +110,10 @@ def _starts(
     linear: Mapping[str, np.ndarray],
 ) -> dict[Place, Start]:
     scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
-    damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.abs(linear["k"]))
     out = {}
     # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
     typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
+    damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.maximum(np.abs(linear["k"]), typical["k"]))
     for kind, dof in places:
         place = (kind, dof)
         if kind in ("m", "k"):

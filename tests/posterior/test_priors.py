@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from small_problems import measured, small_chain
+from small_problems import small_chain
 from toy_likelihoods import slopes
 
 from pinn_cli.errors import InputError
-from pinn_cli.posterior.prior_settings import KINDS, read_priors, with_defaults
+from pinn_cli.posterior.prior_settings import KINDS, WIDE, read_priors, with_defaults
 from pinn_cli.posterior.priors import Gamma, HalfNormal, LogNormal, Normal, stacked
-from pinn_cli.scheme.starting_values import parameter_scales
 
 PRIORS = [
     (Gamma(2.0, 0.1), stats.gamma(2.0, scale=10.0)),
@@ -80,15 +79,14 @@ def test_priors_by_kind_name_and_pattern():
     assert read_priors(None, small_chain()) == {}
 
 
-def test_parameters_without_a_prior_get_a_wide_one_on_the_records_scale():
-    chain, record = small_chain(), measured(small_chain(), duration=3.0, samples=33).record
-    scales = parameter_scales(chain, record)
-    chosen = {("k", 0): Gamma(2.0, 0.1)}
-    priors = with_defaults(chosen, chain, record, positive=("m", "c", "k"))
-    assert len(priors) == 4 * chain.ndof
-    assert priors[("k", 0)] == Gamma(2.0, 0.1)
-    assert priors[("k", 1)] == HalfNormal(10 * scales["k"])
-    assert priors[("kappa", 1)] == Normal(0.0, 10 * scales["kappa"])
+def test_parameters_without_a_prior_get_a_wide_one_on_the_scale_of_their_start():
+    scales = {("k", 0): 7.0, ("k", 1): 9.0, ("kappa", 1): 50.0}
+    priors = with_defaults({("k", 0): Gamma(2.0, 0.1)}, scales, positive=("m", "c", "k"))
+    assert priors == {
+        ("k", 0): Gamma(2.0, 0.1),
+        ("k", 1): HalfNormal(WIDE * 9.0),
+        ("kappa", 1): Normal(0.0, WIDE * 50.0),
+    }
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_others_are_refused_in_one_line(pinn_run: PinnRun, value: str) -> None:
     assert done.status == 2
     assert done.err.strip().count("\n") == 0
     assert done.err.startswith(f"pinn-run: scheme.starts={value if value not in ('null', 'true') else ''}")
-    assert "must be auto, or a whole number >= 1" in done.err
+    assert "must be auto, given, or a whole number >= 1" in done.err
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])

@@ -20,7 +20,7 @@ pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 TRIALS, KILLS = 6, 5
 SEARCH = (
     "--multirun", "hydra/sweeper=search", "validation=heldout", *SMALL, "scheme.unobserved_fraction=0.3",
-    "network.knots_per_period=interval(1.0,5.0)", "network.degree=choice(3,4,5)", "hydra.sweeper.sampler.startup=3",
+    "network.knots_per_period=interval(1.0,5.0)", "network.degree=choice(3,4,6)", "hydra.sweeper.sampler.startup=3",
     f"hydra.sweeper.n_trials={TRIALS}", "tracking=mlflow", "tracking.files=false",
 )  # fmt: skip
 

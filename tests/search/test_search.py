@@ -15,7 +15,7 @@ from pinn_cli.errors import DivergenceError
 
 pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="the extra optuna is not installed")
 
-SPACE = ("network.knots_per_period=interval(2.0,8.0)", "network.degree=choice(3,4,5)")
+SPACE = ("network.knots_per_period=interval(2.0,8.0)", "network.degree=choice(3,4,6)")
 # A directory of its own for each job, whichever start of the search it belongs to.
 SEARCH = (
     "--multirun", "hydra/sweeper=search", "validation=heldout", *SPACE, "hydra.sweep.dir=found",
@@ -24,10 +24,10 @@ SEARCH = (
 
 
 def score(config: DictConfig) -> float:
-    """Least at four knots and degree 5; a job that no run could do diverges."""
+    """Least at four knots and degree 6; a job that no run could do diverges."""
     if config.network.degree == 3:
         raise DivergenceError("diverged at iteration 7")
-    return float((config.network.knots_per_period - 4.0) ** 2 + (5 - config.network.degree))
+    return float((config.network.knots_per_period - 4.0) ** 2 + (6 - config.network.degree))
 
 
 class StopsAt:
@@ -64,7 +64,7 @@ def test_a_search_is_reported_and_failed_trials_take_no_other_along(search: Call
     assert trials.loc[failed, "state"].eq("failed").all()
     assert trials.loc[failed, "score"].isna().all()
     done = trials[~failed]
-    expected = (done["network.knots_per_period"] - 4.0) ** 2 + 5 - done["network.degree"]
+    expected = (done["network.knots_per_period"] - 4.0) ** 2 + 6 - done["network.degree"]
     pd.testing.assert_series_equal(done["score"], expected, check_names=False)
     best = done.loc[done["score"].idxmin()]
     text = (tmp_path / "found" / "search.md").read_text()
@@ -106,7 +106,7 @@ def test_the_first_trial_is_as_configured(pinn_run: PinnRun, tmp_path: Path) -> 
     pooled = "training.pooled=choice(true,false)"
     outcome = pinn_run(*SEARCH, pooled, "hydra.sweeper.n_trials=1", task=score)
     first = read(tmp_path).iloc[0]
-    assert (first["network.degree"], first["training.pooled"]) == (5, False)
+    assert (first["network.degree"], first["training.pooled"]) == (6, False)
     assert 2.0 <= first["network.knots_per_period"] <= 8.0  # null: no number to begin with
     assert outcome.err.splitlines()[-1] == f"1 of 1  score {first['score']:.5g}  best {first['score']:.5g}"
     assert (
