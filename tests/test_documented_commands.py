@@ -18,7 +18,7 @@ from hydra.core.override_parser.types import IntervalSweep
 from pinn_cli.config import RunConfig
 from pinn_cli.training import quasi_newton
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.gradient import training as gradient_training
 
 ROOT = Path(__file__).parents[1]
@@ -67,7 +67,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(quasi_newton, "train", begins)
     monkeypatch.setattr(gradient_training, "train", begins)
-    monkeypatch.setattr(GaussNewton, "_train", begins)
+    monkeypatch.setattr(Evidence, "train", begins)
 
 
 def first_job(arguments: list[str]) -> list[str]:
