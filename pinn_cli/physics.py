@@ -18,8 +18,11 @@ from torch import Tensor
 from pinn_cli.network.base import States
 from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
-from pinn_cli.record.spectrum import lowest_level
+from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.chain import Chain
+
+# Noise over the rms of a force that its interpolation allows for at most: more would smooth the force.
+NOISIEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +131,8 @@ def targets(
 def _between_samples(record: Record, force: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
     """(P, n) force at the refined times, and the standard deviation of what the samples leave open there, N."""
     rms = np.sqrt(np.mean(force**2, axis=0))
-    noise = [lowest_level(column, record.step) / level for column, level in zip(force.T, rms, strict=True) if level > 0]
-    points, spread = refined_history(force, refinement, max(noise, default=0.0))
+    noise = [noise_level(column, record.step) / level for column, level in zip(force.T, rms, strict=True) if level > 0]
+    points, spread = refined_history(force, refinement, min(max(noise, default=0.0), NOISIEST))
     return points, spread[:, None] * rms
 
 

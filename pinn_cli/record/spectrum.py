@@ -104,6 +104,11 @@ def white_level(residual: np.ndarray, step: float, above: float) -> float:
     return float(np.sqrt(np.mean(power[window])))
 
 
+def noise_level(x: np.ndarray, step: float) -> float:
+    """Standard deviation of the white noise that a channel (N,) shows, see :func:`signal_band`."""
+    return _noise_floor(_usable(*periodogram(x, step))[1]) ** 0.5
+
+
 def lowest_level(x: np.ndarray, step: float) -> float:
     """Standard deviation that white noise of a channel (N,) has at most: that of the emptiest part of its spectrum.
 
