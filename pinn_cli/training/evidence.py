@@ -18,6 +18,8 @@ from pinn_cli.training.levenberg_marquardt import Solution, minimise
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 from pinn_cli.training.normal_equations import NormalEquations, Point
 
+# A mass at its bound of zero has a logarithm too, kg.
+LEAST_MASS = 1e-300
 # The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three
 # points.
 SCAN_FACTOR = 10.0**0.5
@@ -135,8 +137,12 @@ class Evidence:
         forces = self.force_residuals(point, noise)
         rest = sum(value for name, value in losses.items() if name not in ("physics", "observer"))
         prior = -2.0 * int((~equations.unknown).sum()) * np.log(noise.spread)
+        # What physics says of a motion is a density of accelerations, not of forces: else a massless chain, on which
+        # every motion balances, would be the most probable of all.
+        mass = equations.parameters(point)["m"][equations.target.equation].cpu().numpy()
+        inertia = 2.0 * forces.count * float(np.log(np.maximum(mass, LEAST_MASS)).sum())
         sensors = self._log_variances(noise)
-        return -0.5 * (forces.misfit(noise) + rest + sensors + factor.log_determinant - prior)
+        return -0.5 * (forces.misfit(noise) + rest + sensors + factor.log_determinant - prior - inertia)
 
     def _log_variances(self, noise: NoiseModel) -> float:
         """Of the response sensors; those of an observer equation stand with the forces."""
