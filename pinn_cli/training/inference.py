@@ -124,7 +124,10 @@ def _searched(evidence: Evidence, noise: NoiseModel) -> Trained:
         if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
             break
         response = {quantity: factor * level for quantity, level in noise.response.items()}
-        again = evidence.search(replace(noise, response=response), noise.discrepancy, second, refined=False)
+        try:
+            again = evidence.search(replace(noise, response=response), noise.discrepancy, second, refined=False)
+        except DivergenceError:
+            break
         best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))
     return best
 
