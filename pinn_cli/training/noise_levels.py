@@ -45,19 +45,19 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False) -> Train
         trained: Where to begin; its discrepancy is that of a search.
         pooled: Whether the sensors of one quantity share one level.
     """
-    steps: list[np.ndarray] = []
+    before: np.ndarray | None = None
     floor = _floor(evidence, trained.noise)
     best = trained
     for _ in range(ROUNDS):
         found = updated(evidence, trained, floor)
         found = found.pooled() if pooled else found
         change = _log_levels(found) - _log_levels(trained.noise)
-        noise = _moved(trained.noise, _stride(steps, change), floor).with_spread(evidence.learned_spread(trained))
+        noise = _moved(trained.noise, _stride(before, change), floor).with_spread(evidence.learned_spread(trained))
         again = evidence.train(noise, trained.solution.point)
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
             break
-        steps.append(change)
+        before = change
         gain, trained = again.log_evidence - trained.log_evidence, again
         best = max(best, trained, key=lambda one: one.log_evidence)
         if np.abs(change).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
@@ -198,12 +198,12 @@ def _moved(noise: NoiseModel, change: np.ndarray, floor: NoiseModel) -> NoiseMod
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 
-def _stride(steps: list[np.ndarray], change: np.ndarray) -> np.ndarray:
+def _stride(before: np.ndarray | None, change: np.ndarray) -> np.ndarray:
     """A change, lengthened where it shrinks by a steady ratio from round to round (Aitken)."""
-    if not steps:
+    if before is None:
         return change
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(change / steps[-1])
+        ratio = np.nan_to_num(change / before)
     steady = (ratio > 0.0) & (ratio < 1.0)
     stride = np.where(steady, np.minimum(1.0 / (1.0 - np.where(steady, ratio, 0.0)), LONGEST_STRIDE), 1.0)
     return np.clip(change * stride, -np.log(LARGEST_CHANGE), np.log(LARGEST_CHANGE))
