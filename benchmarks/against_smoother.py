@@ -18,15 +18,15 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.paper.study.posed import posed
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report.fitness import fitness_percent
-from pinn_cli.report.study.posed import posed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from pinn_cli.paper.study.posed import Posed
     from pinn_cli.record.record import Response
-    from pinn_cli.report.study.posed import Posed
     from pinn_cli.training.estimate import Estimate
 
 RATIOS_DB = (50, 20, 10)

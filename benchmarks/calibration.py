@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from hydra import compose, initialize_config_module
 
-from pinn_cli.config import RunConfig
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.diagnostics import diagnose
 from pinn_cli.posterior.laplace import Laplace
@@ -26,8 +26,8 @@ from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.parameter_likelihoods import ParameterLikelihoods
 
 CASES = ("pe_2dof_duffing", "pe_2dof_van_der_pol")
 FORCED = ("[1]", "[1,2]")

@@ -14,10 +14,10 @@ from tempfile import TemporaryDirectory
 
 from hydra import compose, initialize_config_module
 
-from pinn_cli.config import RunConfig
-from pinn_cli.identity import Identity
-from pinn_cli.training.checkpoint import Checkpoints, Resumable
-from pinn_cli.training.checkpoint_files import LAST
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.runs.checkpoint import Checkpoints, Resumable
+from pinn_cli.runs.checkpoint_files import LAST
+from pinn_cli.runs.identity import Identity
 from pinn_cli.training.estimate import RunContext
 
 WRITES, WARMUP = 20, 20

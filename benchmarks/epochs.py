@@ -19,7 +19,7 @@ import torch
 from hydra import compose, initialize_config_module
 
 from benchmarks.plain_step import PlainNetwork
-from pinn_cli.config import RunConfig
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters

@@ -11,14 +11,16 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from pinn_cli.command_line import execute
-from pinn_cli.config import RunConfig
-from pinn_cli.identity import flattened
-from pinn_cli.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
-from pinn_cli.stages import Stages
-from pinn_cli.tracking.told import is_told
+from pinn_cli.cli.command_line import execute
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.runs.identity import flattened
+from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
+from pinn_cli.runs.stages import Stages
+from pinn_cli.runs.tracked import is_told
 
 if TYPE_CHECKING:
+    from pinn_cli.record.record import Response
+    from pinn_cli.system.chain import Chain
     from pinn_cli.training.estimate import Watch
 
 
@@ -43,7 +45,7 @@ def run(composed: DictConfig) -> float | None:
         from pinn_cli.tracking.base import Job
         from pinn_cli.tracking.follow import follow
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
-    job = Job(directory, name, flattened(composed), config.labels("pinn"), which)
+    job = Job(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
     with follow(config.tracking, job, resuming) as tracked:
         if finished:
             text = f"finished before; tracking={config.tracking.name} has it now"
@@ -68,8 +70,8 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
     with stages("imports"):
         from pinn_cli.posterior.find import find_posterior
         from pinn_cli.report.run_report import Results, write_report
+        from pinn_cli.runs.run_checkpoints import open_checkpoints
         from pinn_cli.training.estimate import RunContext
-        from pinn_cli.training.run_checkpoints import open_checkpoints
         from pinn_cli.validation.base import Estimator
     with stages("system"):
         true, prescribed = config.model_error.chains(config.chain)
@@ -80,7 +82,9 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
         problem = config.scheme.problem(prescribed, record)
     with stages("estimate"):
         (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
-        checkpoints = open_checkpoints(config, directory)
+        checkpoints = open_checkpoints(
+            directory, config.identity, config.resume, config.checkpoint_every_s, config.device
+        )
         context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
         estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
         config.validation.check(problem, estimator)
@@ -91,13 +95,32 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
         score = config.validation.score(problem, estimate, estimator)
     with stages("baseline"):
         baseline = config.baseline.solve(problem, context)
-    results = Results(record, measurements.truth, estimate, baseline, posterior, score, problem)
     drawn = config.figures if config.figures is not None else not in_sweep
-    return write_report(config, results, directory, stages, drawn)
+    linear = _linear_response(config, true) if drawn else None
+    results = Results(
+        config.description,
+        prescribed,
+        record,
+        measurements.truth,
+        estimate,
+        baseline,
+        posterior,
+        score,
+        problem,
+        linear,
+    )
+    return write_report(results, directory, stages, drawn)
+
+
+def _linear_response(config: RunConfig, true: Chain) -> Response | None:
+    """See :attr:`pinn_cli.report.results.Results.linear_response`."""
+    if not config.source.simulated or config.model_error.name != "linear":
+        return None
+    return config.source.measure(true.linearised()).truth.response
 
 
 def main() -> None:
-    """The command: exits with the status listed in `pinn_cli.command_line`."""
+    """The command: exits with the status listed in `pinn_cli.cli.command_line`."""
     sys.exit(execute(run))
 
 

@@ -14,9 +14,9 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.chain import Chain
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
-from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.scales import scales
 
 PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one

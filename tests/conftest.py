@@ -15,8 +15,9 @@ import torch
 from calls import Compose, Outcome, PinnRun
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
+from small_estimates import Case, make_estimate
 
-from pinn_cli.command_line import execute
+from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 
 
@@ -43,6 +44,12 @@ def global_state() -> Iterator[None]:
     np.random.set_state(numpy_state)  # noqa: NPY002
     random.setstate(python_state)
     assert torch.get_default_dtype() == torch.float32, "the test changed torch's default dtype"
+
+
+@pytest.fixture(scope="session")
+def make_case() -> Callable[..., Case]:
+    """A small estimate, its record and its truth."""
+    return make_estimate
 
 
 @pytest.fixture

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from pinn_cli.errors import InputError
+from pinn_cli.paper.study.job import JobResult
 from pinn_cli.report import published
-from pinn_cli.report.study.job import JobResult
+from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
-    from pinn_cli.report.study.job import Job
+    from pinn_cli.paper.study.job import Job
 
 # Read once: a study asks for them hundreds of times.
 _fitness, _parameters = cache(published.fitness), cache(published.parameters)

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 from calls import SMALL
 
-from pinn_cli.command_line import execute
+from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 from pinn_cli.report import figures
 from pinn_cli.training.gradient.descent import Descent

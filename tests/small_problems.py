@@ -13,7 +13,7 @@ from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.chain import Chain
-from pinn_cli.system.nonlinearity import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
 NONLINEARITIES = {
     "linear": (Linear(), {}),

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from pinn_cli.quoting import setting_of
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.directories import job_name, swept_settings
 from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import Sweep

@@ -15,10 +15,10 @@ from hydra import compose, initialize_config_module
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
 
-from pinn_cli.config import RunConfig
-from pinn_cli.training import quasi_newton
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.function_space import training as quasi_newton
 from pinn_cli.training.gradient import training as gradient_training
 
 ROOT = Path(__file__).parents[1]

@@ -8,12 +8,12 @@ import pytest
 import torch
 from calls import PinnRun
 
-from pinn_cli.errors import InputError
-from pinn_cli.memory import ran_out
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.record.size import MOST_STEPS, check_size
+from pinn_cli.runs.memory import ran_out
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.nonlinearity import Linear
+from pinn_cli.system.connection import Linear
 
 SIZE = "between 1e-30 and 1e+30 in size"
 SETTINGS = {

@@ -15,7 +15,7 @@ import pytest
 import torch
 from interrupted_runs import ADAM, assert_same_numbers, in_a_child, run_in_a_child
 
-from pinn_cli.command_line import execute
+from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 from pinn_cli.report import run_report
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.posterior.likelihood import ParameterLikelihood
+from pinn_cli.training.likelihood import ParameterLikelihood
 
 
 class GaussianLikelihood(ParameterLikelihood):

@@ -12,10 +12,10 @@ from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import Levels, StateSpace
-from pinn_cli.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
+from pinn_cli.training.band.inference import inferred_sensor_noise
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.inference import inferred_sensor_noise
 
 log = logging.getLogger(__name__)
 

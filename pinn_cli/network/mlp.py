@@ -10,8 +10,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import one_of, whole_number
 from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.base import Continuity, Network, NetworkDesign
 from pinn_cli.network.embedding import Embedding, EmbeddingName, embedding
@@ -19,6 +17,8 @@ from pinn_cli.network.random_start import RandomStart
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of, whole_number
 
 # Readout weights of an embedded network, over one by the square root of the width. Hidden units that need move only a
 # little stay where they are nearly linear, so that Gauss-Newton steps reach far: with 16 it takes twice as many.

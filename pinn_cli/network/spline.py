@@ -9,12 +9,12 @@ import torch
 from scipy.interpolate import BSpline
 from torch import Tensor
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_whole_number, one_of, positive_number, whole_number
 from pinn_cli.network.base import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_whole_number, one_of, positive_number, whole_number
 
 # Knots in one period of the record's highest frequency. Three begin to follow it, four follow its second derivative to
 # a few parts in ten thousand. What they cannot follow of a cubic spring's motion passes for a weaker spring: with four,

@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
-from pinn_cli.posterior.likelihood import ParameterLikelihood
-from pinn_cli.posterior.priors import Prior
 from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.scheme.priors import Prior
 from pinn_cli.scheme.unknowns import Place
+from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import RunContext

@@ -14,7 +14,7 @@ import numpy as np
 
 from pinn_cli.posterior.nuts import STATISTICS, ChainDraws, NutsSettings
 from pinn_cli.posterior.target import Target
-from pinn_cli.report.writing import replacing
+from pinn_cli.runs.writing import replacing
 
 PACKAGES = ("pinn-cli", "pyro-ppl", "torch", "numpy")
 PROBES = 4

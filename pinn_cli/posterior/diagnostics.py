@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.training.central_interval import CENTRAL_90
 
 R_HAT = 1.01
 EFFECTIVE_DRAWS = 400

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.posterior.priors import Prior
 from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.posterior.target import Target, measured_forces
+from pinn_cli.scheme.priors import Prior
 
 
 def samples_of(

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.legal_values import whole_number
 from pinn_cli.posterior.base import Posterior
 from pinn_cli.posterior.drawn import samples_of
-from pinn_cli.posterior.likelihood import ParameterLikelihood
-from pinn_cli.posterior.priors import Prior
 from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.posterior.target import Target, priors_of
+from pinn_cli.scheme.priors import Prior
 from pinn_cli.scheme.unknowns import Place
+from pinn_cli.settings.legal_values import whole_number
+from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import RunContext

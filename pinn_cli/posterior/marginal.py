@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pinn_cli.posterior.likelihood import ParameterLikelihood
 from pinn_cli.posterior.sampled import Sampled
+from pinn_cli.training.likelihood import ParameterLikelihood
 
 
 class Marginal(Sampled):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pinn_cli.errors import DivergenceError
+from pinn_cli.settings.errors import DivergenceError
 
 # x (d,) to the logarithm of a density and its gradient (d,).
 LogDensity = Callable[[np.ndarray], tuple[float, np.ndarray]]

@@ -15,7 +15,7 @@ import torch
 from pyro.infer.mcmc.nuts import NUTS, _TreeInfo
 from torch import Tensor
 
-from pinn_cli.errors import DivergenceError
+from pinn_cli.settings.errors import DivergenceError
 
 SITE, SITES = "q", ("q",)
 MAX_TREE_DEPTH = 10

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pinn_cli.posterior.likelihood import ParameterLikelihood
 from pinn_cli.posterior.mode import FLAT, find_mode
 from pinn_cli.posterior.positivity import Softplus
-from pinn_cli.posterior.priors import Prior, stacked
 from pinn_cli.posterior.whitening import Whitening
+from pinn_cli.scheme.priors import Prior, stacked
 from pinn_cli.scheme.unknowns import Place
+from pinn_cli.training.likelihood import ParameterLikelihood
 
 # Standard deviation of the prior of s. The noise's scale has Jeffreys' prior, flat in its logarithm, over a range that
 # nobody will miss (a factor of exp(10) either way); without any end a record without a force sensor leaves s nowhere.

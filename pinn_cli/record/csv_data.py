@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, finite_number, is_whole_number, one_of, whole_number
 from pinn_cli.record.csv_file import CsvFile
 from pinn_cli.record.decimation import decimate
 from pinn_cli.record.record import (
@@ -26,6 +24,8 @@ from pinn_cli.record.record import (
     Truth,
     dof_mask,
 )
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, finite_number, is_whole_number, one_of, whole_number
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.errors import InputError
+from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

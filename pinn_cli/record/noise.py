@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 from pinn_cli.record.record import QUANTITIES, Response
-from pinn_cli.record.repeats import Repeats, averaged
+from pinn_cli.record.repeats import Repeats
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 
 STREAMS = ("independent", "shared")
 # Noise of 1e-15 times the signal, which is the last digit of a number.
@@ -113,3 +113,12 @@ def _standard_normal(
     # The first repeat is what a single measurement with this seed is.
     entropy = [seed, QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
     return np.random.default_rng(entropy).standard_normal(samples)
+
+
+def averaged(measured: Sequence[Response]) -> tuple[Response, Repeats]:
+    """Mean of repeats, (N, n) each, and their scatter about it."""
+    histories = {q: np.stack([getattr(response, q) for response in measured]) for q in QUANTITIES}
+    means = {q: values.mean(axis=0) for q, values in histories.items()}
+    square = {q: np.sum((histories[q] - means[q]) ** 2, axis=(0, 1)) for q in QUANTITIES}
+    time = measured[0].time
+    return Response(time, **means), Repeats(len(measured), len(time), square)

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from pinn_cli.errors import InputError
+from pinn_cli.record.repeats import Repeats
+from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-
-    from pinn_cli.record.repeats import Repeats
 
 RESPONSE_QUANTITIES = ("displacement", "velocity", "acceleration")
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from pinn_cli.record.record import QUANTITIES, Response
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +30,3 @@ class Repeats:
     def noise_of_mean(self, quantity: str) -> np.ndarray:
         """(n,) standard deviation of the white noise that is left on the mean of the repeats, from their scatter."""
         return np.sqrt(self.square[quantity] / self.freedom / self.count)
-
-
-def averaged(measured: Sequence[Response]) -> tuple[Response, Repeats]:
-    """Mean of repeats, (N, n) each, and their scatter about it."""
-    histories = {q: np.stack([getattr(response, q) for response in measured]) for q in QUANTITIES}
-    means = {q: values.mean(axis=0) for q, values in histories.items()}
-    square = {q: np.sum((histories[q] - means[q]) ** 2, axis=(0, 1)) for q in QUANTITIES}
-    time = measured[0].time
-    return Response(time, **means), Repeats(len(measured), len(time), square)

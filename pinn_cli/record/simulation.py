@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import one_of, positive_number, whole_number
 from pinn_cli.record.record import MINIMUM_SAMPLES, Response
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 
 if TYPE_CHECKING:
     import numpy.typing as npt

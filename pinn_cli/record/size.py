@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.memory import of_this_machine
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.simulation import STEP_TIMES_RATE, substeps_needed
+from pinn_cli.runs.memory import of_this_machine
+from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from pinn_cli.record.simulation import Simulation

@@ -11,7 +11,7 @@ from pinn_cli.report.figures.style import save
 from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
 from pinn_cli.report.posterior_table import diagnostics_table, worst_sampled
 from pinn_cli.report.terminal import diagnostics_text
-from pinn_cli.report.writing import write_table
+from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -18,7 +18,6 @@ from pinn_cli.report.terminal.columns import percent
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.config import RunConfig
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.training.estimate import Estimate
 
@@ -45,13 +44,14 @@ class Beside:
     residuals: pd.DataFrame
 
     @classmethod
-    def of(cls, config: RunConfig, record: Record, truth: Truth, estimate: Estimate | None) -> Beside | None:
-        """Score a baseline's estimate as the network's is; None where there is none."""
+    def of(
+        cls, name: str, labels: Mapping[str, object], record: Record, truth: Truth, estimate: Estimate | None
+    ) -> Beside | None:
+        """Score a baseline's estimate as the network's is, with the labels of its rows; None where there is none."""
         if estimate is None:
             return None
-        labels = config.labels(estimator=config.baseline.name)
         return cls(
-            config.baseline.name,
+            name,
             estimate,
             fitness_table(estimate.response, truth.response, record.observed, labels),
             parameter_table(estimate.parameters, truth.parameters, labels),

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, UNITS
-from pinn_cli.report.writing import replacing
+from pinn_cli.runs.writing import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,14 +17,14 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.fitness import fitness_percent, fitness_table
-from pinn_cli.report.parameters import split_name
+from pinn_cli.training.estimated_chain import estimated_chain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from pinn_cli.record.record import Record
     from pinn_cli.system.chain import Chain
-    from pinn_cli.training.estimate import Estimate, ParameterEstimate
+    from pinn_cli.training.estimate import Estimate
 
 REFERENCES = ("truth", "sensors", "estimate")
 
@@ -74,21 +74,6 @@ def free_run(prescribed: Chain, estimate: Estimate, record: Record) -> FreeRun:
     except OverflowsError as error:
         return FreeRun(None, f"the estimated system is unstable: its free run overflows at {error.time:.4g} s")
     return FreeRun(response, _contradiction(chain, estimate, record, response))
-
-
-def estimated_chain(prescribed: Chain, parameters: Iterable[ParameterEstimate]) -> Chain:
-    """The prescribed chain with its estimated parameters in place; those that are not listed stay as prescribed.
-
-    Raises:
-        ValueError: A parameter that the chain does not have.
-    """
-    values = {symbol: value.detach().cpu().double().clone() for symbol, value in prescribed.parameters.items()}
-    for parameter in parameters:
-        symbol, connection = split_name(parameter.name)
-        if symbol not in values or connection > prescribed.ndof:
-            raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {parameter.name}")
-        values[symbol][connection - 1] = parameter.estimate
-    return prescribed.with_parameters(**values)
 
 
 def free_run_table(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.central_interval import HALF_WIDTH_90
 from pinn_cli.report.labels import with_labels
+from pinn_cli.training.central_interval import HALF_WIDTH_90
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.report.labels import with_labels
+from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -39,18 +40,6 @@ def parameter_table(
         given_as = (given.believed, given.start)
         rows.append((given.name, truth, *given_as, given.estimate, error, given.std, given.lower_90, given.upper_90))
     return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
-
-
-def split_name(name: str) -> tuple[str, int]:
-    """Symbol and connection of a parameter's name: ``kappa_4`` is ("kappa", 4).
-
-    Raises:
-        ValueError: If the name does not end in an underscore and a connection counted from 1.
-    """
-    symbol, _, connection = name.rpartition("_")
-    if not symbol or not connection.isdigit() or int(connection) < 1:
-        raise ValueError(f"parameter name {name!r} is not a symbol and a connection, such as k_2")
-    return symbol, int(connection)
 
 
 def true_value(name: str, true: Mapping[str, np.ndarray] | None) -> float:

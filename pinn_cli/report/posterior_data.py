@@ -14,8 +14,8 @@ import xarray as xr
 
 from pinn_cli.record.record import UNITS
 from pinn_cli.report.dataset import netcdf_attributes
-from pinn_cli.report.parameters import split_name
-from pinn_cli.report.writing import replacing
+from pinn_cli.runs.writing import replacing
+from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

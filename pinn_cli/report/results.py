@@ -6,11 +6,46 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from pinn_cli.posterior.findings import PosteriorFindings
-    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.record import Record, Response, Truth
     from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.chain import Chain
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.validation.base import Score
+
+
+@dataclass(frozen=True, eq=False)
+class RunDescription:
+    """Which run it is, for the files that it leaves behind.
+
+    Attributes:
+        case, seed, device, threads: As configured.
+        configuration: Digest of the settings (`pinn_cli.runs.identity.Identity.configuration`).
+        labels: The leading columns of its tables but for the estimator.
+        simulated: Whether the record is.
+        validation, baseline: Names of the chosen ones.
+    """
+
+    case: str
+    seed: int
+    device: str
+    threads: int
+    configuration: str
+    labels: Mapping[str, object]
+    simulated: bool
+    validation: str
+    baseline: str
+
+    def labels_of(self, estimator: str) -> dict[str, object]:
+        """The leading columns of an estimator's tables (`pinn_cli.report.labels.LABELS`)."""
+        return {**self.labels, "estimator": estimator}
+
+    @property
+    def truth_label(self) -> str:
+        """What figures call the truth: of a measured record it is a measurement itself, noise included."""
+        return "truth" if self.simulated else "measured, held out"
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +53,8 @@ class Results:
     """All that a run has found.
 
     Attributes:
+        run: Which run it is.
+        prescribed: The model that the estimator was given.
         record: What the estimator saw.
         truth: What it is scored against; NaN where unknown.
         estimate: What it found.
@@ -25,8 +62,12 @@ class Results:
         posterior: Of the parameters, where one was asked for.
         score: Of the estimate without the truth, where one was asked for.
         problem: That was solved; without it there is no verdict.
+        linear_response: Of the structure without its nonlinearity under the same force, for the figure of a linear
+            model error (paper, Fig. 6).
     """
 
+    run: RunDescription
+    prescribed: Chain
     record: Record
     truth: Truth
     estimate: Estimate
@@ -34,3 +75,4 @@ class Results:
     posterior: PosteriorFindings | None = None
     score: Score | None = None
     problem: Problem | None = None
+    linear_response: Response | None = None

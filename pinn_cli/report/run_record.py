@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.config import RunConfig
+    from pinn_cli.report.results import RunDescription
     from pinn_cli.training.estimate import Estimate
 
 PACKAGES = (
@@ -31,18 +31,18 @@ PACKAGES = (
 )
 
 
-def run_record(config: RunConfig, estimate: Estimate, seconds: Mapping[str, float]) -> dict[str, Any]:
+def run_record(run: RunDescription, estimate: Estimate, seconds: Mapping[str, float]) -> dict[str, Any]:
     """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
     return {
-        "case": config.case,
+        "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "training": {"dtype": "float64", **estimate.summary},
         "peak_memory_mib": peak_memory_mib(),
-        "seed": config.seed,
-        "device": device_name(config.device),
-        "threads": config.threads,
+        "seed": run.seed,
+        "device": device_name(run.device),
+        "threads": run.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "configuration": config.identity.configuration,
+        "configuration": run.configuration,
         "git_revision": git_revision(),
         "versions": package_versions(),
         "platform": platform.platform(),

@@ -20,28 +20,26 @@ from pinn_cli.report.run_record import run_record
 from pinn_cli.report.run_text import Tables, run_text
 from pinn_cli.report.score import score_record
 from pinn_cli.report.terminal import verdict_text
-from pinn_cli.report.writing import write_json, write_table
+from pinn_cli.runs.writing import write_json, write_table
 from pinn_cli.verdict.judge import judge
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pinn_cli.config import RunConfig
     from pinn_cli.posterior.findings import PosteriorFindings
     from pinn_cli.record.record import Response
     from pinn_cli.report.free_run import FreeRun
-    from pinn_cli.stages import Stages
+    from pinn_cli.runs.stages import Stages
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.judge import Verdict
 
 __all__ = ["Results", "write_report"]
 
 
-def write_report(config: RunConfig, results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
+def write_report(results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
     """Write every file of a run; each is there whole or not at all.
 
     Args:
-        config: What was run.
         results: What came of it.
         directory: Of the run.
         stages: The seconds so far; the report's own are added.
@@ -50,55 +48,55 @@ def write_report(config: RunConfig, results: Results, directory: Path, stages: S
     Returns:
         What the run prints, from `pinn_cli.report.run_text.run_text`; the verdict comes last.
     """
+    run = results.run
     results = replace(results, estimate=_with_posterior(results.estimate, results.posterior))
-    beside = Beside.of(config, results.record, results.truth, results.baseline)
+    beside = Beside.of(run.baseline, run.labels_of(run.baseline), results.record, results.truth, results.baseline)
     with stages("free_run"):
-        _, prescribed = config.model_error.chains(config.chain)
-        free = free_run(prescribed, results.estimate, results.record)
+        free = free_run(results.prescribed, results.estimate, results.record)
     with stages("verdict"):
         verdict = _verdict(results, free.response)
     with stages("report"):
-        tables = _tables(config, results, free)
-        _write_tables(config, results, tables, beside, directory)
-        _write_response(config, results, free, beside, directory)
+        tables = _tables(results, free)
+        _write_tables(results, tables, beside, directory)
+        _write_response(results, free, beside, directory)
     if figures:
         with stages("figures"):
-            _draw(config, results, beside, directory)
+            _draw(results, beside, directory)
     with stages("posterior_report"):
-        diagnostics = _write_posterior(config, results, directory, figures)
-    record_of_run = run_record(config, results.estimate, stages.seconds) | (beside.record if beside else {})
-    scored = score_record(config.validation.name, results.score)
+        diagnostics = _write_posterior(results, directory, figures)
+    record_of_run = run_record(run, results.estimate, stages.seconds) | (beside.record if beside else {})
+    scored = score_record(run.validation, results.score)
     judged = verdict.record() if verdict else {}
     write_json(record_of_run | _sampling_record(results.posterior) | scored | judged, directory / "run.json")
-    text = run_text(config, results, tables, free, beside, diagnostics, stages.seconds)
+    text = run_text(results, tables, free, beside, diagnostics, stages.seconds)
     return f"{text}\n\n{verdict_text(verdict)}" if verdict else text
 
 
-def _tables(config: RunConfig, results: Results, free: FreeRun) -> Tables:
+def _tables(results: Results, free: FreeRun) -> Tables:
     record, truth, estimate = results.record, results.truth, results.estimate
-    labels = config.labels(estimator="pinn")
+    labels = results.run.labels_of(estimator="pinn")
     return Tables(
         fitness=fitness_table(estimate.response, truth.response, record.observed, labels),
         parameters=parameter_table(estimate.parameters, truth.parameters, labels),
         residuals=residual_table(estimate, record, free.response, labels),
-        free_run=free_run_table(free, estimate, record, truth.response, config.labels(estimator="free_run")),
+        free_run=free_run_table(free, estimate, record, truth.response, results.run.labels_of(estimator="free_run")),
     )
 
 
-def _write_tables(config: RunConfig, results: Results, tables: Tables, beside: Beside | None, directory: Path) -> None:
+def _write_tables(results: Results, tables: Tables, beside: Beside | None, directory: Path) -> None:
     for name in ("fitness", "parameters", "residuals"):
         table = getattr(tables, name)
         write_table(stacked(table, getattr(beside, name)) if beside else table, directory / f"{name}.csv")
     write_table(tables.free_run, directory / "free_run.csv")
     if any_unknown(results.estimate.parameters):
-        _write_identifiability(results.estimate, config.labels(estimator="pinn"), directory)
+        _write_identifiability(results.estimate, results.run.labels_of(estimator="pinn"), directory)
     if results.score is not None:
         write_table(results.score.table, directory / "score.csv")
     write_table(results.estimate.history, directory / "history.csv")
 
 
-def _write_response(config: RunConfig, results: Results, free: FreeRun, beside: Beside | None, directory: Path) -> None:
-    labels, truth = config.labels(estimator="pinn"), results.truth.response
+def _write_response(results: Results, free: FreeRun, beside: Beside | None, directory: Path) -> None:
+    labels, truth = results.run.labels_of(estimator="pinn"), results.truth.response
     dataset = response_dataset(results.estimate, results.record, truth, labels, free.response)
     write_dataset(beside.variables(dataset) if beside else dataset, directory / "response.nc")
 
@@ -107,13 +105,13 @@ def _verdict(results: Results, free: Response | None) -> Verdict | None:
     return None if results.problem is None else judge(results.problem, results.estimate, results.baseline, free)
 
 
-def _draw(config: RunConfig, results: Results, beside: Beside | None, directory: Path) -> None:
+def _draw(results: Results, beside: Beside | None, directory: Path) -> None:
     # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
     from pinn_cli.report.figures import write_figures
 
     write_figures(
-        results.estimate, results.record, results.truth, directory / "figures", _equivalent_linear(config),
-        truth_label=config.truth_label, units=config.chain.units, titles=config.chain.titles,
+        results.estimate, results.record, results.truth, directory / "figures", results.linear_response,
+        truth_label=results.run.truth_label, units=results.prescribed.units, titles=results.prescribed.titles,
         baseline=(beside.name, beside.estimate.response) if beside else None,
     )  # fmt: skip
 
@@ -127,15 +125,17 @@ def _with_posterior(estimate: Estimate, posterior: PosteriorFindings | None) -> 
     return replace(estimate, parameters=parameters, correlation=posterior_correlation(posterior.samples))
 
 
-def _write_posterior(config: RunConfig, results: Results, directory: Path, figures: bool) -> str:
+def _write_posterior(results: Results, directory: Path, figures: bool) -> str:
     if results.posterior is None:
         return ""
     # ArviZ takes two seconds to import.
     from pinn_cli.report.bayesian_report import write_posterior
 
-    labels = config.labels(estimator="pinn")
+    labels = results.run.labels_of(estimator="pinn")
     true = results.truth.parameters
-    return write_posterior(results.posterior, results.record, true, labels, config.chain.units, directory, figures)
+    return write_posterior(
+        results.posterior, results.record, true, labels, results.prescribed.units, directory, figures
+    )
 
 
 def _sampling_record(posterior: PosteriorFindings | None) -> dict[str, Any]:
@@ -168,11 +168,3 @@ def _write_identifiability(estimate: Estimate, labels: dict[str, object], direct
     write_table(table, directory / "identifiability.csv")
     if estimate.correlation is not None:
         write_table(correlation_table(estimate.parameters, estimate.correlation), directory / "correlation.csv")
-
-
-def _equivalent_linear(config: RunConfig) -> Response | None:
-    """The linear chain under the same force, for the figure of a linear model error (paper, Fig. 6)."""
-    if not config.source.simulated or config.model_error.name != "linear":
-        return None
-    true, _ = config.model_error.chains(config.chain)
-    return config.source.measure(true.linearised()).truth.response

@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from pinn_cli.config import RunConfig
     from pinn_cli.report.beside import Beside
     from pinn_cli.report.free_run import FreeRun
-    from pinn_cli.report.results import Results
+    from pinn_cli.report.results import Results, RunDescription
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,6 @@ class Tables:
 
 
 def run_text(
-    config: RunConfig,
     results: Results,
     tables: Tables,
     free: FreeRun,
@@ -53,7 +51,6 @@ def run_text(
     run against the sensors only in their table.
 
     Args:
-        config: What was run.
         results: What came of it, the estimate with its posterior's parameters.
         tables: Of the run.
         free: Its free run.
@@ -61,15 +58,15 @@ def run_text(
         diagnostics: The text of a posterior; "" without one.
         seconds: By stage.
     """
-    fitness = fitness_text(tables.fitness, results.record.observed, _published(config))
+    fitness = fitness_text(tables.fitness, results.record.observed, _published(results.run))
     parameters = _parameters_text(results, tables.parameters, beside)
     known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
     free_run = free_run_text(free, tables.free_run) if known else free_run_line(free, tables.free_run)
     shown = [parameters, fitness, free_run, diagnostics]
-    if not config.source.simulated:
+    if not results.run.simulated:
         shown.insert(0, sensors_text(tables.residuals, (beside.name, beside.residuals) if beside else None))
     shown += [beside.text(tables.fitness, seconds)] if beside else []
-    shown += [score_text(config.validation.name, results.score)]
+    shown += [score_text(results.run.validation, results.score)]
     return "\n\n".join(text for text in shown if text)
 
 
@@ -80,8 +77,8 @@ def _parameters_text(results: Results, table: pd.DataFrame, beside: Beside | Non
     return parameters_text(table, warnings, baseline)
 
 
-def _published(config: RunConfig) -> pd.DataFrame:
+def _published(run: RunDescription) -> pd.DataFrame:
     """The paper's values of the same case; none once a setting that makes it that case was changed."""
-    values, labels = published.fitness(), config.labels(estimator="pinn")
+    values, labels = published.fitness(), run.labels_of(estimator="pinn")
     same = ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
     return values[(values[same] == [labels[name] for name in same]).all(axis=1)]

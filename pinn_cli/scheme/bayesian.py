@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import one_of
-from pinn_cli.posterior.prior_settings import checked_priors, read_priors, with_defaults
-from pinn_cli.posterior.priors import Prior
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.missing_values import check_given
+from pinn_cli.scheme.prior_settings import checked_priors, read_priors, with_defaults
+from pinn_cli.scheme.priors import Prior
 from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import Start, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, unknown_places
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.chain import Chain
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ class Bayesian(Scheme):
         unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`; None: everything but the masses.
-        priors: See :func:`pinn_cli.posterior.prior_settings.read_priors`; parameters without one get a wide one on the
+        priors: See :func:`pinn_cli.scheme.prior_settings.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_finite_number
 from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.chain import Chain
 
 # Of a standard deviation over the value: beyond it nothing is believed, and sums lose their last digits.

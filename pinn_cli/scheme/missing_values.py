@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from pinn_cli.errors import InputError
 from pinn_cli.scheme.unknowns import Place, all_names
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.chain import Chain
 
 

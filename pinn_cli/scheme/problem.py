@@ -12,7 +12,7 @@ from pinn_cli.scheme.initial_motion import FREE, initial_deviation
 from pinn_cli.system.chain import Chain
 
 if TYPE_CHECKING:
-    from pinn_cli.posterior.priors import Prior
+    from pinn_cli.scheme.priors import Prior
 
 # What measured accelerations can be compared with.
 THROUGH = ("derivative", "observer", "both")

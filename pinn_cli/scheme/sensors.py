@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, is_finite_number, is_whole_number
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number, is_whole_number
 
 PATTERN = re.compile(r"every_(\d+)(?:st|nd|rd|th)")
 

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import is_whole_number
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.screening import DAMPING, screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
 from pinn_cli.scheme.unknowns import Place
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
 
 AUTO, GIVEN = "auto", "given"

@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
-from pinn_cli.legal_values import one_of, positive_number
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
@@ -17,6 +16,7 @@ from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, initial_values, unknown_places
+from pinn_cli.settings.legal_values import one_of, positive_number
 from pinn_cli.system.chain import Chain
 
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, is_finite_number
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number
 from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
 
 # (kind, connection counted from 0)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.writing import write_table, write_text
+from pinn_cli.runs.writing import write_table, write_text
 from pinn_cli.search.figure import search_figure
 from pinn_cli.search.study import load
 from pinn_cli.search.table import LEADING, importance, overrides_of, trials_table

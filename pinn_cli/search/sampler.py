@@ -16,11 +16,11 @@ from optuna.samplers import BaseSampler, RandomSampler, TPESampler
 from optuna.study import Study
 from optuna.trial import FrozenTrial, TrialState
 
-from pinn_cli.errors import InputError
-from pinn_cli.identity import is_left_out
-from pinn_cli.legal_values import one_of, whole_number
-from pinn_cli.quoting import setting_of
+from pinn_cli.runs.identity import is_left_out
 from pinn_cli.search.study import MADE_OF, load
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of, whole_number
+from pinn_cli.settings.override_syntax import setting_of
 
 METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.identity import is_left_out
-from pinn_cli.quoting import setting_of
+from pinn_cli.runs.identity import is_left_out
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.jobs import job_directories, stored_overrides
 
 if TYPE_CHECKING:

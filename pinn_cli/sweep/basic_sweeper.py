@@ -8,7 +8,7 @@ from typing import Any
 
 from hydra.types import HydraContext
 
-from pinn_cli.quoting import setting_of
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.composing import JobLoader, is_number
 
 

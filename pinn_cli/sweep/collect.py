@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.errors import InputError
-from pinn_cli.quoting import setting_of
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.jobs import FAILED, STATUSES, Job, Sweep
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _summary(directory: Path, swept: Sequence[str]) -> pandas.DataFrame | None:
 
 def _write_summary(summary: pandas.DataFrame, swept: Sequence[str], directory: Path) -> None:
     from pinn_cli.report.figures.style import save
-    from pinn_cli.report.writing import write_table
+    from pinn_cli.runs.writing import write_table
     from pinn_cli.sweep.figure import sweep_figure
     from pinn_cli.sweep.summary import SUMMARY
 

@@ -17,8 +17,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pinn_cli.identity import is_left_out
-from pinn_cli.quoting import setting_of
+from pinn_cli.runs.identity import is_left_out
+from pinn_cli.settings.override_syntax import setting_of
 
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
 LONGEST = 100

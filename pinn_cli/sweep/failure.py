@@ -7,7 +7,7 @@ import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from pinn_cli.errors import DivergenceError, InputError, NotSoundError
+from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
 FILE = "failure.json"
 # As the command's exit status: what a shell script must tell apart.
@@ -48,7 +48,7 @@ class Failure:
 
     def write(self, directory: Path) -> None:
         """Put it into the job's directory."""
-        from pinn_cli.report.writing import write_json
+        from pinn_cli.runs.writing import write_json
 
         write_json(asdict(self), directory / FILE)
 

@@ -16,9 +16,9 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.errors import InputError
-from pinn_cli.quoting import setting_of
-from pinn_cli.resume import RESULT
+from pinn_cli.runs.resume import RESULT
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.directories import job_name, parse, swept_settings
 from pinn_cli.sweep.failure import Failure
 

@@ -19,11 +19,11 @@ from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from pinn_cli.resume import asked_to_resume, going_on, is_finished, stored_score
+from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
+from pinn_cli.runs.tracked import is_told
 from pinn_cli.sweep.basic_sweeper import composing_few
 from pinn_cli.sweep.failure import DEFECT, Failure
 from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep
-from pinn_cli.tracking.told import is_told
 
 # The plugins' launchers, and ours in their place, which are imported only if they are used.
 _IN_PLACE_OF = {

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from pinn_cli.resume import RESULT
+from pinn_cli.runs.resume import RESULT
 from pinn_cli.sweep.failure import FILE, Failure
 from pinn_cli.sweep.jobs import Sweep
 

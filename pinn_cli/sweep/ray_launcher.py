@@ -12,7 +12,7 @@ from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
 from hydra_plugins.hydra_ray_launcher import ray_launcher as plugin
 
-from pinn_cli.errors import InputError
+from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.launched import Launched, to_launch
 
 # The least that Ray takes, bytes: what jobs hand over is small, their results lie in files.

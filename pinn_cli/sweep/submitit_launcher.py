@@ -23,8 +23,8 @@ from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
 from omegaconf import OmegaConf
 from submitit.core.utils import JobPaths, UncompletedJobError
 
-from pinn_cli.errors import InputError
-from pinn_cli.interruption import Interruption, warning, watched
+from pinn_cli.runs.interruption import Interruption, warning, watched
+from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.cores import at_once
 from pinn_cli.sweep.launched import Launched, to_launch
 from pinn_cli.sweep.slurm_states import FORGOTTEN, learn_states_somehow, queued_tasks

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pinn_cli.report.writing import replacing
+from pinn_cli.runs.writing import replacing
 from pinn_cli.sweep.jobs import FAILED, FINISHED, Job, Sweep
 
 FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"

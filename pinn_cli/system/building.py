@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
 from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pinn_cli.system.nonlinearity.base import Nonlinearity
+    from pinn_cli.system.connection.base import Nonlinearity
 
 # The list of a parameter's values takes memory before anything else does.
 MOST_DOFS = 10**5

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 import numpy as np
 
 from pinn_cli.system.array_namespace import Array, namespace
-from pinn_cli.system.nonlinearity.linear import Linear
+from pinn_cli.system.connection.linear import Linear
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import torch
 
-    from pinn_cli.system.nonlinearity.base import Nonlinearity
+    from pinn_cli.system.connection.base import Nonlinearity
 
 LINEAR_PARAMETERS = {"m": "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {"m": "Mass", "c": "Damping", "k": "Stiffness"}

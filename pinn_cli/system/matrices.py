@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pinn_cli.system.chain import Chain
-    from pinn_cli.system.nonlinearity.base import Nonlinearity
+    from pinn_cli.system.connection.base import Nonlinearity
 
 
 def mass(chain: Chain) -> torch.Tensor:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from pinn_cli.errors import InputError
+from pinn_cli.runs.tracked import Told
+from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.outcome import Outcome
-from pinn_cli.tracking.told import Told
 
 # How a run may end.
 FINISHED, FAILED, INTERRUPTED = "finished", "failed", "interrupted"

@@ -15,10 +15,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from pinn_cli.errors import InputError
+from pinn_cli.runs.tracked import FILE, NONE, Told
+from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, Job, Tracker, Tracking
 from pinn_cli.tracking.outcome import Outcome, history
-from pinn_cli.tracking.told import FILE, NONE, Told
 
 log = logging.getLogger(__name__)
 

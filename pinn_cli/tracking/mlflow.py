@@ -11,12 +11,12 @@ from pathlib import Path
 from sqlite3 import connect
 from typing import TYPE_CHECKING, TypeVar
 
-from pinn_cli.errors import InputError
-from pinn_cli.report.writing import replacing
-from pinn_cli.run_lock import locked
+from pinn_cli.runs.lock import locked
+from pinn_cli.runs.tracked import NOTHING, Told
+from pinn_cli.runs.writing import replacing
+from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, Job, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
-from pinn_cli.tracking.told import NOTHING, Told
 
 if TYPE_CHECKING:
     from mlflow.entities import Run

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from pinn_cli.runs.tracked import NONE, Told
 from pinn_cli.tracking.base import Job, Tracking
-from pinn_cli.tracking.told import NONE, Told
 
 
 class NoTracking(Tracking):

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.errors import InputError
+from pinn_cli.runs.tracked import NOTHING, Told
+from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.base import Job, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
-from pinn_cli.tracking.told import NOTHING, Told
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.training.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 

@@ -14,8 +14,8 @@ import pandas as pd
 from pinn_cli.record.record import Response
 
 if TYPE_CHECKING:
-    from pinn_cli.training.checkpoint import Checkpoints
-    from pinn_cli.training.parameter_likelihoods import ParameterLikelihoods
+    from pinn_cli.runs.checkpoint import Checkpoints
+    from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
 
 # Called with each row of a history as it comes; it must not change it.
 Watch = Callable[[Mapping[str, float]], None]

@@ -1,7 +1,7 @@
 """Gauss-Newton training, with the loss weights inferred from the record.
 
 A network with a linear readout is solved for its readout, one whose features are learned for all its weights, see
-:class:`pinn_cli.training.quasi_newton.QuasiNewton`.
+:class:`pinn_cli.training.function_space.training.QuasiNewton`.
 """
 
 from __future__ import annotations
@@ -11,21 +11,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.inference import (
+    ITERATIONS,
+    TOLERANCE,
+    InferenceSettings,
+    Inferred,
+    inferred,
+    starting_noise,
+)
+from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
+from pinn_cli.training.band.posterior_estimate import posterior_estimate
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.function_space.training import QuasiNewton
 from pinn_cli.training.history import History
-from pinn_cli.training.inference import ITERATIONS, TOLERANCE, InferenceSettings, Inferred, inferred, starting_noise
 from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.parameter_likelihoods import parameter_likelihoods
-from pinn_cli.training.posterior_estimate import posterior_estimate
-from pinn_cli.training.quasi_newton import QuasiNewton
 from pinn_cli.training.scales import scales
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from copy import deepcopy
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pinn_cli.interruption import Interruption, asked, deferred, heeded
+from pinn_cli.runs.interruption import Interruption, asked, deferred, heeded
+from pinn_cli.runs.random_states import random_states, set_random_states
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.random_states import random_states, set_random_states
 
 if TYPE_CHECKING:
-    from pinn_cli.training.checkpoint import Checkpoints
+    from pinn_cli.runs.checkpoint import Checkpoints
 
 
 class Stepwise(ABC):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pinn_cli.errors import InputError
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.validation.base import Estimator, Score, Validation
 
 
 class EvidenceScore(Validation):
-    """Minus the logarithm of the marginal likelihood (:mod:`pinn_cli.training.evidence`), in nats.
+    """Minus the logarithm of the marginal likelihood (:mod:`pinn_cli.training.band.evidence`), in nats.
 
     It is known up to a constant of the network and of the sensors' noise, so it compares what is prescribed of the
     chain under one network, and no two networks: those are told apart by :mod:`pinn_cli.validation.heldout`.

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.errors import DivergenceError, InputError
-from pinn_cli.legal_values import fraction, whole_number
 from pinn_cli.record.record import MINIMUM_SAMPLES, RESPONSE_QUANTITIES, Record, Response
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.simulation import OverflowsError
-from pinn_cli.report.free_run import estimated_chain
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.estimated_chain import estimated_chain
 from pinn_cli.validation.base import Estimator, Score, Validation
 from pinn_cli.validation.density import channel_noise, compared
 

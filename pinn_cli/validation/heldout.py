@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.errors import DivergenceError, InputError
-from pinn_cli.legal_values import entries, is_whole_number
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.settings.legal_values import entries, is_whole_number
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.validation.base import Estimator, Score, Validation
 from pinn_cli.validation.density import channel_noise, compared

@@ -13,13 +13,13 @@ from small_problems import sped_up as faster
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.baseline.none import NoBaseline
 from pinn_cli.baseline.state_space import Levels, StateSpace
-from pinn_cli.errors import InputError
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 
 

@@ -5,11 +5,11 @@ import pytest
 import torch
 from small_problems import accelerations, measured, small_chain, sped_up
 
-from pinn_cli.errors import InputError
 from pinn_cli.network.embedding import FourierFeatures, embedding
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.settings.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ from pyro.infer.mcmc.nuts import NUTS
 from scipy import integrate, stats
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated
 
-from pinn_cli.errors import DivergenceError
 from pinn_cli.posterior.nuts import STATISTICS, NutsSettings, WhitenedNuts, sample_chain
-from pinn_cli.posterior.priors import Gamma, HalfNormal, LogNormal, Normal
 from pinn_cli.posterior.target import Target
+from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal
+from pinn_cli.settings.errors import DivergenceError
 
 SETTINGS = NutsSettings(warmup=100, draws=400, target_accept=0.8)
 FLAT = Normal(0.0, 1e6)

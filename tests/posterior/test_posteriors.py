@@ -9,13 +9,13 @@ import pytest
 from omegaconf import OmegaConf
 from toy_likelihoods import GaussianLikelihood, correlated
 
-from pinn_cli.errors import InputError
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.posterior.nuts import STATISTICS
-from pinn_cli.posterior.priors import Gamma, HalfNormal
-from pinn_cli.targets import build
+from pinn_cli.scheme.priors import Gamma, HalfNormal
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.instantiation import build
 from pinn_cli.training.estimate import RunContext
 
 CONF = Path(__file__).parents[2] / "conf" / "posterior"

@@ -7,10 +7,10 @@ import pytest
 from scipy import optimize
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated, slopes
 
-from pinn_cli.errors import DivergenceError
 from pinn_cli.posterior.positivity import Softplus
-from pinn_cli.posterior.priors import Gamma, HalfNormal, LogNormal, Normal
 from pinn_cli.posterior.target import Target, priors_of
+from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal
+from pinn_cli.settings.errors import DivergenceError
 
 PRIORS = [Gamma(2.0, 0.1), Normal(0.0, 5.0), HalfNormal(30.0), LogNormal(10.0, 0.5)]
 LIKELIHOOD = RegressionLikelihood([1.0, -0.5, 15.0, 9.0], correlated([0.3, 0.2, 0.5, 2.0], 0.8))

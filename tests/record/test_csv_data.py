@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from pinn_cli.errors import InputError
 from pinn_cli.record.csv_data import CsvData
-from pinn_cli.targets import build
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.instantiation import build
 
 CONF = Path(__file__).parents[2] / "conf" / "data" / "csv.yaml"
 STEP = 0.01

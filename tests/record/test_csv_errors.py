@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.errors import InputError
 from pinn_cli.record.csv_data import CsvData
+from pinn_cli.settings.errors import InputError
 
 SETTINGS = {"path": "rig.csv", "time": "t", "force": {1: "f"}, "acceleration": {1: "a1", 2: "a2"}}
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from pinn_cli.errors import InputError
 from pinn_cli.record.excitation import BandedNoise, Excitation, Impulse, SineSweep
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.instantiation import build
 from pinn_cli.system import build_chain
-from pinn_cli.system.nonlinearity import Linear
-from pinn_cli.targets import build
+from pinn_cli.system.connection import Linear
 
 CONF = Path(__file__).parents[2] / "conf" / "excitation"
 RECORD = {"ndof": 3, "duration": 60.0, "samples": 4096}

@@ -10,8 +10,8 @@ from pinn_cli.record.noise import add_noise
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Duffing, VanDerPol
 from pinn_cli.system.model_error import NoModelError, PerturbedModelError
-from pinn_cli.system.nonlinearity import Duffing, VanDerPol
 
 NO_ERROR = NoModelError()
 CASES = {

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.errors import InputError
 from pinn_cli.record.excitation import BandedNoise
-from pinn_cli.record.noise import Noise
+from pinn_cli.record.noise import Noise, averaged
 from pinn_cli.record.record import QUANTITIES, Response
-from pinn_cli.record.repeats import averaged
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.nonlinearity import Linear
+from pinn_cli.system.connection import Linear
 
 SAMPLES = 2048
 SEEDS = {"displacement": 43810, "velocity": 13927, "acceleration": 2024, "force": 1234}

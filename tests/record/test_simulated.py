@@ -11,9 +11,9 @@ from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Measurements
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.settings.instantiation import build
 from pinn_cli.system import build_chain
-from pinn_cli.system.nonlinearity import Duffing
-from pinn_cli.targets import build
+from pinn_cli.system.connection import Duffing
 
 CONF = Path(__file__).parents[2] / "conf" / "data" / "simulated.yaml"
 CHAIN = build_chain(3, Duffing(), m=10.0, c=1.0, k=15.0, kappa=100.0)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pinn_cli.errors import InputError
 from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.record import Response
 from pinn_cli.record.simulation import OverflowsError, Simulation, simulate, substeps_needed
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system import Chain, build_chain, matrices
-from pinn_cli.system.nonlinearity import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 
 DURATION = 8.0
 CHAINS = {

@@ -19,7 +19,7 @@ from pinn_cli.report.free_run import REFERENCES, estimated_chain, free_run, free
 from pinn_cli.report.labels import LABELS
 from pinn_cli.report.terminal import WIDTH, free_run_text
 from pinn_cli.system import Chain, build_chain
-from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.system.connection import Duffing
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"

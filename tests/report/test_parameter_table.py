@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from pinn_cli.report.labels import LABELS
-from pinn_cli.report.parameters import COLUMNS, parameter_table, split_name
+from pinn_cli.report.parameters import COLUMNS, parameter_table
 from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.estimated_chain import split_name
 
 
 def test_error_is_relative_to_the_truth(make_case):

@@ -25,7 +25,7 @@ from pinn_cli.report.figures import (
 from pinn_cli.report.figures.decimate import block_maximum, line_indices
 from pinn_cli.report.figures.response import PERIODS_SHOWN, shown_dofs, shown_window
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.nonlinearity import Duffing, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, PowerDamping, VanDerPol
 
 
 def _texts(figure):

@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from pinn_cli.quoting import quoted
-from pinn_cli.report import published, tables
-from pinn_cli.report.case_runs import CaseFailedError, CaseRun, Variant, run_case
-from pinn_cli.report.comparison import COLUMNS, compare_fitness, fitness_markdown
-from pinn_cli.report.parameter_comparison import COLUMNS as PARAMETER_COLUMNS
-from pinn_cli.report.parameter_comparison import compare_parameters, parameters_markdown
-from pinn_cli.report.writing import write_json, write_table
+from pinn_cli.paper import single_tables as tables
+from pinn_cli.paper.case_runs import CaseFailedError, CaseRun, Variant, run_case
+from pinn_cli.paper.comparison import COLUMNS, compare_fitness, fitness_markdown
+from pinn_cli.paper.parameter_comparison import COLUMNS as PARAMETER_COLUMNS
+from pinn_cli.paper.parameter_comparison import compare_parameters, parameters_markdown
+from pinn_cli.report import published
+from pinn_cli.runs.writing import write_json, write_table
+from pinn_cli.settings.override_syntax import quoted
 
 UNCERTAIN, FIXED = tables.FITNESS_TABLES[0].variants
 NAN = float("nan")

@@ -11,11 +11,11 @@ import pytest
 from calls import SMALL
 from fake_posteriors import DUFFING, make_findings, make_samples
 
-from pinn_cli.config import RunConfig
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.report import figures, run_report
 from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import COLUMNS
-from pinn_cli.stages import Stages
+from pinn_cli.runs.stages import Stages
 
 
 @pytest.fixture
@@ -30,8 +30,8 @@ def reported(composed, make_case, tmp_path, monkeypatch):
         changes = {"correlation": np.eye(len(parameters)), **changes}
         estimate = replace(case.estimate, parameters=parameters, **changes)
         config = RunConfig.read(composed(*SMALL))
-        results = run_report.Results(case.record, case.truth, estimate)
-        return tmp_path, run_report.write_report(config, results, tmp_path, Stages())
+        results = run_report.Results(config.description, config.chain, case.record, case.truth, estimate)
+        return tmp_path, run_report.write_report(results, tmp_path, Stages())
 
     return report
 
@@ -72,8 +72,11 @@ def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case
     start = [replace(case.estimate.parameters[0], name=name) for name in DUFFING]
     samples = make_samples()
     findings = make_findings(samples, None, "3 divergences")
-    results = run_report.Results(case.record, case.truth, replace(case.estimate, parameters=start), posterior=findings)
-    text = run_report.write_report(RunConfig.read(composed(*SMALL)), results, tmp_path, Stages())
+    config, estimate = RunConfig.read(composed(*SMALL)), replace(case.estimate, parameters=start)
+    results = run_report.Results(
+        config.description, config.chain, case.record, case.truth, estimate, posterior=findings
+    )
+    text = run_report.write_report(results, tmp_path, Stages())
     table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
     assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))
     assert (tmp_path / "posterior.nc").is_file()

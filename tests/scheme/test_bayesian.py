@@ -10,16 +10,16 @@ import pandas as pd
 import pytest
 from small_problems import NONLINEARITIES, measured, small_chain
 
-from pinn_cli.errors import InputError
-from pinn_cli.posterior.prior_settings import WIDE
-from pinn_cli.posterior.priors import Gamma, HalfNormal, LogNormal, Normal
 from pinn_cli.record.csv_data import CsvData
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.bayesian import WIDTH, Bayesian
+from pinn_cli.scheme.prior_settings import WIDE
+from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.starts import parameter_starts
 from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from calls import Compose, PinnRun
 from omegaconf import DictConfig
 from small_problems import measured, small_chain
 
-from pinn_cli.config import RunConfig
-from pinn_cli.errors import InputError
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
 
 CSV = (
     "data=csv",
@@ -107,7 +107,7 @@ m: 10.0
 c: 1.0
 k: 15.0
 nonlinearity:
-  _target_: pinn_cli.system.nonlinearity.linear.Linear
+  _target_: pinn_cli.system.connection.linear.Linear
 """
 
 

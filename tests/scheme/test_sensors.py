@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from omegaconf import OmegaConf
 
-from pinn_cli.errors import InputError
 from pinn_cli.scheme.sensors import sensor_quantities, unobserved_dofs
+from pinn_cli.settings.errors import InputError
 
 
 @pytest.mark.parametrize(

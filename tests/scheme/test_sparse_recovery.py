@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small_problems import NONLINEARITIES, measured, small_chain
 
-from pinn_cli.errors import InputError
-from pinn_cli.posterior.priors import Prior
 from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.repeats import Repeats
+from pinn_cli.scheme.priors import Prior
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.settings.errors import InputError
 
 QUANTITIES = ("displacement", "velocity", "acceleration")
 

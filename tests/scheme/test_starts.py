@@ -10,7 +10,7 @@ from independent_records import IndependentRecord, frame_record
 from pinn_cli.scheme.starts import checked_starts
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.system.connection import Duffing
 
 
 @pytest.fixture(scope="module")

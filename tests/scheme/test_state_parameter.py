@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from small_problems import NONLINEARITIES, measured, small_chain
 
-from pinn_cli.errors import InputError
 from pinn_cli.record.record import Measurements
 from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from calls import PinnRun
 from interrupted_runs import without_figures
 from omegaconf import DictConfig
 
-from pinn_cli.errors import DivergenceError
+from pinn_cli.settings.errors import DivergenceError
 
 pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="the extra optuna is not installed")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pinn_cli.quoting import setting_of
+from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.directories import LONGEST, job_name, sweep_name, swept_settings
 
 

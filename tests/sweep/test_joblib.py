@@ -19,13 +19,13 @@ SWEEP = ("--multirun", *SMALL, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2
 # Loaded by every process of the sweep: the one that simulates the record of seed 1 is killed, whenever it tries.
 KILLS_ITS_WORKER = """
 import os, signal
-import pinn_cli.config
-read = pinn_cli.config.RunConfig.read.__func__
+import pinn_cli.cli.config
+read = pinn_cli.cli.config.RunConfig.read.__func__
 def killed(cls, config, base=None):
     if config.seed == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return read(cls, config, base)
-pinn_cli.config.RunConfig.read = classmethod(killed)
+pinn_cli.cli.config.RunConfig.read = classmethod(killed)
 """
 
 

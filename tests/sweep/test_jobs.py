@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sweeps import made_sweep
 
-from pinn_cli.errors import DivergenceError, InputError, NotSoundError
+from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep.failure import FILE, Failure, forget
 from pinn_cli.sweep.jobs import Sweep
 

@@ -12,7 +12,7 @@ from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.errors import MissingConfigException
 
-from pinn_cli.override_errors import explain
+from pinn_cli.cli.override_errors import explain
 from pinn_cli.sweep.launched import to_launch
 
 INSTALLED = Plugins.instance().class_name_to_class

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pinn_cli.system import Chain, build_chain, draw
-from pinn_cli.system.nonlinearity import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
 VARIANTS = {
     "linear": (Linear(), {}),

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from pinn_cli.system import build_chain, matrices
-from pinn_cli.system.nonlinearity import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 
 CHAINS = {
     "linear": build_chain(4, Linear(), m=[1.0, 2.0, 3.0, 4.0], c=[1.0, 2.0, 3.0, 5.0], k=[15.0, 14.0, 13.0, 11.0]),

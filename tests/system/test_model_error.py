@@ -5,10 +5,10 @@ import csv
 import numpy as np
 import pytest
 
-from pinn_cli.errors import InputError
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Duffing, VanDerPol
 from pinn_cli.system.model_error import LinearModelError, ModelError, NoModelError, PerturbedModelError
-from pinn_cli.system.nonlinearity import Duffing, VanDerPol
 
 NOMINAL = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from pinn_cli.errors import InputError
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.nonlinearity import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.5, 3.0])

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+from pinn_cli.settings.instantiation import build, construct
 from pinn_cli.system import build_chain
-from pinn_cli.targets import build, construct
 
 CONF = Path(__file__).parents[2] / "conf"
 

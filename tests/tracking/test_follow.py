@@ -14,12 +14,12 @@ import pytest
 from calls import PinnRun
 from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 
-from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.runs.tracked import FILE, Told
+from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.tracking.base import Job, Tracker, Tracking, require
 from pinn_cli.tracking.follow import Followed, follow
 from pinn_cli.tracking.none import NoTracking
 from pinn_cli.tracking.outcome import Outcome
-from pinn_cli.tracking.told import FILE, Told
 
 
 class Notes(Tracker):

@@ -14,12 +14,12 @@ import pytest
 from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
-from pinn_cli.errors import InputError
+from pinn_cli.runs.tracked import Told
+from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking import mlflow as mlflow_tracking
 from pinn_cli.tracking.base import Job
 from pinn_cli.tracking.follow import follow
 from pinn_cli.tracking.mlflow import MlflowTracker, MlflowTracking
-from pinn_cli.tracking.told import Told
 
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 pytest.importorskip("sqlalchemy", reason="the extra mlflow is not installed")

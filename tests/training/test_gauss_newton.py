@@ -12,17 +12,17 @@ import torch
 from calls import Compose
 from small_problems import QUANTITIES, measured, small_chain, sped_up
 
-from pinn_cli.config import RunConfig
-from pinn_cli.errors import InputError
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.chain import Chain
-from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.system.connection import Duffing
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 

@@ -18,7 +18,7 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.chain import Chain
-from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.system.connection import Duffing
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 

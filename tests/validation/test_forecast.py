@@ -12,11 +12,11 @@ from calls import PinnRun
 from interrupted_runs import without_figures
 from small_problems import accelerations, measured, small_chain
 
-from pinn_cli.errors import DivergenceError, InputError
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import QUANTITIES, Record, Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.validation.base import Estimator

@@ -10,7 +10,7 @@ from frame_records import altered
 
 from pinn_cli.scheme.problem import Problem, UncertainParameter
 from pinn_cli.system.chain import Chain
-from pinn_cli.system.nonlinearity import Duffing
+from pinn_cli.system.connection import Duffing
 from pinn_cli.verdict.refit import refitted
 from pinn_cli.verdict.refit_causes import refit_causes
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, one_of, positive_number, whole_number
 from pinn_cli.record.excitation.base import Excitation, checked_band
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, one_of, positive_number, whole_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

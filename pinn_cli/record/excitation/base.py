@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import USABLE, entries, is_usable_number, is_whole_number, positive_number, whole_number
 from pinn_cli.record.record import MINIMUM_SAMPLES, dof_mask
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import (
+    USABLE,
+    entries,
+    is_usable_number,
+    is_whole_number,
+    positive_number,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

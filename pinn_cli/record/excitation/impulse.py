@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import finite_number, is_finite_number, positive_number
 from pinn_cli.record.excitation.base import Excitation
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import finite_number, is_finite_number, positive_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

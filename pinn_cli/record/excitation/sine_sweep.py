@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import one_of, positive_number
 from pinn_cli.record.excitation.base import Excitation, checked_band
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of, positive_number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

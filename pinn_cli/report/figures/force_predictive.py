@@ -10,9 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.response import shown_dofs
+from pinn_cli.training.central_interval import CENTRAL_90
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

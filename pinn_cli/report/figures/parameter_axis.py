@@ -11,7 +11,7 @@ from matplotlib.axis import XAxis
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.parameters import split_name
+from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.parameters import split_name, true_value
+from pinn_cli.report.parameters import true_value
+from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.parameter_panels import draw_change, draw_value
-from pinn_cli.report.parameters import split_name
+from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

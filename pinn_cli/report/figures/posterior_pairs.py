@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pinn_cli.central_interval import CENTRAL_90
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.highest_density import grid_density, mass_levels
 from pinn_cli.report.figures.parameter_axis import ParameterAxis
 from pinn_cli.report.parameters import true_value
 from pinn_cli.report.posterior_table import posterior_correlation
+from pinn_cli.training.central_interval import CENTRAL_90
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,8 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, entries, is_finite_number, one_of, whole_number
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import (
+    LARGEST_LEGACY_SEED,
+    LARGEST_WHOLE,
+    entries,
+    is_finite_number,
+    one_of,
+    whole_number,
+)
 from pinn_cli.system.model_error.base import ModelError
 
 if TYPE_CHECKING:

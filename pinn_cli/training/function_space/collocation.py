@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.errors import InputError
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.physics import Targets
@@ -22,7 +21,8 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.inference import inferred_sensor_noise
+from pinn_cli.settings.errors import InputError
+from pinn_cli.training.band.inference import inferred_sensor_noise
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 
 # Points per period of the record's band; below that a motion between the points is seen by nothing.

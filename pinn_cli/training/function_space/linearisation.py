@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pinn_cli.errors import DivergenceError
 from pinn_cli.network.mlp import MlpNetwork
+from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, Layers, kernel, linearised, pulled_back, pushed_forward
 from pinn_cli.training.function_space.residuals import ResidualRows

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.errors import DivergenceError
 from pinn_cli.network.base import States
 from pinn_cli.network.embedding import BAND_MARGIN
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.record.subset import uniform_subset
+from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
 from pinn_cli.training.function_space.linearisation import Linearisation
@@ -41,7 +41,7 @@ class FunctionSpacePosterior:
         noise: That of the search, its discrepancy widened for its colour: a model error that fills a part of the band
             has fewer independent values, and larger ones, than there are points.
         covariance: (p, p), of the uncertain parameters, in prior standard deviations: the motion integrated out, and
-            what misfit may have added to each (:func:`pinn_cli.training.parameter_posterior.coherent_misfit`).
+            what misfit may have added to each (:func:`pinn_cli.training.band.parameter_posterior.coherent_misfit`).
     """
 
     def __init__(self, search: FunctionSpaceSearch) -> None:

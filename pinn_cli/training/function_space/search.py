@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.mlp import MlpNetwork
-from pinn_cli.training.evidence import SUSPICIOUS_DISCREPANCY, updated_spread
+from pinn_cli.training.band.evidence import SUSPICIOUS_DISCREPANCY, updated_spread
 from pinn_cli.training.function_space.kernel import Layers, layers
 from pinn_cli.training.function_space.linearisation import Linearisation, Step
 from pinn_cli.training.function_space.residuals import ResidualRows

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import entries, is_finite_number, non_negative_number, positive_number
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number, non_negative_number, positive_number
 from pinn_cli.training.gradient.objective import Evaluation, Objective
 from pinn_cli.training.gradient.optimiser import Optimiser
 from pinn_cli.training.gradient.training import GradientTraining

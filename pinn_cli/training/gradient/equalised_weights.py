@@ -7,8 +7,10 @@ from typing import Any
 
 import torch
 
+from pinn_cli.network.base import Network
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.loss_weights import LossWeights, Weights
-from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.losses import Losses
 
 
 class EqualisedWeights(Weights):
@@ -23,11 +25,11 @@ class EqualisedWeights(Weights):
     def __init__(self) -> None:
         self.found = LossWeights().by_term(1.0)
 
-    def begin_stage(self, objective: Objective, stage: int) -> None:
+    def begin_stage(self, losses: Losses, network: Network, parameters: LearnedParameters, stage: int) -> None:
         """See :meth:`Weights.begin_stage`."""
         if stage > 0:
             return
-        norms = _gradient_norms(objective)
+        norms = _gradient_norms(losses, network, parameters)
         for name, norm in norms.items():
             if name != "prior" and norm > 0 and norms["observation"] > 0:
                 self.found[name] = norms["observation"] / norm
@@ -45,12 +47,12 @@ class EqualisedWeights(Weights):
         self.found = dict(state)
 
 
-def _gradient_norms(objective: Objective) -> dict[str, float]:
+def _gradient_norms(losses: Losses, network: Network, parameters: LearnedParameters) -> dict[str, float]:
     """Norm of every unweighted term's gradient by the network's weights."""
-    network = list(objective.network.parameters())
+    weights = list(network.parameters())
     norms = {}
-    for name, term in objective.losses.terms(objective.network, objective.parameters).items():
+    for name, term in losses.terms(network, parameters).items():
         if term.requires_grad:
-            parts = torch.autograd.grad(term, network, retain_graph=True, allow_unused=True, materialize_grads=True)
+            parts = torch.autograd.grad(term, weights, retain_graph=True, allow_unused=True, materialize_grads=True)
             norms[name] = float(torch.stack([part.norm() for part in parts]).norm())
     return norms

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from pinn_cli.network.base import Network
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.loss_weights import LossWeights, Weights
-from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.noise_model import sensor_noise
 
 # Of the force that acts, its root mean square: what the model is taken to leave out before anything is known, and at
@@ -66,14 +68,14 @@ class EvidenceWeights(Weights):
         self.discrepancy = FIRST_DISCREPANCY * self.force_rms
         self._weigh()
 
-    def begin_stage(self, objective: Objective, stage: int) -> None:
+    def begin_stage(self, losses: Losses, network: Network, parameters: LearnedParameters, stage: int) -> None:
         """See :meth:`Weights.begin_stage`."""
         if stage == 0:
-            self.prepare(objective.losses.problem, objective.losses.scales, len(objective.losses.target.physics_time))
+            self.prepare(losses.problem, losses.scales, len(losses.target.physics_time))
             return
         with torch.no_grad():
-            terms = objective.losses.terms(objective.network, objective.parameters)
-        target = objective.losses.target
+            terms = losses.terms(network, parameters)
+        target = losses.target
         equations, sensors = int(target.equation.sum()), sum(int(mask.sum()) for mask in target.sensors.values())
         left = max(1.0 - len(target.equation) / (equations + sensors), 1.0 / (equations + sensors))
         name = "unforced" if bool(target.unforced.any()) else "forced"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pinn_cli.legal_values import whole_number
+from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.training.gradient.curvature_training import CurvatureTraining
 from pinn_cli.training.gradient.limited_memory import LimitedMemory
 from pinn_cli.training.gradient.objective import Objective

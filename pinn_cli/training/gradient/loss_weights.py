@@ -5,13 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import non_negative_number
-
-if TYPE_CHECKING:
-    from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.network.base import Network
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import non_negative_number
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.losses import Losses
 
 
 class Weights(ABC):
@@ -26,8 +26,8 @@ class Weights(ABC):
         """
 
     @abstractmethod
-    def begin_stage(self, objective: Objective, stage: int) -> None:
-        """Find the weights of the stage (counted from 0), with the objective where it begins."""
+    def begin_stage(self, losses: Losses, network: Network, parameters: LearnedParameters, stage: int) -> None:
+        """Find the weights of the stage (counted from 0), with the network and the parameters where it begins."""
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class LossWeights(Weights):
             "prior": 1.0,
         }
 
-    def begin_stage(self, objective: Objective, stage: int) -> None:
+    def begin_stage(self, losses: Losses, network: Network, parameters: LearnedParameters, stage: int) -> None:
         """See :meth:`Weights.begin_stage`; there is nothing to find."""
 
     def state_dict(self) -> dict[str, Any]:

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.errors import InputError
 from pinn_cli.network.base import Network, States
 from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
 from pinn_cli.record.amplitudes import motion_amplitudes
@@ -20,6 +19,7 @@ from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import periodogram, signal_band
 from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 
 # Points that follow this much of a channel's power leave out a tenth of its amplitude at most.

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from pinn_cli.errors import DivergenceError
 from pinn_cli.network.base import Network
+from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.loss_weights import Weights
 from pinn_cli.training.gradient.losses import Losses
@@ -56,7 +56,7 @@ class Objective:
     def begin_stage(self, stage: int, physics_factor: float) -> None:
         """Weigh the terms as the stage (counted from 0) does."""
         self.physics_factor = physics_factor
-        self.weights.begin_stage(self, stage)
+        self.weights.begin_stage(self.losses, self.network, self.parameters, stage)
 
     @property
     def variables(self) -> list[nn.Parameter]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from pinn_cli.legal_values import non_negative_number, positive_number, whole_number
+from pinn_cli.settings.legal_values import non_negative_number, positive_number, whole_number
 from pinn_cli.training.gradient.adam import FirstOrder, checked_betas
 from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import Optimiser

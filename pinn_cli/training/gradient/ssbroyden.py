@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import whole_number
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.training.gradient.curvature_training import CurvatureTraining
 from pinn_cli.training.gradient.dense_quasi_newton import DenseQuasiNewton
 from pinn_cli.training.gradient.objective import Objective

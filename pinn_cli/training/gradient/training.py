@@ -10,14 +10,14 @@ from typing import Any
 
 import torch
 
-from pinn_cli.errors import InputError
-from pinn_cli.legal_values import one_of, positive_number, whole_number
 from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.random_start import RandomStart
 from pinn_cli.physics import targets
 from pinn_cli.record.record import Response
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gradient.descent import Descent

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pinn_cli.errors import InputError
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.gradient.equalised_weights import EqualisedWeights
 from pinn_cli.training.gradient.evidence_weights import EvidenceWeights
 from pinn_cli.training.gradient.loss_weights import LossWeights, Weights

@@ -5,10 +5,10 @@ import pytest
 import torch
 from small_problems import accelerations, measured, relative_error, small_chain
 
-from pinn_cli.errors import InputError
 from pinn_cli.network.spline import Spline
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.function_space.collocation import Collocation, collocate
 
 

@@ -11,15 +11,15 @@ import torch
 from calls import Compose
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
 
-from pinn_cli.config import RunConfig
-from pinn_cli.errors import InputError
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training import stepwise
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
-from pinn_cli.training.quasi_newton import QuasiNewton
+from pinn_cli.training.function_space.training import QuasiNewton
 
 SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
@@ -133,7 +133,7 @@ def test_a_training_that_was_stopped_goes_on_with_the_same_numbers(monkeypatch):
         stepwise.train(training, run)
 
     for replacement in (stop_after_two, go_on):
-        monkeypatch.setattr("pinn_cli.training.quasi_newton.train", replacement)
+        monkeypatch.setattr("pinn_cli.training.function_space.training.train", replacement)
         estimate = solved(problem(uncertain=uncertain(small_chain())), iterations=6)
     np.testing.assert_array_equal(estimate.response.displacement, whole.response.displacement)
     assert [p.estimate for p in estimate.parameters] == [p.estimate for p in whole.parameters]

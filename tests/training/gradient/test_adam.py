@@ -13,12 +13,12 @@ import torch
 from calls import SMALL, Compose, PinnRun
 from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain, sped_up
 
-from pinn_cli.config import RunConfig
-from pinn_cli.errors import DivergenceError, InputError
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 

@@ -9,7 +9,7 @@ import torch
 from calls import Compose
 from small_problems import QUANTITIES, accelerations, measured, small_chain
 
-from pinn_cli.config import RunConfig
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline

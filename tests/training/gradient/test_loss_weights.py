@@ -11,7 +11,7 @@ import torch
 from calls import Compose
 from small_problems import accelerations, measured, small_chain
 
-from pinn_cli.config import RunConfig
+from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem

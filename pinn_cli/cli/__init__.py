@@ -1,0 +1,1 @@
+"""The command: options, the typed configuration, one line per error, exit status."""

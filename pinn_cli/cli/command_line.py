@@ -1,0 +1,260 @@
+"""The command `pinn-run`: Hydra's command line, with one line per error and an exit status for shell scripts.
+
+    0  done
+    1  a defect of the program: its traceback
+    2  input that no run can use: one line that says which setting, why and what to do
+    3  a run that diverged: one line that says where
+    4  with strict=true, a run whose verdict is not sound: its results are written, and one line says why
+    130  interrupted by Ctrl-C (SIGINT); pinn-run resume=DIRECTORY goes on
+    143  the same by SIGTERM
+    141  nobody reads the output any more
+
+`HYDRA_FULL_ERROR=1` adds the traceback to 2, 3 and 4.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import sys
+import textwrap
+import traceback
+from argparse import Namespace
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+from pinn_cli.cli.options import read_options
+from pinn_cli.cli.override_errors import explain
+from pinn_cli.runs import directories as run_directories
+from pinn_cli.runs.interruption import Interruption, watched
+from pinn_cli.runs.lock import held
+from pinn_cli.runs.memory import of_this_machine, ran_out
+from pinn_cli.runs.resume import StoredRun, check_sound, going_on, how_to_go_on
+from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
+from pinn_cli.sweep import collect, failure
+from pinn_cli.sweep.callback import ended_sweep
+from pinn_cli.sweep.collect import Collection, collect_command
+from pinn_cli.sweep.jobs import NOT_STARTED, Sweep
+
+log = logging.getLogger(__name__)
+
+Task = Callable[[DictConfig], float | None]
+
+STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_NOT_SOUND, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 4, 130, 141
+Told = InputError | DivergenceError | NotSoundError
+HELP_WIDTH = 120
+# What launchers raise when a process of theirs is gone: joblib and its pool.
+LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
+
+
+class Jobs:
+    """The task as Hydra calls it, once per job, and what became of the jobs.
+
+    An error that the user can mend is reported at once and does not reach Hydra, which would print a line of its own.
+    A job of a sweep, in this process or in a launcher's worker, leaves any error in its directory and takes no other
+    job along; :func:`_collect` reports it.
+    """
+
+    def __init__(self, task: Task, full_error: bool) -> None:
+        self.task, self.full_error = task, full_error
+        self.started = False
+        self.status = 0
+        self.unusable: list[Path] = []
+        self.stored: StoredRun | None = None
+        self.directory: Path | None = None
+
+    def __call__(self, config: DictConfig) -> float | None:
+        """Run one job; see the class. What it returns reaches Hydra's sweeper: a score, or None where there is none."""
+        self.started = True
+        self.directory = Path(HydraConfig.get().runtime.output_dir)
+        in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+        with held(self.directory):
+            return (self._in_sweep if in_sweep else self._alone)(config, self.directory)
+
+    def _alone(self, config: DictConfig, directory: Path) -> float | None:
+        try:
+            return self.task(config if self.stored is None else self.stored.configuration(config))
+        except Exception as raised:
+            error = _told(raised)
+            if not isinstance(error, Told):
+                raise
+            if isinstance(error, InputError):
+                self.unusable.append(directory)
+            log.info("%s", error)
+            self.report(error)
+        return None
+
+    def _in_sweep(self, config: DictConfig, directory: Path) -> float | None:
+        failure.forget(directory)
+        try:
+            return self.task(going_on(config))
+        except Exception as error:
+            kept = failure.Failure.of(_told(error))
+            log.info("%s", kept.traceback if kept.status == failure.DEFECT else kept.reason)
+            kept.write(directory)
+            return None
+
+    def report(self, error: Told) -> None:
+        """Print the error's one line and note the exit status that it asks for."""
+        if self.full_error:
+            traceback.print_exception(error)
+        else:
+            self.tell(str(error))
+        self.status = max(self.status, failure.status_of(error))
+
+    def tell(self, text: str) -> None:
+        """Print one line on standard error."""
+        print(f"pinn-run: {' '.join(text.split())}", file=sys.stderr)
+
+
+def execute(task: Task) -> int:
+    """Run a task under the command line that the process was started with.
+
+    Args:
+        task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
+
+    Returns:
+        The exit status, as listed at the top of this file.
+    """
+    jobs = Jobs(task, full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
+    options = Namespace(overrides=[], config_dir=None)
+    refused = False
+    try:
+        options = read_options(sys.argv)
+        with watched():
+            if options.help:
+                _print_help(jobs)
+            elif not _has_collected(options) and not _has_finished(jobs, options):
+                _run_hydra(jobs)
+                _collect(jobs)
+    except KeyboardInterrupt as stop:
+        sweep = ended_sweep()
+        if sweep is not None:
+            goes_on = f"to go on: the same command again; for what there is: {collect_command(sweep.directory)}"
+        else:
+            goes_on = how_to_go_on(jobs.directory) if jobs.directory else ""
+        jobs.tell(f"interrupted{f'; {goes_on}' if goes_on else ''}")
+        return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
+    except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return STATUS_PIPE
+    except Exception as error:
+        _collect(jobs)
+        if type(error).__name__ in LOST_WORKERS:
+            jobs.tell(
+                "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
+            )
+            return STATUS_DEFECT
+        explained = explain(error, options.overrides, options.config_dir, composing=not jobs.started)
+        if explained is None:
+            raise
+        jobs.report(explained.with_traceback(error.__traceback__))
+        refused = True
+    finally:
+        if refused or jobs.unusable:
+            run_directories.discard(jobs.unusable)
+    return jobs.status
+
+
+def _has_finished(jobs: Jobs, options: Namespace) -> bool:
+    """Have a run that is named by `resume=DIRECTORY` go on, unless it has all its results: that is said in one line."""
+    jobs.stored = StoredRun.asked_for(options)
+    if jobs.stored is None:
+        return False
+    if jobs.stored.finished():
+        print(f"finished before, nothing to do\n{jobs.stored.directory}")
+        if jobs.stored.strict:
+            try:
+                check_sound(jobs.stored.directory)
+            except NotSoundError as error:
+                jobs.report(error)
+        return True
+    sys.argv[1:] = jobs.stored.arguments
+    jobs.stored.enter()
+    return False
+
+
+def _has_collected(options: Namespace) -> bool:
+    """Have the sweep that is named by `collect=DIRECTORY` put together."""
+    directory = collect.asked_for(options)
+    if directory is None:
+        return False
+    sweep = Sweep.read(directory)
+    print(Collection.of(sweep, sweep.jobs()).text())
+    if sweep.is_search:
+        from pinn_cli.search.report import report_search
+
+        print(report_search(directory))
+    print(directory)
+    return True
+
+
+def _collect(jobs: Jobs) -> None:
+    """Put the sweep that has ended together and report its failures; one that only failed by its input goes."""
+    sweep = ended_sweep()
+    if sweep is None:
+        return
+    found = sweep.jobs()
+    begun = [job for job in found if job.status != NOT_STARTED]
+    if jobs.full_error:
+        for kept in filter(None, (failure.Failure.read(job.directory) for job in begun)):
+            print(kept.traceback, file=sys.stderr)
+    if not begun:
+        return
+    if all(job.exit_status == STATUS_INPUT for job in begun):
+        jobs.unusable, jobs.status = [job.directory.absolute() for job in begun], STATUS_INPUT
+        for reason in dict.fromkeys(job.reason for job in begun):
+            jobs.tell(reason)
+        return
+    collection = Collection.of(sweep, found)
+    if not sweep.is_search:  # in which trials may fail
+        jobs.status = max(jobs.status, collection.exit_status)
+    print(collection.text())
+    print(sweep.directory)
+
+
+def _told(error: Exception) -> Exception:
+    """The same error, or where memory ran out what a user is told."""
+    if not ran_out(error):
+        return error
+    given = " ".join(HydraConfig.get().overrides.task) or "(none)"
+    allowed = f"such that the run fits into memory; this machine has {of_this_machine() / 2**30:.3g} GiB"
+    return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
+
+
+def scored(result: float | None) -> float | None:
+    """A job's score as a sweeper may see it: hydra-optuna-sweeper 1.3.0 takes None for a failure and dies of NaN."""
+    return result if isinstance(result, float) and math.isfinite(result) else None
+
+
+def _print_help(jobs: Jobs) -> None:
+    """Hydra's help, which has every option of a group in one line, with long lines folded."""
+    text = StringIO()
+    try:
+        with redirect_stdout(text):
+            _run_hydra(jobs)
+    finally:  # Hydra exits once it has printed its help
+        for line in text.getvalue().splitlines():
+            folded = textwrap.wrap(line, HELP_WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
+            print("\n".join(folded) if len(line) > HELP_WIDTH else line)
+
+
+def _run_hydra(jobs: Jobs) -> None:
+    def run_job(config: DictConfig) -> float | None:
+        return scored(jobs(config))
+
+    given = os.environ.get("HYDRA_FULL_ERROR")
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
+    try:
+        hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name="config")(run_job)()
+    finally:
+        del os.environ["HYDRA_FULL_ERROR"]
+        os.environ.update({} if given is None else {"HYDRA_FULL_ERROR": given})

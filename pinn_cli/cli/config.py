@@ -1,0 +1,298 @@
+"""The typed, validated configuration of a run: every object that it needs, built before any work is done.
+
+Rules about one object's values stand in that object's constructor; the rules here are those about the run as a whole.
+Nothing slow is imported above: `pinn-run --help` reads this module too.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from pinn_cli.runs.identity import Identity
+from pinn_cli.runs.memory import keep_freed_memory, leave_without_collecting
+from pinn_cli.runs.resume import ALLOWED, NEVER
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.instantiation import build, check_targets, construct
+from pinn_cli.settings.legal_values import positive_number, whole_number
+from pinn_cli.settings.suggestion import suggestion
+
+if TYPE_CHECKING:
+    from pinn_cli.baseline.base import Baseline
+    from pinn_cli.network.base import NetworkDesign
+    from pinn_cli.posterior.base import Posterior
+    from pinn_cli.record.record import Measurements, Record
+    from pinn_cli.report.results import RunDescription
+    from pinn_cli.scheme.base import Scheme
+    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.model_error import ModelError
+    from pinn_cli.tracking.base import Tracking
+    from pinn_cli.training.base import Training
+    from pinn_cli.validation.base import Validation
+
+VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict")
+NODES = (
+    "system",
+    "excitation",
+    "simulation",
+    "noise",
+    "model_error",
+    "data",
+    "scheme",
+    "network",
+    "training",
+    "posterior",
+    "validation",
+    "baseline",
+    "tracking",
+)
+
+# Where the file of a training, a user's own perhaps, does not say.
+CHECKPOINT_EVERY_S = 30.0
+
+# More than any machine has cores; libraries set memory aside for each.
+MOST_THREADS = 1024
+
+# Read by the linear algebra libraries when they are first loaded, which is after this module.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the record comes from.
+
+    Attributes:
+        measure: From the true chain to the record, with every sensor that exists, and the truth as far as it is known.
+        simulated: Whether every sensor exists, so that the scheme chooses among them.
+        snr_db: Of a simulated record, dB; None without noise and for a measured record.
+    """
+
+    measure: Callable[[Chain], Measurements]
+    simulated: bool
+    snr_db: float | None
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that a run is made of, checked.
+
+    Attributes:
+        case: Name of the case, a folder's name.
+        seed: Of everything random that has no seed of its own.
+        device: Where networks and residuals live: cpu, cuda, cuda:1.
+        threads: Of torch and of the linear algebra.
+        chain: The structure as configured, before model error; NaN where a measured one has no value.
+        model_error: What differs between the true and the prescribed chain.
+        source: Where the record comes from.
+        scheme: What is observed and what is unknown.
+        network: What stands for the response as a function of time.
+        training: How the problem is solved.
+        posterior: How the distribution of the parameters is found, with scheme=bayesian.
+        validation: How the estimate is scored without the truth.
+        baseline: What the network is compared with.
+        tracking: What else keeps a record of the run.
+        identity: Which run this is, for its checkpoints and results.
+        resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
+        figures: Whether they are drawn; None: unless the run is a job of a sweep.
+        checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
+        strict: Whether a verdict other than sound ends the run with exit status 4.
+    """
+
+    case: str
+    seed: int
+    device: str
+    threads: int
+    chain: Chain
+    model_error: ModelError
+    source: Source
+    scheme: Scheme
+    network: NetworkDesign
+    training: Training
+    posterior: Posterior
+    validation: Validation
+    baseline: Baseline
+    tracking: Tracking
+    identity: Identity
+    resume: str | None
+    figures: bool | None
+    checkpoint_every_s: float | None
+    strict: bool
+
+    @classmethod
+    def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
+        """Check a composed configuration and build what it describes; threads are limited from here on.
+
+        Args:
+            config: As composed by Hydra, without its `hydra` node.
+            base: The folder that relative paths of data start from; None: the current one.
+
+        Raises:
+            InputError: At the first setting that no run can use.
+        """
+        config = _resolved(config)
+        _check_names(config)
+        check_targets(config)
+        identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
+        case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
+        keep_freed_memory()
+        leave_without_collecting()
+        _limit_threads(threads)
+        _check_available(device)
+        model_error = build(config.model_error, "model_error")
+        chain = _chain(config)
+        source = _source(config, chain, model_error, seed, base)
+        names = ("scheme", "network", "training", "posterior", "validation", "baseline")
+        estimation = {name: build(config[name], name) for name in names}
+        estimation["tracking"] = build(config.tracking, "tracking", base=base)
+        again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
+        again |= {"figures": _figures(config), "strict": _strict(config)}
+        return cls(case, seed, device, threads, chain, model_error, source, **estimation, **again)
+
+    def observe(self, record: Record) -> Record:
+        """What the estimator may see: the scheme's choice of simulated sensors, or all of a measured record."""
+        return self.scheme.observe(record) if self.source.simulated else record
+
+    @property
+    def description(self) -> RunDescription:
+        """What the report says of the run itself."""
+        from pinn_cli.report.results import RunDescription
+
+        labels = {
+            "case": self.case,
+            "scheme": self.scheme.name,
+            "ndof": self.chain.ndof,
+            "nonlinearity": self.chain.nonlinearity.name,
+            "model_error": self.model_error.name if self.source.simulated else None,
+            "snr_db": self.source.snr_db,
+            "seed": self.seed,
+        }
+        return RunDescription(
+            self.case, self.seed, self.device, self.threads, self.identity.configuration, labels,
+            self.source.simulated, self.validation.name, self.baseline.name,
+        )  # fmt: skip
+
+
+def _resolved(config: DictConfig) -> DictConfig:
+    """The same with every interpolation replaced by its value."""
+    for setting in OmegaConf.missing_keys(config):
+        raise InputError(setting, "(missing)", "given", f"add {setting}=... to the command")
+    try:
+        container = OmegaConf.to_container(config, resolve=True)
+    except OmegaConfBaseException as error:
+        setting = str(getattr(error, "full_key", None) or "configuration")
+        raise InputError(setting, "${...}", "resolvable", str(error).partition("\n")[0]) from error
+    return OmegaConf.create(container)  # type: ignore[return-value]
+
+
+def _check_names(config: DictConfig) -> None:
+    """A setting that nothing reads is a slip: in a config file Hydra lets it pass."""
+    known = (*VALUES, *NODES)
+    for name in map(str, config):
+        if name not in known:
+            raise InputError(name, config[name], f"one of the settings {', '.join(known)}", suggestion(name, known))
+    for name in known:
+        if name not in config:
+            raise InputError(name, "(missing)", "given", "the main config has it: was it deleted with ~?")
+    for name in NODES:
+        if not isinstance(config[name], DictConfig):
+            raise InputError(name, config[name], f"a group of settings ({name}.something=...)")
+
+
+def _case(config: DictConfig) -> str:
+    if not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
+        raise InputError("case", config.case, "a folder's name: letters, digits, and any of . _ + -")
+    return str(config.case)
+
+
+def _seed(config: DictConfig) -> int:
+    return whole_number("seed", config.seed, most=2**32 - 1)
+
+
+def _threads(config: DictConfig) -> int:
+    return whole_number("threads", config.threads, least=1, most=MOST_THREADS)
+
+
+def _device(config: DictConfig) -> str:
+    if not isinstance(config.device, str) or not re.fullmatch(r"cpu|cuda(:\d+)?", config.device):
+        raise InputError("device", config.device, "cpu, cuda or cuda:N")
+    return config.device
+
+
+def _resume(config: DictConfig) -> str | None:
+    if config.resume is not None and not isinstance(config.resume, str):
+        raise InputError("resume", config.resume, ALLOWED)
+    return None if config.resume == NEVER else config.resume
+
+
+def _figures(config: DictConfig) -> bool | None:
+    if config.figures is not None and not isinstance(config.figures, bool):
+        raise InputError("figures", config.figures, "null, true or false")
+    return config.figures
+
+
+def _strict(config: DictConfig) -> bool:
+    if not isinstance(config.strict, bool):
+        raise InputError("strict", config.strict, "true or false")
+    return config.strict
+
+
+def _checkpoint_every_s(config: DictConfig) -> float | None:
+    """Taken out of the training's settings: it is the run that keeps checkpoints, whatever the training."""
+    given = config.training.pop("checkpoint_every_s", CHECKPOINT_EVERY_S)
+    return None if given is None else positive_number("training.checkpoint_every_s", given)
+
+
+def _limit_threads(threads: int) -> None:
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(threads)))
+    import torch
+
+    torch.set_num_threads(threads)
+
+
+def _check_available(device: str) -> None:
+    if device == "cpu":
+        return
+    import torch
+
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if int(device.partition(":")[2] or 0) >= count:
+        hint = "no CUDA device is visible to torch" if count == 0 else f"torch sees {count}, counted from 0"
+        raise InputError("device", device, "cpu or a CUDA device that is there", hint)
+
+
+def _chain(config: DictConfig) -> Chain:
+    """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
+    from pinn_cli.system.building import build_chain, build_partial_chain
+
+    return construct(build_chain if _is_simulated(config) else build_partial_chain, config.system, "system")
+
+
+def _is_simulated(config: DictConfig) -> bool:
+    return bool(config.data.get("kind") == "simulated")
+
+
+def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int, base: Path | None) -> Source:
+    from pinn_cli.record.noise import Noise
+    from pinn_cli.record.simulation import Simulation
+    from pinn_cli.record.size import check_size
+
+    if not _is_simulated(config):
+        measured = build(config.data, "data", base=base)
+        if model_error.name != "none":
+            hint = "a measured record brings its own truth; system=... is the model that you prescribe"
+            raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
+        return Source(lambda true: measured.measure(true.ndof), simulated=False, snr_db=None)
+    simulation = construct(Simulation, config.simulation, "simulation")
+    noise = construct(Noise, config.noise, "noise", seed=seed)
+    check_size(simulation, chain, noise.repeats)
+    span = {"ndof": chain.ndof, "duration": simulation.duration, "samples": simulation.samples}
+    excitation = build(config.excitation, "excitation", **span)
+    simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
+    return Source(simulated.measure, simulated=True, snr_db=noise.snr_db)

@@ -1,0 +1,62 @@
+"""The options of `pinn-run`, which begin with a dash, read before Hydra reads them: a slip is told in one line."""
+
+from __future__ import annotations
+
+import re
+import sys
+from argparse import Namespace
+from importlib.metadata import version
+from typing import NoReturn
+
+from hydra._internal.utils import get_args_parser
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.suggestion import suggestion
+
+_EXCLUSIVE = ("run", "multirun", "cfg", "info", "shell_completion")
+
+
+def read_options(arguments: list[str]) -> Namespace:
+    """Check the process's arguments, and write them as Hydra reads them.
+
+    Options are put before overrides, and a mapping that is given (`data.force={1: f1}`) may have keys of its own, for
+    which Hydra wants a `++`; whether a key is known is checked when the configuration is read.
+
+    Args:
+        arguments: `sys.argv`, changed in place.
+
+    Returns:
+        The options as Hydra names them; `overrides` is the list of `setting=value`.
+
+    Raises:
+        InputError: An option is unknown, lacks its value, or excludes another.
+        SystemExit: After printing the version, if that was asked for.
+    """
+    given = arguments[1:]
+    if "--version" in given:
+        print(f"pinn-run {version('pinn-cli')}")
+        sys.exit(0)
+    parser = get_args_parser()
+
+    def refuse(message: str) -> NoReturn:
+        raise _refused(message, list(parser._option_string_actions))
+
+    parser.error = refuse  # type: ignore[method-assign]
+    options = parser.parse_intermixed_args(given)
+    chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
+    if len(chosen) > 1:
+        raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")
+    flags = [argument for argument in given if argument not in set(options.overrides)]
+    arguments[1:] = [*flags, *(re.sub(r"^(?=[\w.]+=\{)", "++", override) for override in options.overrides)]
+    return options
+
+
+def _refused(message: str, known: list[str]) -> InputError:
+    """What argparse says, as setting, value and what is allowed."""
+    unknown = re.match(r"unrecognized arguments: (\S+)", message)
+    if unknown:
+        return InputError("option", unknown[1], "one that pinn-run --help lists", suggestion(unknown[1], known))
+    choice = re.match(r"argument ([^:]+): invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
+    if choice:
+        return InputError(choice[1], choice[2], f"one of {choice[3]}".replace("'", ""))
+    return InputError("options", message, "as pinn-run --help shows them")

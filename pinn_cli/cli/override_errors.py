@@ -1,0 +1,146 @@
+"""What Hydra and OmegaConf say about a bad command line or config file, said in one line that a user can act on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException, SearchPathException
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from pinn_cli.cli.config_names import option_names, options_with, setting_names
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.settings.suggestion import suggestion
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# The extra of this package that brings a plugin: by the plugin's package, and by the options that it adds itself.
+_EXTRA_OF = {"hydra_submitit_launcher": "slurm", "hydra_ray_launcher": "ray"}
+_EXTRA_WITH = {"submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray", "ray_aws": "ray"}
+# What the sweeper of the extra `optuna` and Hydra say where it is not installed, and where no trial has a score: the
+# setting, its value, what is allowed and a hint.
+_NO_OPTUNA = ("hydra/sweeper", "search", "an installed sweeper", "pip install 'pinn-cli[optuna]'")
+_NO_SCORE = ("hydra/sweeper", "search", "given settings under which a trial ends with a score", "every trial failed")
+_OF_PLUGINS = {
+    "Unknown plugin class : 'hydra_plugins.hydra_optuna_sweeper.optuna_sweeper.OptunaSweeper'": _NO_OPTUNA,
+    "Record does not exist.": _NO_SCORE,
+    "No trials are completed yet.": _NO_SCORE,
+}
+
+
+def explain(
+    error: BaseException, overrides: Sequence[str], config_dir: str | None, composing: bool
+) -> InputError | None:
+    """The input error behind an exception of Hydra's or OmegaConf's, or None if it is something else.
+
+    Args:
+        error: What was raised while the configuration was composed or a job was started.
+        overrides: The command line's overrides (`system.ndof=3`), to name the value that was given.
+        config_dir: The folder given by `--config-dir`, whose settings and options count as known.
+        composing: Whether no job had started: then every error that Hydra raises on purpose is about its input.
+    """
+    for cause in _chain(error):
+        if isinstance(cause, InputError):
+            return cause
+    if isinstance(error, MissingConfigException):
+        return _unknown_option(error, config_dir)
+    if isinstance(error, OverrideParseException):
+        return _bad_syntax(error, overrides)
+    if isinstance(error, SearchPathException):
+        return InputError("--config-dir", config_dir, "an existing folder")
+    for cause in _chain(error):
+        key = getattr(cause, "full_key", None)
+        if key and "not in struct" in str(cause):
+            return _unknown_setting(str(key), overrides, config_dir)
+        if key and isinstance(cause, OmegaConfBaseException):
+            return _unresolved(str(key), cause, overrides)
+        plugin = re.match(r"Unknown plugin class : 'hydra_plugins\.(\w+)\.", str(cause))
+        if plugin and plugin[1] in _EXTRA_OF:
+            return _not_installed(_given("hydra/launcher", overrides), _EXTRA_OF[plugin[1]])
+    for cause in _chain(error):
+        if str(cause) in _OF_PLUGINS:
+            return InputError(*_OF_PLUGINS[str(cause)])
+    told = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
+    return _as_told(error, overrides) if told or (composing and type(error) is ValueError) else None
+
+
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    current: BaseException | None = error
+    while current is not None:
+        yield current
+        current = current.__cause__ or current.__context__
+
+
+def _unknown_option(error: MissingConfigException, config_dir: str | None) -> InputError:
+    """`system=duffin`: the group exists, the option does not."""
+    group, _, option = (error.missing_cfg_file or "").rpartition("/")
+    if not group:
+        return InputError("--config-name", option, "the name of a config file", _first_line(error))
+    if group == "hydra/launcher" and option in _EXTRA_WITH:
+        return _not_installed(option, _EXTRA_WITH[option])
+    # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
+    root, _, folder = group.partition("/")
+    options = sorted(option_names(root, config_dir))
+    given = f"{folder}/{option}" if folder else option
+    return InputError(root, given, f"one of {', '.join(options)}", suggestion(given, options))
+
+
+def _not_installed(launcher: str, extra: str) -> InputError:
+    return InputError("hydra/launcher", launcher, "an installed launcher", f"pip install 'pinn-cli[{extra}]'")
+
+
+def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> InputError:
+    """`system.ndof=[1` or a word without an equals sign."""
+    name, equals, value = error.override.partition("=")
+    if not equals:
+        spaced = error.override in overrides[1:]
+        hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
+        return InputError("override", error.override, "of the form setting=value", hint)
+    hint = f"brackets, braces and commas need quotes for the shell; {_first_line(error)}"
+    return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", hint)
+
+
+def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None) -> InputError:
+    """`system.ndfo=3` or `sytem=linear`: no such setting; name the likeliest one, and those beside it."""
+    name = next((n for n in map(setting_of, overrides) if n == key or n.startswith(f"{key}.")), key)
+    kept = [override for override in overrides if setting_of(override) != name and not override.startswith("hydra.")]
+    known = setting_names(kept, config_dir)
+    beside = [other for other in known if other.rpartition(".")[0] == name.rpartition(".")[0]]
+    allowed = f"one of the settings {', '.join(beside)}" if beside else "a setting that pinn-run --cfg job lists"
+    owners = options_with(name, config_dir)
+    hint = f"it belongs to {' and '.join(owners)}" if owners else suggestion(name, known)
+    return InputError(name, _given(name, overrides), allowed, hint)
+
+
+def _unresolved(key: str, error: BaseException, overrides: Sequence[str]) -> InputError:
+    """`case=${nothing}`, or a value that Hydra's own settings have no use for."""
+    for override in overrides:
+        if "${" in override:
+            return InputError(setting_of(override), override.partition("=")[2], "resolvable", _first_line(error))
+    return InputError(key, _given(key, overrides), "of the type that Hydra expects", _first_line(error))
+
+
+def _as_told(error: BaseException, overrides: Sequence[str]) -> InputError:
+    """Whatever else: Hydra's own words, in one line."""
+    text = _first_line(error)
+    ambiguous = re.search(r"Ambiguous value for argument '([^=]+)=(.*)'", text)
+    if ambiguous:
+        hint = f"add --multirun to sweep, or brackets for a list: [{ambiguous[2]}]"
+        return InputError(ambiguous[1], ambiguous[2], "one value", hint)
+    doubled = re.search(r"Multiple values for ([\w/]+)\.", text)
+    if doubled:
+        hint = f"write {doubled[1]}=... without a plus sign"
+        return InputError(doubled[1], _given(doubled[1], overrides), "chosen once", hint)
+    return InputError("overrides", " ".join(overrides) or "(none)", "such that a configuration follows", str(error))
+
+
+def _given(key: str, overrides: Sequence[str]) -> str:
+    return next((o.partition("=")[2] for o in overrides if setting_of(o) == key), "(from a config file)")
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().partition("\n")[0]

@@ -1,0 +1,76 @@
+"""Whether a run that lies there is still the one that would be made: what it depends on, as one digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from pinn_cli.report.run_record import package_versions
+from pinn_cli.runs.writing import write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+FINISHED = "finished.json"
+# Read what runs have left, and are no part of one: a better caption is no reason to run everything again.
+READERS = ("paper", "report/published.py")
+
+
+def run_digest(overrides: Sequence[str]) -> str:
+    """SHA-256 of the composed configuration, the code and the versions that a run with these overrides depends on.
+
+    Raises:
+        hydra.errors.HydraException: The overrides do not compose.
+    """
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        config = OmegaConf.to_yaml(compose("config", overrides=list(overrides)))
+    parts = (config, source_digest(), json.dumps(package_versions(), sort_keys=True))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+@cache
+def source_digest() -> str:
+    """SHA-256 of the package's modules and configs, without `READERS`."""
+    package, conf = (Path(str(resources.files(name))) for name in ("pinn_cli", "pinn_cli.conf"))
+    return tree_digest([(package, "*.py"), (conf, "*.yaml")], READERS)
+
+
+def tree_digest(trees: Iterable[tuple[Path, str]], left_out: Sequence[str] = ()) -> str:
+    """SHA-256 of the names and contents of files.
+
+    Args:
+        trees: Folders and patterns; files in the folders' own folders count.
+        left_out: Files and folders that do not count, as paths from the tree's root.
+    """
+    total = hashlib.sha256()
+    for root, pattern in trees:
+        for file in sorted(root.rglob(pattern)):
+            name = file.relative_to(root).as_posix()
+            if any(name == part or name.startswith(f"{part}/") for part in left_out):
+                continue
+            # The digest of each file, not its bytes: no content can pass for a name.
+            total.update(f"{name}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
+    return total.hexdigest()
+
+
+def mark_finished(directory: Path, digest: str, process_seconds: float) -> None:
+    """Write `FINISHED`, whole or not at all: the last act of a run."""
+    write_json({"digest": digest, "process_seconds": process_seconds}, directory / FINISHED)
+
+
+def finished_run(directory: Path, digest: str) -> dict[str, Any] | None:
+    """What `mark_finished` wrote, if that was under the same digest; None where the run is to be made (again)."""
+    try:
+        content = json.loads((directory / FINISHED).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(content, dict) or content.get("digest") != digest:
+        return None
+    return content if isinstance(content.get("process_seconds"), int | float) else None

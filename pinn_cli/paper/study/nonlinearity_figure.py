@@ -1,0 +1,148 @@
+"""Fitness over the grid of nonlinearity and force, one panel per quantity and model error; error against strength."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from pinn_cli.paper.plan import SMOOTHER
+from pinn_cli.paper.study.noise_seeds import PINN
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.report.figures import style
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
+    from matplotlib.image import AxesImage
+
+TITLE = "Fitness against the strength of the nonlinearity"
+CAPTION = (
+    "Six DOFs, sensors on two, 50 dB, force and noise of {seeds} seeds. Above, fitness by the printed formula over all "
+    "DOFs, mean over the seeds, for every cubic stiffness κ and root mean square of the force: ours in large figures, "
+    "the Kalman smoother's in small ones below (a dash: no estimate); the colour is our error. Columns: a model that "
+    "is right, one that leaves the cubic spring out, and one whose parameters are 5 to 10 % off. Below, the same "
+    "errors of the displacement against how strong the nonlinearity is: the largest κ ⟨e²⟩ / k of a connection, e "
+    "being its elongation; chains with κ = 0 stand at the left edge. Where a first search from rest ends with a large "
+    "misfit, ours begins once more from the motion of the prescribed chain; the smoother begins at rest only."
+)
+_TITLES = {"none": "right model", "linear": "linear model", "perturbed": "wrong values"}
+_SMALLEST, _LARGEST = 0.03, 100.0  # errors in percent, the ends of the colours
+_DARK = 3.0  # errors from here up stand on a dark ground
+
+
+def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
+    """Draw the study.
+
+    Args:
+        summary: Of `pinn_cli.paper.study.nonlinearity.NonlinearityStudy`; cells that it lacks are left empty.
+    """
+    positive = summary.loc[summary["strength"] > 0.0, "strength"]
+    edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
+    models = [name for name in _TITLES if name in set(summary["model_error"])]
+    with style.look():
+        figure = Figure(figsize=(style.PAGE_WIDTH, 8.4))
+        grid = figure.add_gridspec(
+            4, len(models), left=0.11, right=0.9, top=0.955, bottom=0.065, wspace=0.07, hspace=0.13,
+            height_ratios=(1.0, 1.0, 1.0, 1.15),
+        )  # fmt: skip
+        for column, model in enumerate(models):
+            of_model = summary[summary["model_error"] == model]
+            for row, quantity in enumerate(RESPONSE_QUANTITIES):
+                axes = figure.add_subplot(grid[row, column])
+                image = _heat_map(axes, of_model[of_model["quantity"] == quantity])
+                _label_map(axes, quantity if column == 0 else "", last=row == len(RESPONSE_QUANTITIES) - 1)
+                if row == 0:
+                    axes.set_title(_TITLES[model])
+                if row == 1 and column == len(models) - 1:
+                    _colour_bar(figure, axes, image)
+            below = figure.add_subplot(grid[3, column])
+            _against_strength(below, of_model[of_model["quantity"] == "displacement"], edge, legend=column == 0)
+            # The maps' own labels need the room between them and the curves.
+            place = below.get_position()
+            below.set_position((place.x0, place.y0 - 0.008, place.width, place.height - 0.035))
+            if column == 0:
+                below.set_ylabel(r"error of $u$, 100 − fitness (%)")
+            else:
+                below.tick_params(labelleft=False)
+    return figure
+
+
+def _heat_map(axes: Axes, cells: pd.DataFrame) -> AxesImage:
+    ours, smoothed = (_gridded(cells, name) for name in (PINN, SMOOTHER.name))
+    colours = colormaps["viridis_r"]
+    error = np.clip(100.0 - ours.to_numpy(), _SMALLEST, _LARGEST)
+    image = axes.imshow(
+        error, norm=LogNorm(_SMALLEST, _LARGEST), cmap=colours, aspect="auto", interpolation="nearest", origin="lower"
+    )
+    for (row, column), value in np.ndenumerate(ours.to_numpy()):
+        if np.isfinite(value):
+            beside = float(smoothed.to_numpy()[row, column])
+            ink = "white" if 100.0 - value > _DARK else "black"
+            axes.text(column, row + 0.12, _percent(value), ha="center", va="center", fontsize=7, color=ink)
+            axes.text(column, row - 0.27, _percent(beside), ha="center", va="center", fontsize=5, color=ink)
+    axes.set_xticks(range(ours.shape[1]), [f"{value:g}" for value in ours.columns])
+    axes.set_yticks(range(ours.shape[0]), [f"{value:g}" for value in ours.index])
+    axes.tick_params(length=0)
+    return image
+
+
+def _gridded(cells: pd.DataFrame, estimator: str) -> pd.DataFrame:
+    """Fitness in percent: rows by force, columns by kappa, NaN where there is none; the same shape for every one."""
+    kept = cells[cells["estimator"] == estimator]
+    table = kept.pivot_table(index="force_rms", columns="kappa", values="fitness_percent")
+    return table.reindex(index=sorted(set(cells["force_rms"])), columns=sorted(set(cells["kappa"])))
+
+
+def _percent(value: float) -> str:
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.2f}" if value > 99.0 else f"{value:.1f}" if value > 0.0 else "< 0"
+
+
+def _label_map(axes: Axes, quantity: str, last: bool) -> None:
+    if quantity:
+        axes.set_ylabel(f"{quantity} {style.SYMBOLS[quantity]}\nforce rms (N)")
+    else:
+        axes.tick_params(labelleft=False)
+    if last:
+        axes.set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
+    else:
+        axes.tick_params(labelbottom=False)
+
+
+def _colour_bar(figure: Figure, axes: Axes, image: AxesImage) -> None:
+    bar: Colorbar = figure.colorbar(image, cax=axes.inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
+    bar.set_label("our error, 100 − fitness (%)")
+    bar.outline.set_linewidth(0.4)
+    bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
+
+
+def _against_strength(axes: Axes, cells: pd.DataFrame, edge: float, legend: bool) -> None:
+    looks = ((PINN, "ours", "o", style.BLUE, style.BLUE, 3.4), (SMOOTHER.name, SMOOTHER.title, "s", "none",
+             style.VERMILLION, 4.4))  # fmt: skip
+    for estimator, title, marker, face, colour, size in looks:
+        of = cells[cells["estimator"] == estimator]
+        place = of["strength"].where(of["strength"] > 0.0, edge)
+        axes.plot(
+            place, 100.0 - of["fitness_percent"], marker, markersize=size, markerfacecolor=face, markeredgecolor=colour,
+            markeredgewidth=0.7, linestyle="none", label=title,
+        )  # fmt: skip
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlim=(0.5 * edge, 20.0),
+        ylim=(0.02, 2000.0),
+        xlabel=r"strength $\kappa\,\langle e^2\rangle/k$",
+    )
+    axes.axhline(100.0, color=style.GREY, linewidth=0.6, linestyle=":")
+    axes.grid(True, which="major")
+    axes.set_axisbelow(True)
+    if legend:
+        axes.legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
+        axes.text(0.98, 100.0, "no better than the mean", transform=axes.get_yaxis_transform(), ha="right", va="bottom",
+                  fontsize=6, color=style.GREY)  # fmt: skip

@@ -1,0 +1,138 @@
+"""Tables 2 and 5, and the parameters of Table 5's cases, as mean and spread over noise seeds."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from pinn_cli.paper.comparison import GROUP_TITLES
+from pinn_cli.paper.fitness_sheet import case_title
+from pinn_cli.paper.plan import SMOOTHER, cases_of
+from pinn_cli.paper.sheet import DASH, Cell, Mark, Row, Sheet
+from pinn_cli.paper.single_tables import FITNESS_TABLES
+from pinn_cli.paper.study.noise_seeds import PINN, SEEDS
+from pinn_cli.record.record import QUANTITIES
+from pinn_cli.report import published
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pandas as pd
+
+    from pinn_cli.paper.single_tables import CaseTable
+    from pinn_cli.paper.study.noise_seeds import SeedStudy
+
+_TITLES = {PINN: "ours", SMOOTHER.name: SMOOTHER.title}
+NOTE = (
+    "Error in percent, 100 less fitness: mean ± standard deviation over {seeds} draws of the sensors' noise, the force "
+    "being the case's own. By 100 RMSE / range, which is comparable with the published values; rows called printed use "
+    "100 ‖x − x̃‖ / ‖x − x̄‖. Prescribed parameters are uncertain. Published values are of one draw."
+)
+PARAMETER_NOTE = (
+    "100 |estimate − true| / |true|: mean ± standard deviation over {seeds} draws of the sensors' noise. Intervals: "
+    "the share of the 90 % intervals of these parameters, of all draws, that hold the true value. Published errors are "
+    "of one draw."
+)
+
+
+def seed_sheets(study: SeedStudy) -> list[Sheet]:
+    """One for each of Tables 2 and 5 and one for the parameters; cases without a result are left out."""
+    if study.empty:
+        return []
+    sheets = [_fitness_sheet(table, study.summary) for table in FITNESS_TABLES]
+    return [*sheets, *([] if study.parameter_summary.empty else [_parameter_sheet(study.parameter_summary)])]
+
+
+def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
+    given = published.fitness()
+    given = given[given["table"] == table.published]
+    cells = set(zip(given["group"], given["quantity"], strict=True))
+    groups = list(dict.fromkeys(given["group"]))
+    columns = [(group, quantity) for group in groups for quantity in QUANTITIES if (group, quantity) in cells]
+    rows: list[Row] = []
+    for case, values in given.groupby("case", sort=False):
+        ours = summary[summary["case"] == case]
+        if len(ours):
+            rows += _case_rows(values, ours, columns)
+    spans = tuple(
+        (GROUP_TITLES.get(group, group), sum(1 for other, _ in columns if other == group)) for group in groups
+    )
+    return Sheet(
+        f"seeds_{table.name}", f"{table.title}, over noise seeds", NOTE.format(seeds=_seeds(summary)),
+        ("Case", "Estimate"), spans, tuple(quantity for _, quantity in columns), tuple(rows),
+    )  # fmt: skip
+
+
+def _case_rows(values: pd.DataFrame, ours: pd.DataFrame, columns: list[tuple[str, str]]) -> list[Row]:
+    errors = (100.0 - values.set_index(["group", "quantity"])["fitness_percent"]).to_dict()
+    published_cells = tuple(Cell(f"{errors[key]:.2f}") if key in errors else Cell(DASH) for key in columns)
+    ranged, printed = [], []
+    for name, title in _TITLES.items():
+        found = ours[ours["estimator"] == name].set_index(["group", "quantity"]).to_dict("index")
+        if found:
+            by_range = (_against(found.get(key), "range_error_percent", errors.get(key)) for key in columns)
+            ranged.append(Row(("", title), tuple(by_range)))
+            strict = tuple(_against(found.get(key), "error_percent", None) for key in columns)
+            printed.append(Row(("", f"{title}, printed"), strict, secondary=True))
+    heads = (case_title(values.iloc[0].to_dict()), "published")
+    return [Row(heads, published_cells, begins=True), *ranged, *printed]
+
+
+def _against(row: Mapping[Any, Any] | None, column: str, given: float | None) -> Cell:
+    if row is None:
+        return Cell(DASH)
+    mean = row[f"{column}_mean"]
+    mark: Mark = "" if given is None or not math.isfinite(given) else _mark(mean, given)
+    return Cell(spread_text(mean, row[f"{column}_std"]), mark)
+
+
+def _mark(mean: float, given: float) -> Mark:
+    """Compared at the two decimals that the paper prints."""
+    ours, theirs = round(mean, 2), round(given, 2)
+    return "better" if ours < theirs else "worse" if ours > theirs else ""
+
+
+def spread_text(mean: float, std: float) -> str:
+    """Both with the decimals of a percentage near the mean's size; one draw has no standard deviation."""
+    if not math.isfinite(mean):
+        return DASH
+    decimals = 3 if mean < 0.1 else 2 if mean < 10.0 else 1
+    spread = f" ± {std:.{decimals}f}" if math.isfinite(std) else ""
+    return f"{mean:.{decimals}f}{spread}"
+
+
+def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
+    (table,) = (one for one in FITNESS_TABLES if one.published.startswith("spe"))
+    given = published.fitness()
+    titles = {case: case_title(given[given["case"] == case].iloc[0].to_dict()) for case in cases_of(table)}
+    rows: list[Row] = []
+    for case, title in titles.items():
+        ours = summary[summary["case"] == case]
+        if len(ours):
+            rows += _parameter_rows(title, ours)
+    columns = ("k_2", "k_4", "kappa_2/mu_2", "kappa_4/mu_4", "Intervals (%)")
+    return Sheet(
+        "seeds_parameters", "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds",
+        PARAMETER_NOTE.format(seeds=_seeds(summary)), ("Case", "Estimate"), (("", len(columns)),), columns, tuple(rows),
+    )  # fmt: skip
+
+
+def _parameter_rows(title: str, ours: pd.DataFrame) -> list[Row]:
+    first = ours.drop_duplicates("parameter").set_index("parameter")["published_error_percent"].to_dict()
+    names = [next((name for name in first if name in pair), "") for pair in
+             (("k_2",), ("k_4",), ("kappa_2", "mu_2"), ("kappa_4", "mu_4"))]  # fmt: skip
+    cells = [Cell(f"{first[name]:.2f}") if name else Cell(DASH) for name in names]
+    rows = [Row((title, "published"), (*cells, Cell("")), begins=True)]
+    for estimator, source in _TITLES.items():
+        found = ours[ours["estimator"] == estimator].set_index("parameter").to_dict("index")
+        if found:
+            values = [_against(found.get(name), "error_percent", first.get(name)) for name in names]
+            held = sum(row["inside_90_percent"] for row in found.values()) / len(found)
+            rows.append(Row(("", source), (*values, Cell(f"{held:.0f}"))))
+    return rows
+
+
+def _seeds(summary: pd.DataFrame) -> str:
+    """As many as there are: fewer while the study is unfinished."""
+    least, most = int(summary["seeds"].min()), int(summary["seeds"].max())
+    return str(most) if least == most else f"{least} to {most} (of {SEEDS})"

@@ -1,0 +1,146 @@
+"""The state of a run's trainings, kept on disk and taken up again."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from pinn_cli.runs.checkpoint_files import LAST, CheckpointFiles, sealed
+from pinn_cli.runs.identity import Identity
+from pinn_cli.runs.interruption import warned
+from pinn_cli.runs.random_states import random_states, set_random_states
+from pinn_cli.settings.errors import InputError
+
+FORMAT = 1
+# What may come of a file whose seal is right but whose content is none of ours.
+FORGED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+
+
+class Resumable(Protocol):
+    """Whose state can be kept."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Tensors, numbers, strings, None, and dicts, lists and tuples of them."""
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there."""
+
+
+class OtherRunError(ValueError):
+    """A checkpoint of another run.
+
+    Attributes:
+        changes: What differs, setting by setting.
+    """
+
+    def __init__(self, changes: list[str]) -> None:
+        super().__init__("; ".join(changes))
+        self.changes = changes
+
+
+class Checkpoints:
+    """Those of one run, whose trainings come one after the other.
+
+    Args:
+        directory: Of the run.
+        identity: Which run it is.
+        every_s: Seconds from one to the next; None: none but on a signal and at the end.
+        device: Of the run.
+        clock: In seconds.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        identity: Identity,
+        every_s: float | None,
+        device: str = "cpu",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.directory, self.identity, self.every_s, self.clock = directory, identity, every_s, clock
+        self.files = CheckpointFiles(directory, device)
+        self._ended: list[dict[str, Any]] = []
+        self._kept: list[dict[str, Any]] = []
+        self._random: dict[str, Any] = {}
+        self._last = clock()
+
+    def begin_anew(self) -> None:
+        """Forget what lies in the directory."""
+        self.files.tidy()
+        self.files.discard()
+
+    def take_up(self) -> bool:
+        """Have the trainings go on where the last good checkpoint left them; False where there is none.
+
+        Raises:
+            OtherRunError: It is another run's; nothing has been changed.
+        """
+        content = self.files.read()
+        if content is None:
+            return False
+        if content.get("format") != FORMAT:
+            raise OtherRunError([f"checkpoint format={FORMAT} (was {content.get('format')})"])
+        try:
+            identity, kept, states = Identity.read(content["identity"]), list(content["trainings"]), content["random"]
+        except FORGED as error:
+            raise OtherRunError([f"a checkpoint that pinn-run did not write ({error!r})"]) from error
+        changes = self.identity.changes_from(identity)
+        if changes:
+            raise OtherRunError(changes)
+        self.files.tidy()
+        self._kept, self._random = kept, states
+        return True
+
+    def begin(self, training: Resumable) -> bool:
+        """Called before a training's first step; loads the state that it had. True where it had ended already.
+
+        Raises:
+            InputError: The state is not one of such a training.
+        """
+        self._last = self.clock()
+        number = len(self._ended)
+        if number >= len(self._kept):
+            return False
+        try:
+            state, ended = (self._kept[number][name] for name in ("state", "ended"))
+            training.load_state_dict(state)
+            if number == len(self._kept) - 1:
+                set_random_states(self._random)
+        except FORGED as error:
+            hint = f"{error!r}; remove checkpoint*.pt to start over"
+            raise InputError("resume", self.directory / LAST, "a checkpoint of this training", hint) from error
+        if ended:
+            self._ended.append(state)
+        return bool(ended)
+
+    def due(self) -> bool:
+        """Whether it is time for the next one: the interval is over, or a scheduler has warned that it will kill."""
+        if warned():
+            return True
+        return self.every_s is not None and self.clock() - self._last >= self.every_s
+
+    def packed(self, training: Resumable, ended: bool = False) -> bytes:
+        """The state of everything, as it is now."""
+        self._last = self.clock()
+        now = {"ended": ended, "state": training.state_dict()}
+        before = [{"ended": True, "state": state} for state in self._ended]
+        content = {
+            "format": FORMAT,
+            "identity": self.identity.content,
+            "trainings": [*before, now],
+            "random": random_states(),
+        }
+        return sealed(content)
+
+    def write(self, packed: bytes) -> None:
+        """Keep it, and the one before."""
+        self.files.write(packed)
+
+    def end(self, training: Resumable) -> None:
+        """Called after a training's last step: what follows need not train again."""
+        self.write(self.packed(training, ended=True))
+        # A copy, since a further training may move the same network.
+        self._ended.append(copy.deepcopy(training.state_dict()))

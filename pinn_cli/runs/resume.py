@@ -1,0 +1,211 @@
+"""`resume=`: going on with a run that was interrupted, with the configuration that lies in its directory.
+
+`pinn-run resume=DIRECTORY` is handled here, before Hydra makes a new directory; `resume=auto` is a setting like any
+other. Either way the run's own files say which run they are of (:class:`pinn_cli.runs.identity.Identity`): Hydra has
+rewritten `.hydra/` by the time that a run with a fixed directory sees it. Nothing slow is imported here.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from argparse import Namespace
+from dataclasses import dataclass
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
+from pinn_cli.runs.tracked import is_told
+from pinn_cli.settings.errors import InputError, NotSoundError
+from pinn_cli.settings.override_syntax import quoted, setting_of
+
+AUTO, NEVER, RESULT = "auto", "never", "run.json"
+ALLOWED = "null, auto, never, or the directory of a run"
+# What a run that goes on takes up, in its directory: checkpoints of a training in steps, and finished chains of NUTS.
+KEPT = ("checkpoint.pt", "checkpoint.previous.pt", "chains")
+# What may be given with it: where and how a run is made, not what it computes.
+BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """A run that `pinn-run resume=DIRECTORY` goes on with.
+
+    Attributes:
+        directory: Absolute.
+        config: That the run was started with, as Hydra stored it.
+        cwd: Where relative paths of its data start from.
+        given: Settings of `BESIDE` on the command line that resumes it, as typed.
+    """
+
+    directory: Path
+    config: DictConfig
+    cwd: Path
+    given: tuple[str, ...] = ()
+
+    @classmethod
+    def asked_for(cls, options: Namespace) -> StoredRun | None:
+        """The run that the command line names; None where it names none.
+
+        Raises:
+            InputError: There is no such run, or something else is asked for along with it.
+        """
+        named = [override for override in options.overrides if setting_of(override) == "resume"]
+        directory = named[-1].partition("=")[2].strip("'\"") if named else ""
+        if directory in ("", "null", AUTO, NEVER):
+            return None
+        others = tuple(override for override in options.overrides if override not in named)
+        for name in ("multirun", "cfg", "info"):
+            if getattr(options, name):
+                hint = "the same command again goes on with a sweep" if name == "multirun" else ""
+                raise InputError("resume", directory, f"null, auto or never with --{name}", hint)
+        for override in others:
+            if setting_of(override) == "resume" or not is_left_out(setting_of(override)):
+                hint = f"a run that goes on keeps its own configuration: drop {override}"
+                raise InputError("resume", directory, f"given alone or with {', '.join(BESIDE)}", hint)
+        return cls._read(directory, others)
+
+    @classmethod
+    def _read(cls, given: str, others: tuple[str, ...]) -> StoredRun:
+        directory = Path(given).absolute()
+        if not directory.is_dir():
+            raise InputError("resume", given, ALLOWED, "there is no such directory")
+        config, hydra = (directory / ".hydra" / name for name in ("config.yaml", "hydra.yaml"))
+        if not config.is_file():
+            sweep = (directory / "multirun.yaml").is_file()
+            hint = "it is a sweep's: name one of its jobs" if sweep else "it holds no .hydra/config.yaml"
+            raise InputError("resume", given, ALLOWED, hint)
+        try:
+            stored, runtime = OmegaConf.load(config), OmegaConf.load(hydra) if hydra.is_file() else None
+            cwd = OmegaConf.select(runtime, "hydra.runtime.cwd") if runtime is not None else None
+        except (OSError, UnicodeError, YAMLError, OmegaConfBaseException) as error:
+            hint = f"its .hydra/ cannot be read: {error}"
+            raise InputError("resume", given, ALLOWED, hint) from error
+        if not isinstance(stored, DictConfig):
+            raise InputError("resume", given, ALLOWED, "its .hydra/config.yaml holds no settings")
+        return cls(directory, stored, Path(str(cwd)) if cwd else Path.cwd(), others)
+
+    @property
+    def arguments(self) -> list[str]:
+        """For Hydra: the same directory, whose `.hydra/` stays as it is."""
+        return [
+            f"resume={quoted(str(self.directory))}",
+            *self.given,
+            f"hydra.run.dir={quoted(str(self.directory))}",
+            "hydra.output_subdir=null",
+        ]
+
+    def configuration(self, composed: DictConfig) -> DictConfig:
+        """The run's own, with what may differ taken from the command line's."""
+        config = self.config.copy()
+        for name in ("resume", *map(setting_of, self.given)):
+            OmegaConf.update(config, name, OmegaConf.select(composed, name), force_add=True, merge=False)
+        return config
+
+    def finished(self) -> bool:
+        """Whether there is nothing to do: it has all its results, and so has its tracker; another one was not given."""
+        retracked = any(setting_of(override).partition(".")[0] == "tracking" for override in self.given)
+        told = not retracked and is_told(self.directory, self.config)
+        return told and is_finished(self.directory, self.config, self.cwd)
+
+    @property
+    def strict(self) -> bool:
+        """Whether its verdict must be sound: as the command line that resumes it says, else as it was started."""
+        given = [override.partition("=")[2] for override in self.given if setting_of(override) == "strict"]
+        return given[-1].lower() == "true" if given else self.config.get("strict") is True
+
+    def enter(self) -> None:
+        """Make its paths mean what they meant, if that folder is still there."""
+        if self.cwd.is_dir():
+            os.chdir(self.cwd)
+
+
+def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
+    """Whether all results of a run lie there: the last file written says so.
+
+    Args:
+        directory: Of the run.
+        config: Composed, without its `hydra` node.
+        base: The folder that relative paths of its data start from.
+    """
+    try:
+        content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
+        identity = Identity.of(config, base)
+    except (OSError, ValueError, OmegaConfBaseException):  # the run itself says what is wrong with its configuration
+        return False
+    return isinstance(content, dict) and content.get("configuration") == identity.configuration
+
+
+def stored_score(directory: Path) -> float | None:
+    """The validation score of a finished run; None where it has none."""
+    score = json.loads((directory / RESULT).read_text(encoding="utf-8")).get("validation", {}).get("score")
+    return None if score is None else float(score)
+
+
+def check_sound(directory: Path) -> None:
+    """See to it that the verdict on a finished run is sound.
+
+    Raises:
+        NotSoundError: It is not, or the run has none; its first reason is told.
+    """
+    content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
+    if content.get("verdict") != "sound":
+        reason = next(iter(content.get("reasons", ())), "run.json has no verdict: resume=never runs it again")
+        raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {reason}")
+
+
+def going_on(config: DictConfig) -> DictConfig:
+    """The configuration of a sweep's job, which goes on unless it is told otherwise or its directory is always new."""
+    if config.get("resume", NEVER) is None and _has_fixed_directory():
+        config = config.copy()
+        config.resume = AUTO
+    return config
+
+
+def asked_to_resume(config: DictConfig, directory: Path) -> bool:
+    """Whether a run may go on with what lies in its directory.
+
+    Args:
+        config: Composed; its `resume` is judged, but for its type.
+        directory: Of the run; whether it is the same at every start is asked of Hydra.
+
+    Raises:
+        InputError: It names another directory, or `auto` stands beside a directory that has the time in it.
+    """
+    resume = config.get("resume")
+    if not isinstance(resume, str) or resume == NEVER:
+        return False
+    if resume != AUTO:
+        if Path(resume) != directory:
+            hint = "pinn-run resume=DIRECTORY, given alone"
+            raise InputError("resume", resume, "null, auto or never in a file", hint)
+        return True
+    if not _has_fixed_directory():
+        hint = "the default one is new at every start; pinn-run resume=DIRECTORY goes on with a run that has one"
+        raise InputError("resume", AUTO, "given with a fixed hydra.run.dir (hydra.sweep.dir in a sweep)", hint)
+    return True
+
+
+def _has_fixed_directory() -> bool:
+    """Whether the run that Hydra has started has the same directory at every start."""
+    hydra = OmegaConf.to_container(HydraConfig.get(), resolve=False)
+    sweep = HydraConfig.get().mode == RunMode.MULTIRUN
+    return "${now:" not in hydra["sweep" if sweep else "run"]["dir"]  # type: ignore[index,call-overload]
+
+
+def how_to_go_on(directory: Path) -> str:
+    """What an interrupted run tells its user: whether it kept anything to go on from, and the command."""
+    kept = any((directory / name).exists() for name in KEPT)
+    return f"{'to go on' if kept else 'nothing is kept of it; to start over'}: {resume_command(directory)}"
+
+
+def resume_command(directory: Path) -> str:
+    """What a user types to go on."""
+    here = Path.cwd()
+    return shlex.join(["pinn-run", f"resume={directory.relative_to(here) if here in directory.parents else directory}"])

@@ -1,0 +1,72 @@
+"""What a run's directory says of its tracked run: which one it is, and whether it has been told everything.
+
+Nothing slow is imported here: it is asked of every finished job of a sweep.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+FILE = "tracking.json"
+# The choice of the config group under which nothing is tracked.
+NONE = "none"
+# Iteration of the last row where there is none; a history may begin at 0.
+NOTHING = -1.0
+
+
+@dataclass(frozen=True)
+class Told:
+    """The tracked run of a run.
+
+    Attributes:
+        tracking: Name of the config group's choice.
+        configuration: Digest of the run's settings (`pinn_cli.runs.identity.Identity.configuration`).
+        key: What finds it again; it is written down before the tracker hears of it, so that a kill leaves no orphan.
+        logged: Iteration of the last row that the tracker has, as far as is known here.
+        ended: Whether the tracker has everything of a run that has finished.
+    """
+
+    tracking: str
+    configuration: str
+    key: str
+    logged: float = NOTHING
+    ended: bool = False
+
+    @classmethod
+    def read(cls, directory: Path) -> Told | None:
+        """Of the run in a directory; None where nothing was tracked, or the file is damaged."""
+        try:
+            content = json.loads((directory / FILE).read_text(encoding="utf-8"))
+            tracking, configuration, key = (str(content[name]) for name in ("tracking", "configuration", "key"))
+            found = cls(tracking, configuration, key, float(content["logged"]), content["ended"] is True)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        return found if key.isalnum() else None
+
+    def write(self, directory: Path) -> None:
+        """Put it into the run's directory."""
+        from pinn_cli.runs.writing import write_json
+
+        write_json(asdict(self), directory / FILE)
+
+
+def is_told(directory: Path, config: DictConfig) -> bool:
+    """Whether the tracker that a configuration asks for has everything of the finished run in a directory.
+
+    Args:
+        directory: Of the run.
+        config: Composed, without its `hydra` node.
+    """
+    name = tracking_of(config)
+    told = Told.read(directory)
+    return name == NONE or (told is not None and told.tracking == name and told.ended)
+
+
+def tracking_of(config: DictConfig) -> str:
+    """The choice of the config group, by the module that its class is in."""
+    target = str(OmegaConf.select(config, "tracking._target_"))
+    return target.rpartition(".")[0].rpartition(".")[2]

@@ -1,0 +1,35 @@
+"""Duffing spring."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pinn_cli.system.connection.base import Nonlinearity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.system.array_namespace import Array
+
+
+class Duffing(Nonlinearity):
+    """Cubic spring, r_n = kappa e^3, kappa in N/m^3 (paper, section 2; its g_k misprints the elongation as a rate)."""
+
+    name = "duffing"
+    parameters = ("kappa",)
+    stiffness_parameter = "kappa"
+
+    @property
+    def titles(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.titles`."""
+        return {"kappa": "Duffing"}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.units`."""
+        return {"kappa": "N/m^3"}
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.force`."""
+        # Products, not a power: numpy's e**3 goes through pow() and costs ten times as much on a short vector.
+        return parameters["kappa"] * (e * e * e)

@@ -1,0 +1,23 @@
+"""No nonlinearity."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pinn_cli.system.array_namespace import Array, namespace
+from pinn_cli.system.connection.base import Nonlinearity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class Linear(Nonlinearity):
+    """r_n = 0: the connection is its spring and its dashpot."""
+
+    name = "linear"
+    parameters = ()
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.force`."""
+        none: Array = namespace(e).zeros_like(e)
+        return none

@@ -1,0 +1,34 @@
+"""Van der Pol damper."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pinn_cli.system.connection.base import Nonlinearity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.system.array_namespace import Array
+
+
+class VanDerPol(Nonlinearity):
+    """Self-exciting damper, r_n = mu (e^2 - 1) de, mu in N s/m, e in m (paper, section 2)."""
+
+    name = "van_der_pol"
+    parameters = ("mu",)
+    damping_parameter = "mu"
+
+    @property
+    def titles(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.titles`."""
+        return {"mu": "Van der Pol"}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.units`."""
+        return {"mu": "N s/m"}
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.force`."""
+        return parameters["mu"] * (e * e - 1.0) * de

@@ -1,0 +1,86 @@
+"""Damped Gauss-Newton for one noise model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.band.bordered import BorderedFactor
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.noise_model import NoiseModel
+
+# Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
+FIRST_DAMPING, LARGEST_DAMPING = 1e-9, 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where an optimisation ended.
+
+    Attributes:
+        point: The best point found.
+        loss: Weighted sum of squares there.
+        iterations: Accepted steps.
+        converged: Whether the last step changed the loss by less than the tolerance.
+        factor: Undamped factors of the Hessian from which that last, negligible step was taken; None where it did not
+            converge.
+    """
+
+    point: Point
+    loss: float
+    iterations: int
+    converged: bool
+    factor: BorderedFactor | None = None
+
+
+def minimise(
+    equations: NormalEquations,
+    noise: NoiseModel,
+    start: Point,
+    iterations: int,
+    tolerance: float,
+    watch: Callable[[dict[str, float]], None],
+) -> Solution:
+    """Levenberg-Marquardt from a starting point.
+
+    A step is taken when the loss does not rise; otherwise the damping grows tenfold. After an accepted step it falls
+    tenfold, and to zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
+
+    Args:
+        equations: The least-squares problem.
+        noise: Its weights.
+        start: Where to begin.
+        iterations: Steps at most.
+        tolerance: Relative decrease of the loss below which it has converged.
+        watch: Called with every loss term after each accepted step.
+
+    Raises:
+        DivergenceError: The loss is not finite at the start.
+    """
+    point, damping = start, 0.0
+    loss = sum(equations.losses(point, noise).values())
+    if not math.isfinite(loss):
+        raise DivergenceError(
+            "the loss is not finite at the start of Gauss-Newton; look for extreme values in the record or parameters"
+        )
+    for iteration in range(iterations):
+        system = equations.assemble(point, noise)
+        while True:
+            factor = system.factor(damping)
+            if factor is not None:
+                moved = equations.moved(point, factor.step(system, equations.room_below(point)))
+                terms = equations.losses(moved, noise)
+                if sum(terms.values()) <= loss * (1.0 + 1e-12):
+                    break
+            damping = max(10.0 * damping, FIRST_DAMPING)
+            if damping > LARGEST_DAMPING:
+                return Solution(point, loss, iteration, False)
+        undamped, decrease = damping == 0.0, loss - sum(terms.values())
+        point, loss = moved, sum(terms.values())
+        damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
+        watch(terms)
+        if decrease <= tolerance * loss and damping == 0.0:
+            return Solution(point, loss, iteration + 1, True, factor if undamped else None)
+    return Solution(point, loss, iterations, False)

@@ -1,0 +1,209 @@
+"""Every noise level by evidence: each response sensor's, each force sensor's and the discrepancy (MacKay 1992).
+
+At the most probable level of a white noise, sigma^2 = |r|^2 / (N - gamma), with r the residuals under it and gamma how
+many of the N values the solution has taken up: the sum over time of the output's posterior variance over sigma^2. Where
+two noises add up in one residual, the sensor of a force and the discrepancy, each gets the part of both sums that its
+share of the variance gives it. A level that is right already stays where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from pinn_cli.physics import observation_masks
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import visible_floor
+from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
+from pinn_cli.training.band.normal_equations import Point
+from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel
+
+# Rounds at most, and the relative change of a level below which nothing that is reported would change.
+ROUNDS, SETTLED = 25, 0.01
+# Most that a standard deviation may change in one round: the solution under it has to follow.
+LARGEST_CHANGE = 10.0
+# Draws from the posterior that tell how many values the solution has taken up.
+DRAWS = 8
+# Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
+FEWEST_LEFT = 1e-3
+# A discrepancy below this part of the force that acts, or of a load cell's noise, makes no motion better known.
+FINEST_DISCREPANCY, FINEST_OF_NOISE = 1e-6, 1e-2
+# Part of the samples that it counts for that sensors of one kind are alike: enough where the record leaves a sensor's
+# noise open, since the motion follows it wherever it goes, and next to nothing elsewhere.
+KINSHIP = 0.01
+# Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
+LONGEST_STRIDE = 5.0
+
+
+def settled(evidence: Evidence, trained: Trained, pooled: bool = False) -> Trained:
+    """Alternate noise levels and solution until neither moves, or until the record gets no more probable.
+
+    Args:
+        evidence: Of the problem.
+        trained: Where to begin; its discrepancy is that of a search.
+        pooled: Whether the sensors of one quantity share one level.
+    """
+    before: np.ndarray | None = None
+    floor = _floor(evidence, trained.noise)
+    best = trained
+    for _ in range(ROUNDS):
+        found = updated(evidence, trained, floor)
+        found = found.pooled() if pooled else found
+        change = _log_levels(found) - _log_levels(trained.noise)
+        noise = _moved(trained.noise, _stride(before, change), floor).with_spread(evidence.learned_spread(trained))
+        again = evidence.train(noise, trained.solution.point)
+        # One that is still on its way is followed as long as it is the more probable one already.
+        if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
+            break
+        before = change
+        gain, trained = again.log_evidence - trained.log_evidence, again
+        best = max(best, trained, key=lambda one: one.log_evidence)
+        if np.abs(change).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
+            break
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """How many values the solution has taken up.
+
+    Attributes:
+        response: Quantity to (n,).
+        physics: (n,), of the physics residual.
+    """
+
+    response: dict[str, np.ndarray]
+    physics: np.ndarray
+
+
+def values_taken(evidence: Evidence, trained: Trained) -> Taken:
+    """Effective number of parameters, gamma, of every response channel and equation of motion, by draws.
+
+    Each draw from the posterior gives all of them at once, and scaled to the length that a draw has on average, they
+    add up to what they must; a few draws tell each to some per cent.
+    """
+    equations, noise, point = evidence.equations, trained.noise, trained.solution.point
+    size = len(trained.factor.scale) + len(trained.factor.schur)
+    normals = np.random.default_rng(0).standard_normal((size, DRAWS))
+    normals *= np.sqrt(size) / np.linalg.norm(normals, axis=0)
+    weights, parameters = trained.factor.draws(normals)
+    rows = equations.rows(equations.physics, point)
+    physics = equations.weights(noise)["physics"]
+    response = {quantity: np.zeros(equations.problem.record.ndof) for quantity in RESPONSE_QUANTITIES}
+    enforced = np.zeros(equations.problem.record.ndof)
+    for w, x in zip(weights.T, parameters.T, strict=True):
+        drawn = Point(*(torch.as_tensor(v).to(point.unknowns) for v in (w, x)))
+        seen = equations.states(equations.observation, drawn)
+        for quantity, values in zip(RESPONSE_QUANTITIES, seen[:3], strict=True):
+            response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+        force = equations.moved_force(rows, drawn)
+        enforced += (force.square() * physics).sum((0, 1)).cpu().numpy() / DRAWS
+    return Taken({q: square / noise.response[q] ** 2 for q, square in response.items()}, enforced)
+
+
+def updated(evidence: Evidence, trained: Trained, floor: NoiseModel) -> NoiseModel:
+    """The noise levels that the residuals ask for, none below its floor; those that repeats tell stay."""
+    equations, noise = evidence.equations, trained.noise
+    taken = values_taken(evidence, trained)
+    force, discrepancy = _forces(evidence, trained, taken.physics)
+    discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), floor.discrepancy)
+    if equations.problem.record.repeats is not None:
+        return noise.with_discrepancy(discrepancy)
+    residuals, samples = equations.residuals(trained.solution.point), len(equations.problem.record.time)
+    response = dict(noise.response)
+    for name, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
+        if name == "observer":  # its residual holds the force's noise as well
+            continue
+        there, square = mask.cpu().numpy(), residuals[name].square().sum((0, 1)).cpu().numpy()
+        left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
+        weight, usual = KINSHIP * samples, _usual_level(equations.problem.record, name, noise.response[name])
+        found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
+        level = _limited(np.sqrt(found), noise.response[name])
+        response[name] = np.where(there, np.maximum(level, floor.response[name]), noise.response[name])
+    force = np.maximum(_limited(force, noise.force), floor.force)
+    return replace(noise, response=response, force=force, discrepancy=discrepancy)
+
+
+def _usual_level(record: Record, quantity: str, levels: np.ndarray) -> np.ndarray:
+    """(n,) noise that each sensor would have if it were as good as the others of its kind; 0 where nothing is known.
+
+    A lone sensor has what its spectrum shows above its band, if it shows any.
+    """
+    channels = getattr(record, quantity)
+    rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(record.ndof)
+    there = np.flatnonzero(record.sensors(quantity))
+    for dof in there:
+        others = [levels[other] / rms[other] for other in there if other != dof and rms[other] > 0]
+        out[dof] = rms[dof] * np.median(others) if others else visible_floor(channels[:, dof], record.step) or 0.0
+    return out
+
+
+def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np.ndarray, float]:
+    """(n,) force sensors' noise and the discrepancy."""
+    noise = trained.noise
+    split = evidence.force_residuals(trained.solution.point, noise)
+    left = np.maximum(split.count - taken, FEWEST_LEFT * split.count)
+    variance, enforced = noise.physics_variance, split.enforced
+    misfit = (split.seen / variance)[enforced]
+    share = (noise.discrepancy**2 / variance)[enforced]
+    discrepancy = noise.discrepancy
+    if enforced.any():
+        discrepancy *= float(np.sqrt((share * misfit).sum() / (share * left[enforced]).sum()))
+    sensor, own = noise.force_variance, 1.0 - noise.discrepancy**2 / variance
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beyond = split.unseen / sensor if split.beyond else np.zeros(len(sensor))
+        found = (own * split.seen / variance + beyond) / (own * left + split.beyond)
+        return noise.force * np.sqrt(found), discrepancy
+
+
+def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
+    """The least levels that are looked for."""
+    record = evidence.equations.problem.record
+    finest = {q: FINEST_SENSOR * np.sqrt(np.mean(getattr(record, q) ** 2, axis=0)) for q in QUANTITIES}
+    force = float(np.nanmax(finest["force"])) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
+    measured = noise.force[np.isfinite(noise.force)]
+    of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
+    discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
+    response = {q: np.fmin(finest[q], noise.response[q]) for q in RESPONSE_QUANTITIES}
+    # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
+    # do as well, and bands would be too narrow.
+    for dof in np.flatnonzero(record.sensors("force")):
+        shown = visible_floor(record.force[:, dof], record.step)
+        finest["force"][dof] = max(finest["force"][dof], shown or 0.0)
+    return replace(noise, response=response, force=finest["force"], discrepancy=discrepancy)
+
+
+def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarray:
+    """A standard deviation that has changed by no more than a factor."""
+    return np.clip(level, np.divide(before, LARGEST_CHANGE), np.multiply(before, LARGEST_CHANGE))
+
+
+def _log_levels(noise: NoiseModel) -> np.ndarray:
+    """Logarithms of all standard deviations; 0 where there is no sensor, or none that is not known to be perfect."""
+    every = np.concatenate([*(noise.response[q] for q in RESPONSE_QUANTITIES), noise.force, [noise.discrepancy]])
+    return np.log(np.where(np.isfinite(every) & (every > 0), every, 1.0))
+
+
+def _moved(noise: NoiseModel, change: np.ndarray, floor: NoiseModel) -> NoiseModel:
+    """The levels times exp of a change, in the order of :func:`_log_levels`."""
+    parts = np.split(np.exp(change[:-1]), len(QUANTITIES))
+    response = {
+        q: np.maximum(noise.response[q] * part, floor.response[q])
+        for q, part in zip(RESPONSE_QUANTITIES, parts[:-1], strict=True)
+    }
+    force = np.maximum(noise.force * parts[-1], floor.force)
+    discrepancy = max(noise.discrepancy * float(np.exp(change[-1])), floor.discrepancy)
+    return replace(noise, response=response, force=force, discrepancy=discrepancy)
+
+
+def _stride(before: np.ndarray | None, change: np.ndarray) -> np.ndarray:
+    """A change, lengthened where it shrinks by a steady ratio from round to round (Aitken)."""
+    if before is None:
+        return change
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.nan_to_num(change / before)
+    steady = (ratio > 0.0) & (ratio < 1.0)
+    stride = np.where(steady, np.minimum(1.0 / (1.0 - np.where(steady, ratio, 0.0)), LONGEST_STRIDE), 1.0)
+    return np.clip(change * stride, -np.log(LARGEST_CHANGE), np.log(LARGEST_CHANGE))

@@ -1,0 +1,311 @@
+"""Residuals of a linear-readout network on a chain, and their Gauss-Newton normal equations as a band with a border.
+
+A residual of DOF i at one time touches the features alive there, of DOFs i-1, i, i+1, and the parameters of connections
+i and i+1. So its Jacobian is a short dense row [J | P], and all of a group's rows together give one small dense block.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.base import States
+from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
+from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, tangent, targets
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.band.bordered import BorderedSystem
+from pinn_cli.training.band.chain_rows import ChainRows
+from pinn_cli.training.band.dof_major import DofMajorSums
+from pinn_cli.training.band.initial_motion import initial_motion
+from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.subdomains import Subdomains
+from pinn_cli.training.band.time_major import TimeMajorSums
+from pinn_cli.training.noise_model import NoiseModel
+
+# Prior on the readout weights, relative to the largest diagonal of the first normal matrix: keeps directions that
+# nothing measures from running away. Fourier features on a period longer than the record have such directions: below
+# 1e-15 their Gauss-Newton steps never settle; splines do not notice it.
+RELATIVE_RIDGE = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where Gauss-Newton stands.
+
+    Attributes:
+        unknowns: (size,) readout weights in the layout's order.
+        parameters: (p,) uncertain parameters, in prior standard deviations from their prescribed values.
+    """
+
+    unknowns: Tensor
+    parameters: Tensor
+
+    def moved(self, step: tuple[Tensor, Tensor]) -> Point:
+        """The point after a step."""
+        return Point(self.unknowns + step[0], self.parameters + step[1])
+
+
+def _by_interval(network: LinearReadout) -> bool:
+    """Whether the equation of motion can be averaged over the intervals of local features."""
+    return isinstance(network, SplineNetwork) and network.channels == 1 and network.degree % 2 == 0
+
+
+def collocation_refinement(network: LinearReadout, record: Record) -> int:
+    """Collocation points for every sample, so that each knot interval has its own.
+
+    A force that is held has one value for every step and no others.
+    """
+    if record.intersample != "band_limited" or not isinstance(network, SplineNetwork):
+        return 1
+    return max(1, math.ceil(POINTS_PER_INTERVAL * record.step / network.spacing - 1e-6))
+
+
+class NormalEquations:
+    """The weighted least-squares problem of one network, chain and record.
+
+    Residuals and states are grouped as the network's segments are, (I, S, n), and 0 at padding.
+
+    Args:
+        network: Fixed features, linear readout.
+        problem: Chain, record, uncertain parameters.
+        device: Where residuals and blocks are computed.
+    """
+
+    def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
+        self.problem, self.chain = problem, problem.chain
+        self.refinement = collocation_refinement(network, problem.record)
+        self.target = targets(problem.record, problem.chain, device, refinement=self.refinement)
+        self.network = network.to(device)
+        self.observation = network.segments(self.target.observation_time)
+        self.physics = network.segments(self.target.physics_time)
+        self.averages = Subdomains(self.physics) if _by_interval(network) else None
+        self.physics = self.physics if self.averages is None else self.averages.segments
+        self.observation_target = self.target.grouped_observations(self.observation.gather)
+        self.physics_target = self.target.grouped_collocation(self.physics.gather)
+        local = isinstance(network, SplineNetwork)
+        self.layout = BandLayout(self.physics.feature, self.physics.count, problem.record.ndof, True if local else None)
+        self.prescribed = {name: value.to(self.target.force) for name, value in problem.chain.parameters.items()}
+        self.kinds = tuple(name for name in self.prescribed if any(p.kind == name for p in problem.uncertain))
+        self._place_parameters()
+        self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
+        self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
+        self.ridge: float | None = None
+        self._kept_point: Point | None = None
+        self._kept_states: dict[int, States] = {}
+
+    @cached_property
+    def forces(self) -> Segments:
+        """The features at the times of the force samples: those of :attr:`physics`, where every point is a sample."""
+        if self.refinement == 1:
+            return self.physics
+        return self.network.segments(self.target.physics_time[:: self.refinement])
+
+    def _place_parameters(self) -> None:
+        n, like, uncertain = self.problem.record.ndof, self.target.force, self.problem.uncertain
+        column = [self.kinds.index(p.kind) * n + p.dof for p in uncertain]
+        self.column = torch.tensor(column, dtype=torch.long, device=like.device)
+        self.scale = torch.tensor([p.prior_std for p in uncertain], dtype=like.dtype, device=like.device)
+        self.unknown = torch.tensor([p.unknown for p in uncertain], dtype=torch.bool, device=like.device)
+        self.lower = np.array([p.lower / p.prior_std for p in uncertain])
+        # 0 where a parameter is held fixed: its column then vanishes.
+        spread = like.new_zeros(len(self.kinds) * n).index_copy(0, self.column, self.scale)
+        self.spread = dict(zip(self.kinds, spread.reshape(-1, n), strict=True))
+
+    def _own_features(self) -> dict[str, tuple[Segments, Tensor]]:
+        """Residuals that touch their own DOF only, with rows that never change: their segments and features."""
+        masks = observation_masks(self.target, self.problem.acceleration_through)
+        out = {name: (self.observation, getattr(self.observation, name)) for name in masks if name != "observer"}
+        if self.physics.continuity is not None:
+            out["continuity"] = (self.physics, self.physics.continuity)
+        return out
+
+    def start(self) -> Point:
+        """The structure at rest with its prescribed parameters."""
+        zeros = self.target.force.new_zeros
+        return Point(zeros(self.layout.size), zeros(len(self.scale)))
+
+    def readout(self, point: Point) -> Tensor:
+        """The readout weights of a point as the network keeps them, (channels, count, ndof)."""
+        return self.layout.weights(point.unknowns).unflatten(0, (-1, self.network.channels)).movedim(1, 0).contiguous()
+
+    def parameters(self, point: Point) -> dict[str, Tensor]:
+        """Every parameter of the chain at a point, each (n,)."""
+        n, out = self.problem.record.ndof, dict(self.prescribed)
+        if self.kinds:
+            moved = self.target.force.new_zeros(len(self.kinds) * n).index_copy(
+                0, self.column, self.scale * point.parameters
+            )
+            for kind, by in zip(self.kinds, moved.reshape(-1, n), strict=True):
+                out[kind] = out[kind] + by
+        return out
+
+    def states(self, segments: Segments, point: Point) -> States:
+        """Motion at a point; kept until the point changes, since residuals, rows and losses all ask for it."""
+        if point is not self._kept_point:
+            self._kept_point, self._kept_states = point, {}
+        if id(segments) not in self._kept_states:
+            self._kept_states[id(segments)] = self._states(segments, point)
+        return self._kept_states[id(segments)]
+
+    def _states(self, segments: Segments, point: Point) -> States:
+        local = self.layout.weights(point.unknowns)[segments.feature]
+        continuity = None if segments.continuity is None else segments.continuity @ local
+        return States(
+            segments.displacement @ local, segments.velocity @ local, segments.acceleration @ local, continuity
+        )
+
+    def flat_states(self, segments: Segments, point: Point) -> States:
+        """Motion at a point in the order of the times, each (N, n)."""
+        displacement, velocity, acceleration, _ = self.states(segments, point)
+        return States(segments.scatter(displacement), segments.scatter(velocity), segments.scatter(acceleration), None)
+
+    def residuals(self, point: Point) -> dict[str, Tensor]:
+        """Residuals by name: ``physics``, ``continuity``, those of :func:`pinn_cli.physics.observation_masks`.
+
+        That of the physics is one of averages (I, 1, n) where there are :attr:`averages`, the others are (I, S, n).
+        """
+        parameters = self.parameters(point)
+        observed, states = self.states(self.observation, point), self.states(self.physics, point)
+        through = self.problem.acceleration_through
+        out = observation_residuals(observed, self.observation_target, self.chain, parameters, through)
+        forces = self.force_residual(point)
+        out["physics"] = forces if self.averages is None else self.averages(forces)
+        if states.continuity is not None:
+            out["continuity"] = states.continuity
+        return out
+
+    def force_residual(self, point: Point) -> Tensor:
+        """Force that the motion takes minus the force that acts, at every collocation point, (I, S, n), N."""
+        states, parameters = self.states(self.physics, point), self.parameters(point)
+        return physics_residual(states, self.physics_target, self.chain, parameters)
+
+    def weights(self, noise: NoiseModel) -> dict[str, Tensor]:
+        """Weight of every residual under a noise model, 0 where a DOF has none: (n,), or (I, S, n) where it varies."""
+        like = self.target.force
+        mass = self.prescribed["m"].cpu().numpy()
+        masks = observation_masks(self.target, self.problem.acceleration_through)
+        out = {
+            name: torch.as_tensor(noise.observation_weight(name, mass)).to(like) * mask for name, mask in masks.items()
+        }
+        variance = torch.as_tensor(noise.physics_variance).to(like)
+        between = self.physics_target.force_between
+        if between is not None:
+            # The errors of neighbouring points go together: they do not average out.
+            variance = variance + (between if self.averages is None else self.averages(between)).square()
+        out["physics"] = self.target.equation / variance
+        if self.physics.continuity is not None:
+            out["continuity"] = torch.full_like(self.prescribed["m"], 1.0 / noise.continuity**2)
+        return out
+
+    def room_below(self, point: Point) -> np.ndarray:
+        """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
+        room: np.ndarray = self.lower - point.parameters.cpu().numpy()
+        return np.minimum(room, 0.0)
+
+    def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
+        """The point after a step; a parameter that the step takes to its bound is at the bound, whatever the rounding.
+
+        Args:
+            point: Where the step begins.
+            step: Of the readout weights (size,) and of the parameters (p,).
+        """
+        unknowns, parameters = (torch.as_tensor(x).to(point.unknowns) for x in step)
+        lower = torch.as_tensor(self.lower).to(point.unknowns)
+        held = torch.as_tensor(step[1] <= self.room_below(point), device=lower.device)
+        after = point.moved((unknowns, parameters))
+        return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
+
+    def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
+        """Weighted sum of squares of every residual, of the parameters' prior and of the ridge."""
+        residuals = self.residuals(point)
+        weights = self.weights(noise)
+        out = {name: float((weights[name] * r.square()).sum()) for name, r in residuals.items()}
+        out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
+        if self.begins is not None:
+            out["initial"] = self.begins.loss(point.unknowns)
+        out["ridge"] = (self.ridge or 0.0) * float(point.unknowns.square().sum())
+        return out
+
+    def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
+        """Normal matrix and gradient at a point."""
+        residuals, weights = self.residuals(point), self.weights(noise)
+        sums, own = self._sums(), self._own_features()
+        for name, residual in residuals.items():
+            if name == "physics":
+                rows = self.rows(self.physics, point)
+                sums.add_chain_rows(self.physics, rows, residual, weights[name], self.averages)
+            elif name == "observer":
+                # The observer's residual is (f - restoring force) / m - a: the rows of the restoring force over -m.
+                mass = -self.parameters(point)["m"]
+                rows = self.rows(self.observation, point, with_mass=False)
+                sums.add_chain_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
+            else:
+                segments, features = own[name]
+                sums.add_own_rows(segments, self.grams[name], features.mT @ residual, weights[name])
+        return self._system(sums, point, self.precision(noise))
+
+    def _sums(self) -> TimeMajorSums | DofMajorSums:
+        """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""
+        features, kinds, n = self.physics.feature.shape[1], len(self.kinds), self.problem.record.ndof
+        if isinstance(self.network, SplineNetwork):
+            return TimeMajorSums(self.network.channels, features, self.physics.count, n, kinds)
+        return DofMajorSums(self.layout, features, kinds, self.target.force)
+
+    def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> ChainRows:
+        """Linearised equation of motion at a point, with or without its inertia force."""
+        parameters = self.parameters(point)
+        displacement, velocity, acceleration, _ = self.states(segments, point)
+        slope = tangent(self.chain, parameters, displacement, velocity)
+        if not with_mass:
+            force = self.observation_target.observer_force
+            acceleration = self.chain.acceleration(displacement, velocity, force, parameters)
+        return ChainRows.of(slope, parameters["m"] if with_mass else None, acceleration, self.spread)
+
+    def moved_force(self, rows: ChainRows, step: Point) -> Tensor:
+        """Change of the physics residual, as it is enforced, with a small step of weights and parameters.
+
+        Args:
+            rows: The linearised equation of motion at the collocation points.
+            step: Its ``unknowns`` and ``parameters`` are changes.
+        """
+        n, kinds = self.problem.record.ndof, len(self.kinds)
+        displacement, velocity, acceleration, _ = self.states(self.physics, step)
+        force = rows.applied(displacement, velocity, acceleration)
+        if kinds:
+            by = step.parameters.new_zeros(kinds * n).index_copy(0, self.column, step.parameters).reshape(kinds, n)
+            ends = torch.stack((by, torch.cat((by[:, 1:], by.new_zeros(kinds, 1)), 1)), -1)  # (kinds, n, 2)
+            force = force + torch.einsum("isnkx,knx->isn", rows.parameter, ends)
+        force = force * self.target.equation
+        return force if self.averages is None else self.averages(force)
+
+    def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
+        """Rows of one DOF's residual by every uncertain parameter, (..., kinds, 2) to (..., p)."""
+        n = self.problem.record.ndof
+        out = parameter.new_zeros((*parameter.shape[:-2], len(self.kinds), n))
+        out[..., dof : dof + 2] = parameter[..., : min(2, n - dof)]
+        return out.flatten(-2)[..., self.column.to(parameter.device)]
+
+    def precision(self, noise: NoiseModel) -> Tensor:
+        """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
+        return torch.where(self.unknown, 1.0, noise.spread**-2)
+
+    def _system(self, sums: TimeMajorSums | DofMajorSums, point: Point, precision: Tensor) -> BorderedSystem:
+        pick, band = self.column.cpu().numpy(), sums.band
+        if self.ridge is None:
+            self.ridge = RELATIVE_RIDGE * float(band[0].max())
+        band[0] += self.ridge
+        gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
+        if self.begins is not None:
+            self.begins.add(torch.from_numpy(band), torch.from_numpy(gradient), point.unknowns.cpu())
+        border = sums.border.reshape(self.layout.size, -1)[:, pick]
+        places = sums.slope.size
+        corner = sums.corner.reshape(places, places)[pick][:, pick] + np.diag(precision.cpu().numpy())
+        slope = sums.slope.reshape(-1)[pick] + (precision * point.parameters).cpu().numpy()
+        return BorderedSystem(band, border, corner, gradient, slope)

@@ -1,0 +1,101 @@
+"""Standard deviations of every state at every time, from the Hessian of the most probable solution."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.training.band.bordered import BorderedFactor
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.subdomains import Subdomains
+
+
+class Posterior:
+    """Gaussian posterior of readout and parameters about a solution."""
+
+    def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
+        self.equations, self.point, self.factor = equations, point, factor
+        self.band = torch.as_tensor(factor.inverse_band())
+        self.solved = torch.as_tensor(factor.solved_border)
+        # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
+        self.root = torch.linalg.cholesky(torch.as_tensor(factor.corner_covariance))
+
+    def states(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
+        """Standard deviation of displacement, velocity and acceleration at the segments' times, each (N, n)."""
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, reach=0))
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        results: list[list[Tensor]] = [[] for _ in kinds]
+        for dof in range(self.equations.layout.ndof):
+            position = local[:, dof]
+            covariance = self._window(position)
+            shift = self.solved[position] @ self.root  # (I, B, p)
+            for result, phi in zip(results, kinds, strict=True):
+                variance = ((phi @ covariance) * phi).sum(-1) + (phi @ shift).square().sum(-1)
+                result.append(variance.clamp(min=0).sqrt())
+        grouped = [torch.stack(result, -1).to(segments.mask.device) for result in results]
+        displacement, velocity, acceleration = (segments.scatter(std).cpu() for std in grouped)
+        return displacement, velocity, acceleration
+
+    def force(self, segments: Segments) -> Tensor:
+        """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
+        rows = LocalRows(self.equations, segments, self.point)
+        result = [self._force_of_dof(rows, dof) for dof in range(self.equations.layout.ndof)]
+        return segments.scatter(torch.stack(result, -1).to(segments.mask.device)).cpu()
+
+    def force_residual(self) -> Tensor:
+        """Standard deviation of the physics residual as it is enforced: (I, 1, n) of averages, or (I, S, n)."""
+        e = self.equations
+        rows = LocalRows(e, e.physics, self.point, e.averages)
+        return torch.stack([self._force_of_dof(rows, dof) for dof in range(e.layout.ndof)], -1).cpu()
+
+    def force_by_parameter(self, segments: Segments) -> Tensor:
+        """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
+        rows, dofs = LocalRows(self.equations, segments, self.point), range(self.equations.layout.ndof)
+        every = [self._by_parameter(*rows.of_dof(dof)) for dof in dofs]
+        return segments.scatter(torch.stack(every, 2).to(segments.mask.device)).cpu()
+
+    def _force_of_dof(self, rows: LocalRows, dof: int) -> Tensor:
+        position, jacobian, held = rows.of_dof(dof)
+        variance = ((jacobian @ self._window(position)) * jacobian).sum(-1)
+        by_parameter = self._by_parameter(position, jacobian, held)
+        return (variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt()
+
+    def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
+        """(I, S, p)."""
+        return held - jacobian @ self.solved[position]
+
+    def _window(self, position: Tensor) -> Tensor:
+        """Entries (I, C, C) of the inverse's band at the given positions (I, C)."""
+        row, column = position[:, :, None], position[:, None, :]
+        offset = (row - column).abs().clamp(max=len(self.band) - 1)
+        return self.band[offset, torch.minimum(row, column)]
+
+
+class LocalRows:
+    """The linearised equation of motion at the times of segments, or its averages, DOF by DOF.
+
+    Args:
+        equations: Whose features and parameters the rows are by.
+        segments: I groups of S times.
+        point: Where it is linearised.
+        averages: Taken of the rows; None: none.
+    """
+
+    def __init__(
+        self, equations: NormalEquations, segments: Segments, point: Point, averages: Subdomains | None = None
+    ) -> None:
+        self.equations, self.segments, self.averages = equations, segments, averages
+        self.rows = equations.rows(segments, point)
+        self.local = torch.as_tensor(equations.layout.columns(segments.feature))
+
+    def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions (I, 3 B), rows by the weights there (I, S, 3 B), 0 beyond the chain's ends, and by parameter."""
+        inside = self.local[:, dof] >= 0
+        jacobian = (
+            self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
+        )
+        held = self.equations.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
+        if self.averages is not None:
+            jacobian, held = self.averages(jacobian), self.averages(held)
+        return self.local[:, dof].clamp(min=0), jacobian, held

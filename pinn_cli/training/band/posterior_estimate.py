@@ -1,0 +1,71 @@
+"""From a trained linear readout to what is reported: posterior means and standard deviations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.physics import estimated_response
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
+from pinn_cli.training.acting_force import acting_force, sensor_share
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.noise_levels import values_taken
+from pinn_cli.training.band.parameter_posterior import parameter_posterior
+from pinn_cli.training.band.posterior import Posterior
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.history import History
+
+
+def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
+    """Means, standard deviations, parameters and summary of a trained network."""
+    equations, point = evidence.equations, trained.solution.point
+    posterior = Posterior(equations, point, trained.factor)
+    motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
+    response = estimated_response(equations.problem.record, equations.chain, equations.parameters(point), *motion)
+    std = Response(
+        response.time,
+        *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force(equations.forces))),
+    )
+    response, std = _share_force(evidence, trained, response, std)
+    summary = {
+        "iterations": len(history.rows),
+        "stop_reason": "converged" if trained.solution.converged else "iteration limit",
+        "log_evidence": trained.log_evidence,
+        "features_per_dof": equations.network.count,
+        "effective_parameters": _effective_parameters(evidence, trained),
+        "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
+        "parameter_spread": trained.noise.spread,
+        "sigma_force": _listed(trained.noise.force),
+        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
+    }
+    parameters, correlation = parameter_posterior(equations, trained)
+    return Estimate(response, std, parameters, history.table(), summary, correlation)
+
+
+def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
+    """The force that acts, with its standard deviation."""
+    equations, noise = evidence.equations, trained.noise
+    forced = equations.problem.record.sensors("force")
+    if not forced.any():
+        return response, std
+    measured = equations.problem.record.force
+    filtered = evidence.followed_force()
+    share = sensor_share(noise)[forced]
+    # Both variances count N samples for the K values that the features can tell apart.
+    seen = min(equations.network.count / len(measured), 1.0)
+    force_std = std.force.copy()
+    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * noise.force[forced] ** 2)
+    return acting_force(response, filtered, noise), replace(std, force=force_std)
+
+
+def _effective_parameters(evidence: Evidence, trained: Trained) -> dict[str, list[float | None]]:
+    """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
+    record = evidence.equations.problem.record
+    taken = values_taken(evidence, trained).response
+    sensors = {quantity: record.sensors(quantity) for quantity in RESPONSE_QUANTITIES}
+    return {q: _listed(np.where(there, taken[q], np.nan)) for q, there in sensors.items() if there.any()}
+
+
+def _listed(sigma: np.ndarray) -> list[float | None]:
+    return [None if np.isnan(s) else float(s) for s in sigma]

@@ -1,0 +1,107 @@
+"""What a spline cannot follow of a motion, and how many knots it takes to follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.physics import tangent
+from pinn_cli.record.spectrum import periodogram, record_band
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+
+# The error of a spline's accelerations falls with this power of the knots.
+ORDER = 5
+# Part of a sensor's noise, or of a spring's standard deviation, that the spline's own error may be: beyond it the
+# spline should be finer.
+TOLERATED = 0.3
+# So far above the highest resonance a record still tells of stiffness.
+BEYOND_RESONANCE = 1.3
+# Most that the knots are multiplied by at once.
+LARGEST_FACTOR = 2.0
+
+
+def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
+    """(n,) rms of what the spline cannot follow of the accelerations, m/s^2.
+
+    Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
+    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
+    """
+    equations = evidence.equations
+    network = equations.network
+    if not isinstance(network, SplineNetwork):
+        return np.zeros(equations.problem.record.ndof)
+    motion = equations.flat_states(equations.physics, trained.solution.point).acceleration.cpu().numpy()
+    rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
+    errors = []
+    for column in motion.T:
+        frequency, power = periodogram(column, step)
+        below = frequency <= rate / 2.0
+        image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
+        errors.append(np.sqrt(2.0 * float(np.sum(power[below] * image)) / len(column)))
+    return np.array(errors)
+
+
+def knots_wanted(evidence: Evidence, trained: Trained) -> float:
+    """How many times the knots make the spline's error small against all that the record tells; at least 1."""
+    if evidence.equations.averages is None:
+        return 1.0
+    wanted = max(_for_the_sensors(evidence, trained), _for_the_parameters(evidence, trained))
+    return float(np.clip(wanted, 1.0, LARGEST_FACTOR))
+
+
+def _for_the_sensors(evidence: Evidence, trained: Trained) -> float:
+    """So many times the knots make the spline's error small against every sensor's noise.
+
+    An error of the accelerations is one of velocities and displacements at the record's highest frequencies.
+    """
+    record = evidence.equations.problem.record
+    error, omega = acceleration_error(evidence, trained), 2.0 * np.pi * record_band(record)
+    worst = 0.0
+    for order, quantity in enumerate(("acceleration", "velocity", "displacement")):
+        ratio = error / omega**order / trained.noise.response[quantity]
+        worst = max(worst, float(np.nanmax(ratio, initial=0.0)))
+    return float((worst / TOLERATED) ** (1.0 / ORDER))
+
+
+def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
+    """So many times the knots make the error of the dynamic stiffness small against what is known of every spring."""
+    equations = evidence.equations
+    parameters = equations.parameters(trained.solution.point)
+    std = np.sqrt(np.diag(trained.factor.corner_covariance)) * equations.scale.cpu().numpy()
+    known = [
+        s / float(parameters["k"][p.dof])
+        for s, p in zip(std, equations.problem.uncertain, strict=True)
+        if p.kind == "k" and float(parameters["k"][p.dof]) > 0
+    ]
+    if not known:
+        return 1.0
+    network = equations.network
+    assert isinstance(network, SplineNetwork)
+    wanted = _highest_resonance(equations, trained) * (1.0 + (TOLERATED * min(known)) ** (-1.0 / network.degree))
+    return wanted * network.spacing
+
+
+def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
+    """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
+    parameters, point = equations.parameters(trained.solution.point), trained.solution.point
+    motion = equations.states(equations.observation, point)
+    slope = tangent(equations.chain, parameters, motion.displacement, motion.velocity)
+    stiffness = equations.observation.scatter(slope.stiffness).mean(0).cpu().numpy()
+    root = np.sqrt(parameters["m"].cpu().numpy())
+    stretch = np.eye(len(root)) - np.eye(len(root), k=-1)
+    rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
+    frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
+    highest = float(max(frequencies[frequencies <= band], default=band))
+    return min(band, BEYOND_RESONANCE * highest)
+
+
+def carried_over(trained: Trained, coarse: NormalEquations, fine: NormalEquations) -> Point:
+    """The same motion and parameters in the features of a finer spline."""
+    segments = fine.physics
+    times = fine.target.physics_time
+    motion = coarse.flat_states(coarse.network.segments(times), trained.solution.point).displacement
+    projection = FeatureProjection(first_output(fine.network, segments), output_features(fine.network, segments)[0])
+    weights = projection.coefficients(motion).to(motion)
+    return Point(fine.layout.unknowns(weights), trained.solution.point.parameters)

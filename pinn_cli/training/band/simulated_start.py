@@ -1,0 +1,32 @@
+"""A motion to start from: what the prescribed chain does under the measured force."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+
+
+def simulated_start(equations: NormalEquations) -> Point | None:
+    """The prescribed chain's motion from rest under the measured force, as readout weights.
+
+    None where it cannot be had: a force is unknown, a parameter is, the motion does not stay finite, or velocity is an
+    output of its own.
+    """
+    problem = equations.problem
+    if problem.identifies or equations.network.channels > 1 or not np.isfinite(problem.record.force).all():
+        return None
+    rest = np.zeros(problem.record.ndof)
+    try:
+        motion = resimulate(problem.chain, problem.record, (rest, rest))
+    except (OverflowsError, TooStiffError):
+        return None
+    segments, network = equations.observation, equations.network
+    projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+    like = equations.target.force
+    weights = projection.coefficients(torch.as_tensor(motion.displacement).to(like))
+    return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)

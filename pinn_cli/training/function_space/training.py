@@ -1,0 +1,147 @@
+"""The recommended way to train a multilayer perceptron: Gauss-Newton in function space, with inferred weights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.mlp import Mlp, MlpNetwork
+from pinn_cli.physics import targets
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import fraction, true_or_false, whole_number
+from pinn_cli.training.acting_force import acting_force
+from pinn_cli.training.base import Training
+from pinn_cli.training.bounded_estimates import bounded_estimates
+from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
+from pinn_cli.training.function_space.collocation import Collocation, collocate, noise_model
+from pinn_cli.training.function_space.posterior import FunctionSpacePosterior
+from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
+from pinn_cli.training.gradient.history import History
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.network_response import network_response
+from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
+from pinn_cli.training.stepwise import train
+from pinn_cli.training.truncated_gaussian import TruncatedGaussian
+
+# Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
+SOFT = 0.1
+# Precision of the weights at which training begins, over the square of the readout's gain; it follows the weights by
+# factors of ten at most.
+FIRST_PRECISION = 100.0
+
+
+class QuasiNewton(Training):
+    """Levenberg-Marquardt over all weights and physical parameters, with noise levels inferred from the record.
+
+    The curvature is the Gauss-Newton matrix of all residuals, solved in the space of the residuals (see
+    :mod:`pinn_cli.training.function_space`), so that its cost hardly depends on the number of weights.
+
+    Args:
+        iterations: Steps at most.
+        tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
+        learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
+        collocation_points: Points at which sensors and equations of motion are compared; None: as many as the record
+            has independent values, but no more than ``most_residuals`` in all.
+        most_residuals: Its square is the memory, its cube the time of a step.
+
+    Raises:
+        InputError: A setting outside its range.
+    """
+
+    def __init__(
+        self,
+        iterations: int = 40,
+        tolerance: float = 0.02,
+        learn_spread: bool = True,
+        collocation_points: int | None = None,
+        most_residuals: int = 8000,
+    ) -> None:
+        self.iterations = whole_number("training.iterations", iterations, least=1)
+        self.tolerance = fraction("training.tolerance", tolerance)
+        self.learn_spread = true_or_false("training.learn_spread", learn_spread)
+        if collocation_points is not None:
+            whole_number("training.collocation_points", collocation_points, least=2)
+        self.collocation_points = collocation_points
+        self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
+
+    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+        """See :meth:`Training.solve`."""
+        if problem.priors is not None:
+            raise InputError("training", "quasi_newton", "gauss_newton with scheme=bayesian", "it gives no likelihood")
+        if not isinstance(design, Mlp):
+            hint = f"the residuals of network={design.name} are nearly linear in its weights"
+            raise InputError("training", "quasi_newton", "gauss_newton for this network", hint)
+        every = targets(problem.record, problem.chain, run.device)
+        collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
+        network = design.build(problem.record, torch.float64, len(collocation.target.physics_time))
+        network.reset(run.seed)
+        gain = network.make_nearly_linear()
+        network.to(run.device)
+        parameters = LearnedParameters(problem, torch.float64).to(run.device)
+        history = History("quasi-newton", run.progress, self.iterations, 1, run.watch)
+        search = self._search(problem, collocation, network, gain, parameters, history)
+        try:
+            train(search, run)
+        finally:
+            history.close()
+        response = network_response(problem, every, network, parameters)
+        response = acting_force(response, collocation.filtered_force, search.levels.noise)
+        posterior = FunctionSpacePosterior(search)
+        std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
+        estimates, correlation = _parameters(search, posterior)
+        return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
+
+    def _search(
+        self,
+        problem: Problem,
+        collocation: Collocation,
+        network: MlpNetwork,
+        gain: float,
+        parameters: LearnedParameters,
+        history: History,
+    ) -> FunctionSpaceSearch:
+        force, velocity = scales(problem)
+        rows = ResidualRows(
+            problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised",
+            problem.initial_deviation,
+        )  # fmt: skip
+        noise = noise_model(collocation, SOFT * force, CONTINUITY_TOLERANCE * velocity)
+        levels = Levels(noise, FIRST_PRECISION * gain**2)
+        return FunctionSpaceSearch(
+            network, parameters, rows, levels, force, self.iterations, self.tolerance, self.learn_spread, history
+        )
+
+
+def _parameters(
+    search: FunctionSpaceSearch, posterior: FunctionSpacePosterior
+) -> tuple[list[ParameterEstimate], np.ndarray | None]:
+    """Estimates with what bounds leave of the Gaussian at the solution, weights integrated out."""
+    parameters = search.parameters
+    if not parameters.uncertain:
+        return [], None
+    unit = parameters.unit.cpu().numpy()
+    deviation = (parameters.prior_deviation(search.levels.noise.spread) / parameters.unit).cpu().numpy()
+    mode, lower = parameters.moved.detach().cpu().numpy(), parameters.lower.cpu().numpy()
+    covariance = posterior.covariance.cpu().numpy()
+    cut_off = TruncatedGaussian(mode, covariance * np.outer(deviation, deviation), lower)
+    std = np.sqrt(covariance.diagonal())
+    return bounded_estimates(parameters.uncertain, unit, mode, cut_off), covariance / np.outer(std, std)
+
+
+def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
+    noise = search.levels.noise
+    return {
+        "iterations": search.iteration,
+        "stop_reason": search.stop_reason,
+        "loss": search.loss().total,
+        "network_weights": sum(weight.numel() for weight in search.network.parameters()),
+        "collocation_points": search.rows.points,
+        "sigma_discrepancy": noise.discrepancy,
+        "parameter_spread": noise.spread,
+        "weight_precision": search.levels.precision,
+    }

@@ -1,0 +1,209 @@
+"""Exit statuses, one line per error, nothing left behind: the command line alone, with a stand-in for the task."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from calls import PinnRun
+from omegaconf import DictConfig
+
+from pinn_cli.settings.errors import DivergenceError, InputError
+
+
+def judge(config: DictConfig) -> None:
+    """A task whose seed decides how it ends."""
+    match config.seed:
+        case 2:
+            raise InputError("seed", 2, "another number")
+        case 3:
+            raise DivergenceError("diverged at iteration 7")
+        case 4:
+            raise KeyboardInterrupt
+        case 5:
+            raise RuntimeError("a defect")
+    print("done")
+
+
+def test_success_is_0_and_leaves_a_directory_of_its_own_per_run(pinn_run: PinnRun, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert pinn_run(task=judge).status == 0
+    assert len(list((tmp_path / "outputs" / "default").iterdir())) == 2
+    assert all(
+        (d / ".hydra").is_dir() and (d / "pinn-run.log").is_file() for d in (tmp_path / "outputs/default").iterdir()
+    )
+
+
+def test_unusable_input_is_2_in_one_line_and_leaves_nothing(pinn_run: PinnRun, tmp_path: Path) -> None:
+    outcome = pinn_run("seed=2", task=judge)
+    assert (outcome.status, outcome.err) == (2, "pinn-run: seed=2: must be another number\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unusable_input_leaves_earlier_results_alone(pinn_run: PinnRun, tmp_path: Path) -> None:
+    pinn_run(task=judge)
+    before = sorted(tmp_path.rglob("*"))
+    assert pinn_run("seed=2", task=judge).status == 2
+    assert pinn_run("seed=2", "hydra.run.dir=elsewhere", task=judge).status == 2
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_unusable_input_keeps_files_that_were_in_its_directory(pinn_run: PinnRun, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("keep")
+    assert pinn_run("seed=2", "hydra.run.dir=mine", task=judge).status == 2
+    assert (tmp_path / "mine" / "notes.txt").read_text() == "keep"
+
+
+def test_divergence_is_3_and_keeps_the_run(pinn_run: PinnRun, tmp_path: Path) -> None:
+    outcome = pinn_run("seed=3", task=judge)
+    assert (outcome.status, outcome.err) == (3, "pinn-run: diverged at iteration 7\n")
+    (directory,) = (tmp_path / "outputs" / "default").iterdir()
+    assert "diverged at iteration 7" in (directory / "pinn-run.log").read_text()
+
+
+def test_interrupt_is_130(pinn_run: PinnRun) -> None:
+    assert pinn_run("seed=4", task=judge).status == 130
+
+
+def test_a_defect_keeps_its_traceback(pinn_run: PinnRun) -> None:
+    with pytest.raises(RuntimeError, match="a defect"):
+        pinn_run("seed=5", task=judge)
+
+
+def test_full_error_adds_the_traceback(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+    outcome = pinn_run("seed=2", task=judge)
+    assert outcome.status == 2
+    assert "Traceback" in outcome.err
+    assert os.environ["HYDRA_FULL_ERROR"] == "1"
+
+
+def test_a_failed_job_of_a_sweep_is_a_row_with_its_reason(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("--multirun", "seed=1,2,3,6", task=judge)
+    assert outcome.status == 3
+    assert [line[8:] for line in outcome.err.splitlines()] == [
+        "seed=2  failed: seed=2: must be another number",
+        "seed=3  failed: diverged at iteration 7",
+    ]
+    assert "\n4 jobs: 2 failed, 2 unfinished\n" in outcome.out
+    rows = list(csv.DictReader((outcome.directory / "fitness.csv").open()))
+    assert [row["reason"] for row in rows] == ["seed=2: must be another number", "diverged at iteration 7"]
+    assert [(row["seed"], row["status"]) for row in rows] == [("2", "failed"), ("3", "failed")]
+
+
+def test_a_defect_takes_no_other_job_along(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("--multirun", "seed=5,6", task=judge)
+    assert outcome.status == 1
+    assert "RuntimeError: a defect" in outcome.out
+    assert "Traceback" in (outcome.directory / "seed=5" / "failure.json").read_text()
+    assert "Traceback" in (outcome.directory / "seed=5" / "pinn-run.log").read_text()
+
+
+def test_a_sweep_of_unusable_jobs_leaves_nothing(pinn_run: PinnRun, tmp_path: Path) -> None:
+    assert pinn_run("--multirun", "seed=2", "system.ndof=3,4", task=judge).status == 2
+    assert pinn_run("--multirun", "system=duffing,dufing", task=judge).status == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+COMPOSITION_ERRORS = {
+    "unknown option": (["system=dufing"], ["system=dufing:", "duffing, linear", "did you mean duffing?"]),
+    "unknown option in a sweep": (["-m", "system=linear,dufing"], ["system=dufing:", "did you mean duffing?"]),
+    "unknown experiment": (
+        ["experiment=paper/sr_6dof_snr5"],
+        ["one of paper/pe_2dof_duffing,", "did you mean paper/sr_6dof_snr50?"],
+    ),
+    "experiment without its folder": (["experiment=sr_6dof_linear"], ["did you mean paper/sr_6dof_linear?"]),
+    "unknown group": (["sytem=linear"], ["sytem=linear:", "did you mean system?"]),
+    "unknown setting": (["system.ndfo=3"], ["system.ndfo=3:", "system.ndof, system.m,", "did you mean system.ndof?"]),
+    "setting without its group": (["ndof=3"], ["ndof=3:", "did you mean system.ndof?"]),
+    "setting of another option": (["data.path=rig.csv"], ["data.path=rig.csv:", "it belongs to data=csv"]),
+    "setting below a value": (["seed.x=3"], ["seed.x=3:", "did you mean seed?"]),
+    "open bracket": (["system.k=[1,2"], ["system.k=[1,2:", "quotes"]),
+    "no equals sign": (["system.ndof"], ["override=system.ndof:", "setting=value"]),
+    "unquoted space": (["data=csv", "data.path=my", "rig.csv"], ["override=rig.csv:", "quotes"]),
+    "no name": (["=3"], ["=3"]),
+    "list without brackets": (["system.k=1,2"], ["system.k=1,2:", "--multirun", "[1,2]"]),
+    "two choices": (["+system=linear"], ["system=linear:", "without a plus sign"]),
+    "deleting what is not there": (["~foo"], ["~foo", "does not exist"]),
+    "unresolvable": (["case=${nothing}"], ["case=${nothing}:", "nothing"]),
+    "unknown flag": (["--multrun"], ["--multrun:", "did you mean --multirun?"]),
+    "bad flag value": (["--cfg", "jobs"], ["jobs:", "job, hydra, all"]),
+    "flags at odds": (["--cfg", "job", "--multirun"], ["--multirun --cfg"]),
+    "no such folder": (["--config-dir", "nowhere"], ["--config-dir=nowhere:", "folder"]),
+    "wrong type for Hydra": (["hydra.callbacks=5"], ["hydra.callbacks=5:"]),
+}
+
+
+@pytest.mark.parametrize(("arguments", "told"), COMPOSITION_ERRORS.values(), ids=COMPOSITION_ERRORS.keys())
+def test_composition_errors(pinn_run: PinnRun, tmp_path: Path, arguments: list[str], told: list[str]) -> None:
+    outcome = pinn_run(*arguments, task=judge)
+    assert outcome.status == 2
+    assert outcome.err.startswith("pinn-run: ")
+    assert outcome.err.count("\n") == 1
+    for part in told:
+        assert part in outcome.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_options_and_overrides_mix(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("seed=1", "--cfg", "job", "case=mixed", "--package", "case", task=judge)
+    assert (outcome.status, outcome.out.strip()) == (0, "mixed")
+
+
+def test_a_mapping_may_have_keys_of_its_own(pinn_run: PinnRun) -> None:
+    outcome = pinn_run("data=csv", "data.force={1: 'f (N)'}", "--cfg", "job", "--package", "data.force")
+    assert outcome.status == 0
+    assert outcome.out.strip().endswith("1: f (N)")
+
+
+def test_version(pinn_run: PinnRun) -> None:
+    assert pinn_run("--version").out.startswith("pinn-run ")
+
+
+def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
+    text = pinn_run("--help").out
+    for part in (
+        "usage: pinn-run",
+        "system: duffing, linear",
+        "experiment=paper/sr_6dof_perturbed",
+        "--multirun",
+        "--config-dir",
+    ):
+        assert part in text
+    assert max(map(len, text.splitlines())) <= 130
+
+
+def test_config_dir_adds_configs(pinn_run: PinnRun, tmp_path: Path) -> None:
+    folder = tmp_path / "own" / "experiment"
+    folder.mkdir(parents=True)
+    text = "# @package _global_\ndefaults:\n  - override /system: linear\n  - _self_\ncase: my_rig\nseed: 1\n"
+    (folder / "my_rig.yaml").write_text(text)
+    outcome = pinn_run("--config-dir", "own", "experiment=my_rig", "--cfg", "job")
+    assert "case: my_rig" in outcome.out
+    assert "kappa" not in outcome.out
+    outcome = pinn_run("--config-dir", "own", "experiment=my_ring", task=judge)
+    assert "did you mean my_rig?" in outcome.err
+
+
+def test_a_reader_that_leaves_is_no_defect() -> None:
+    command = [sys.executable, "-m", "pinn_cli.main", "--help"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.wait() == 141
+    assert process.stderr is not None
+    assert process.stderr.read() == b""
+    process.stderr.close()
+
+
+def test_nothing_slow_is_imported_before_a_run() -> None:
+    modules = "pinn_cli.main, pinn_cli.sweep.callback, pinn_cli.sweep.collect"
+    code = f"import sys, {modules}; print(*(m for m in sys.argv[1:] if m in sys.modules))"
+    slow = ["torch", "numpy", "scipy", "pandas", "xarray", "matplotlib"]
+    done = subprocess.run([sys.executable, "-c", code, *slow], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

@@ -1,0 +1,123 @@
+"""Which runs are made, and when one is made again."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pinn_cli.paper import digests, runs
+from pinn_cli.paper.case_runs import CaseFailedError, overrides_of
+from pinn_cli.paper.plan import planned_runs
+from pinn_cli.paper.runs import make_runs
+
+
+@pytest.fixture
+def planned():
+    return planned_runs()[:3]
+
+
+def test_every_case_once_per_variant():
+    names = [run.name for run in planned_runs()]
+    assert len(names) == len(set(names)) == 6 * 2 + 6 * 2 + 2 * 3
+    assert names[:2] == ["sr_6dof_snr50_uncertain", "sr_6dof_snr50_fixed"]
+    assert {name.rpartition("_")[2] for name in names if name.startswith("pe_")} == {
+        "marginal", "conditional", "laplace"
+    }  # fmt: skip
+
+
+def test_the_smoother_stands_beside_the_default_variants_only():
+    beside = {run.variant.name for run in planned_runs() if "baseline=kalman_smoother" in run.variant.overrides}
+    assert beside == {"uncertain", "marginal"}
+
+
+def test_runs_that_are_up_to_date_are_not_made_again(tmp_path, runner, planned):
+    first, failures = make_runs(planned, tmp_path, runner)
+    assert len(first) == 3
+    assert not failures
+    again, _ = make_runs(planned, tmp_path, runner)
+    assert runner.calls == [run.name for run in planned]
+    assert [run.process_seconds for run in again] == [5.0] * 3
+
+
+@pytest.mark.parametrize("what", ["configuration", "code", "versions"])
+def test_a_change_makes_every_run_again(tmp_path, runner, planned, monkeypatch, what):
+    make_runs(planned, tmp_path, runner)
+    if what == "configuration":
+        monkeypatch.setattr(runs, "overrides_of", lambda *given: [*overrides_of(*given), "seed=1"])
+    elif what == "code":
+        monkeypatch.setattr(digests, "source_digest", lambda: "another")
+    else:
+        monkeypatch.setattr(digests, "package_versions", lambda: {"numpy": "0"})
+    make_runs(planned, tmp_path, runner)
+    assert runner.calls == 2 * [run.name for run in planned]
+
+
+def test_an_interrupted_paper_goes_on_with_what_is_missing(tmp_path, runner, planned):
+    runner.failing = {planned[2].case: KeyboardInterrupt()}
+    with pytest.raises(KeyboardInterrupt):
+        make_runs(planned, tmp_path, runner)
+    runner.failing = {}
+    finished, _ = make_runs(planned, tmp_path, runner)
+    assert len(finished) == 3
+    assert runner.calls == [run.name for run in planned]
+
+
+def test_a_run_out_of_date_does_not_look_finished_while_it_runs(tmp_path, runner, planned, monkeypatch):
+    make_runs(planned[:1], tmp_path, runner)
+    monkeypatch.setattr(digests, "source_digest", lambda: "another")
+    runner.failing = {planned[0].case: KeyboardInterrupt()}
+    with pytest.raises(KeyboardInterrupt):
+        make_runs(planned[:1], tmp_path, runner)
+    assert not (tmp_path / planned[0].name / digests.FINISHED).exists()
+
+
+def test_a_failure_is_told_and_the_others_are_made(tmp_path, runner, planned, capsys):
+    runner.failing = {"sr_6dof_snr50": CaseFailedError("sr_6dof_snr50: exit status 3")}
+    finished, failures = make_runs(planned, tmp_path, runner)
+    assert [run.planned.case for run in finished] == ["sr_6dof_snr20"]
+    assert failures == ["sr_6dof_snr50: exit status 3"] * 2
+    assert "exit status 3" in capsys.readouterr().err
+
+
+def test_the_smoother_is_a_variant_of_its_own(tmp_path, runner, planned):
+    finished, _ = make_runs(planned[:1], tmp_path, runner)
+    ours, smoother = finished[0].estimates()
+    assert (ours.variant, ours.seconds, ours.process_seconds) == ("uncertain", 4.0, 5.0)
+    assert (smoother.variant, smoother.seconds) == ("kalman_smoother", 1.0)
+    assert set(smoother.fitness["estimator"]) == {"kalman_smoother"}
+    assert len(ours.fitness) == len(smoother.fitness) == 10
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"digest": "d"}', '{"digest": "other", "process_seconds": 1.0}'])
+def test_what_says_nothing_certain_is_not_finished(tmp_path, content):
+    (tmp_path / digests.FINISHED).write_text(content)
+    assert digests.finished_run(tmp_path, "d") is None
+
+
+def test_finished_says_digest_and_seconds(tmp_path):
+    digests.mark_finished(tmp_path, "d", 3.0)
+    assert digests.finished_run(tmp_path, "d") == {"digest": "d", "process_seconds": 3.0}
+    assert json.loads((tmp_path / digests.FINISHED).read_text())["digest"] == "d"
+
+
+def test_digest_of_a_tree(tmp_path):
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "a.py").write_text("1")
+    (tmp_path / "inner" / "b.py").write_text("2")
+    first = digests.tree_digest([(tmp_path, "*.py")])
+    (tmp_path / "note.txt").write_text("no module")
+    assert digests.tree_digest([(tmp_path, "*.py")]) == first
+    (tmp_path / "inner" / "b.py").write_text("3")
+    changed = digests.tree_digest([(tmp_path, "*.py")])
+    assert changed != first
+    (tmp_path / "inner" / "b.py").rename(tmp_path / "inner" / "c.py")
+    assert digests.tree_digest([(tmp_path, "*.py")]) not in (first, changed)
+    without = digests.tree_digest([(tmp_path, "*.py")], ["inner"])
+    (tmp_path / "inner" / "c.py").unlink()
+    assert digests.tree_digest([(tmp_path, "*.py")]) == without
+
+
+def test_the_readers_of_runs_exist():
+    package = digests.Path(digests.__file__).parents[1]
+    assert all((package / part).exists() for part in digests.READERS)

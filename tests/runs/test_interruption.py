@@ -1,0 +1,52 @@
+"""Signals outside of a training: at once, with handlers put back, and never twice too late."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from pinn_cli.runs import interruption
+from pinn_cli.runs.interruption import Interruption, watched
+
+
+def test_elsewhere_a_signal_stops_at_once_and_handlers_are_put_back():
+    before = [signal.getsignal(number) for number in interruption.SIGNALS]
+
+    def stopped() -> None:
+        with watched():
+            os.kill(os.getpid(), signal.SIGTERM)
+            pytest.fail("went on")
+
+    with pytest.raises(Interruption):
+        stopped()
+    assert [signal.getsignal(number) for number in interruption.SIGNALS] == before
+
+
+def test_an_ignored_signal_stays_ignored():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with watched():
+            os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_second_ctrl_c_does_not_wait_for_the_step():
+    code = """
+import os, signal
+from pinn_cli.runs.interruption import deferred, watched
+signal.signal(signal.SIGINT, signal.default_int_handler)
+with watched(), deferred():
+    os.kill(os.getpid(), signal.SIGTERM)
+    os.kill(os.getpid(), signal.SIGTERM)
+    os.kill(os.getpid(), signal.SIGINT)
+    print("still here", flush=True)
+    os.kill(os.getpid(), signal.SIGINT)
+    print("and here", flush=True)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (-signal.SIGINT, "still here\n")

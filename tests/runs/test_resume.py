@@ -1,0 +1,309 @@
+"""A run that is interrupted or killed goes on with its own configuration and ends with the same numbers."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from calls import SMALL, Compose, PinnRun
+from interrupted_runs import ADAM, Steps, assert_same_numbers, contents, in_a_child, run_in_a_child, without_figures
+from omegaconf import DictConfig, OmegaConf
+
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.config_names import option_names
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.report import run_report
+from pinn_cli.runs import identity
+from pinn_cli.settings.errors import InputError
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.function_space.linearisation import Linearisation
+
+HYDRAS = {".hydra", "pinn-run.log"}
+CHECKPOINTS = {"checkpoint.pt", "checkpoint.previous.pt"}
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_figures(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same run, undisturbed."""
+    return run_in_a_child(tmp_path_factory.mktemp("undisturbed") / "whole", *ADAM)
+
+
+@pytest.fixture
+def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
+    return Steps(monkeypatch)
+
+
+@pytest.fixture
+def interrupted(pinn_run: PinnRun, steps: Steps, tmp_path: Path) -> Path:
+    """A run that Ctrl-C stopped in step 10."""
+    steps.signal_at(10, signal.SIGINT)
+    assert pinn_run(*ADAM, "hydra.run.dir=run").status == 130
+    steps.undisturbed()
+    return tmp_path / "run"
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "how"),
+    [
+        (signal.SIGINT, 130, ("resume=run",)),
+        (signal.SIGTERM, 143, (*ADAM, "hydra.run.dir=run", "resume=auto")),
+    ],
+    ids=["SIGINT, by directory", "SIGTERM, auto"],
+)
+def test_an_interrupted_run_goes_on(
+    pinn_run: PinnRun, steps: Steps, tmp_path: Path, whole: Path, number: int, status: int, how: tuple[str, ...]
+) -> None:
+    steps.signal_at(10, number)
+    stopped = pinn_run(*ADAM, "hydra.run.dir=run")
+    assert (stopped.status, stopped.out) == (status, "")
+    assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"
+    assert {file.name for file in (tmp_path / "run").iterdir()} == HYDRAS | CHECKPOINTS
+    steps.undisturbed()
+    resumed = pinn_run(*how)
+    assert resumed.status == 0, resumed.err
+    assert steps.taken == list(range(11, 31))
+    assert resumed.directory == tmp_path / "run"
+    assert_same_numbers(whole, resumed.directory)
+    assert {file.name for file in (tmp_path / "run").iterdir()} == {file.name for file in whole.iterdir()}
+    assert "going on from the checkpoint" in (tmp_path / "run" / "pinn-run.log").read_text()
+
+
+@pytest.mark.parametrize("iteration", [17, *(pytest.param(at, marks=pytest.mark.slow) for at in (0, 1, 30))])
+def test_a_killed_run_goes_on(pinn_run: PinnRun, steps: Steps, tmp_path: Path, whole: Path, iteration: int) -> None:
+    steps.signal_at(iteration, signal.SIGKILL)
+    assert in_a_child(lambda: pinn_run(*ADAM, "hydra.run.dir=run")) == -signal.SIGKILL
+    steps.undisturbed()
+    resumed = pinn_run("resume=run")
+    assert resumed.status == 0, resumed.err
+    assert steps.taken == list(range(max(iteration - 1, 0), 31))
+    assert_same_numbers(whole, tmp_path / "run")
+
+
+def test_killed_in_its_report_a_run_does_not_train_again(
+    pinn_run: PinnRun, steps: Steps, tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(run_report, "write_dataset", lambda *args: os.kill(os.getpid(), signal.SIGKILL))
+        assert in_a_child(lambda: pinn_run(*ADAM, "hydra.run.dir=run")) == -signal.SIGKILL
+    assert not (tmp_path / "run" / "response.nc").exists()
+    steps.undisturbed()
+    assert pinn_run("resume=run").status == 0
+    assert steps.taken == []
+    assert_same_numbers(whole, tmp_path / "run")
+
+
+def test_a_finished_run_is_left_as_it_is(pinn_run: PinnRun, steps: Steps, tmp_path: Path) -> None:
+    directory = pinn_run(*ADAM, "hydra.run.dir=run", "resume=auto").directory  # there is nothing to go on from
+    assert steps.taken == list(range(31))
+    before = contents(directory)
+    steps.undisturbed()
+    again = pinn_run("resume=run/")
+    assert (again.status, again.out, again.err) == (0, f"finished before, nothing to do\n{directory}\n", "")
+    assert contents(directory) == before
+    auto = pinn_run(*ADAM, "hydra.run.dir=run", "resume=auto")
+    assert (auto.status, auto.out, auto.err) == (0, f"finished before, nothing to do\n{directory}\n", "")
+    after = contents(directory)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed <= {".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml", "pinn-run.log"}
+    assert steps.taken == []
+
+
+def test_a_stale_checkpoint_is_not_taken_up_unasked(pinn_run: PinnRun, steps: Steps, interrupted: Path) -> None:
+    again = pinn_run(*ADAM, "hydra.run.dir=run")
+    assert again.status == 0
+    assert again.err.count("\n") == 1
+    assert "resume=auto" in again.err
+    assert steps.taken == list(range(31))
+
+
+def test_auto_starts_over_where_another_run_lies(pinn_run: PinnRun, steps: Steps, interrupted: Path) -> None:
+    other = pinn_run(*ADAM, "noise.snr_db=20", "hydra.run.dir=run", "resume=auto")
+    assert other.status == 0, other.err
+    assert other.err.count("\n") == 1
+    assert "noise.snr_db=20 (was 50)" in other.err
+    assert steps.taken == list(range(31))
+    steps.undisturbed()
+    assert "finished before" not in pinn_run(*ADAM, "hydra.run.dir=run", "resume=auto").out
+    assert steps.taken == list(range(31))
+
+
+def test_a_checkpoint_of_another_version_is_refused(
+    pinn_run: PinnRun, interrupted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = contents(interrupted)
+    monkeypatch.setattr(identity, "_version", lambda package: "9.9")
+    outcome = pinn_run("resume=run")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "torch=9.9 (was " in outcome.err
+    assert {name for name, data in contents(interrupted).items() if before.get(name) != data} == {"pinn-run.log"}
+
+
+@pytest.mark.slow
+def test_a_damaged_checkpoint_falls_back_on_the_previous_one(
+    pinn_run: PinnRun, steps: Steps, whole: Path, interrupted: Path
+) -> None:
+    last = interrupted / "checkpoint.pt"
+    last.write_bytes(last.read_bytes()[:-100])
+    resumed = pinn_run("resume=run")
+    assert resumed.status == 0
+    assert resumed.err.count("\n") == 1
+    assert f"{last} is damaged" in resumed.err
+    assert steps.taken == list(range(10, 31))
+    assert_same_numbers(whole, interrupted)
+
+
+def test_a_diverging_run_says_where_and_keeps_a_good_checkpoint(pinn_run: PinnRun, tmp_path: Path) -> None:
+    outcome = pinn_run(*ADAM, "training.learning_rate=1e9", "hydra.run.dir=run")
+    assert (outcome.status, outcome.err.count("\n")) == (3, 1)
+    for part in ("adam diverged: loss_", "at iteration", "try a training.learning_rate below 1e+09"):
+        assert part in outcome.err
+    state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["trainings"][0]["state"]
+    assert all(weight.isfinite().all() for weight in state["network"].values())
+    assert pinn_run("resume=run").err == outcome.err
+
+
+def test_interrupted_before_training_a_run_leaves_nothing_half_written(
+    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(Simulated, "measure", lambda *args: os.kill(os.getpid(), signal.SIGTERM))
+        stopped = pinn_run(*SMALL, "hydra.run.dir=run")
+    assert (stopped.status, stopped.out) == (143, "")
+    assert {file.name for file in (tmp_path / "run").iterdir()} == HYDRAS
+    assert pinn_run("resume=run").status == 0
+    assert (tmp_path / "run" / "fitness.csv").is_file()
+
+
+def test_interrupted_in_the_report_a_run_leaves_nothing_half_written(
+    pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(pd.DataFrame, "to_csv", lambda *args, **kwargs: os.kill(os.getpid(), signal.SIGINT))
+        stopped = pinn_run(*SMALL, "hydra.run.dir=run")
+    assert stopped.status == 130
+    assert {file.name for file in (tmp_path / "run").iterdir()} <= HYDRAS | CHECKPOINTS
+
+
+@pytest.mark.slow
+def test_a_sweep_goes_on_with_the_job_that_was_stopped(pinn_run: PinnRun, steps: Steps, tmp_path: Path) -> None:
+    sweep = ("--multirun", *ADAM, "seed=0,1", "hydra.sweep.dir=sweep", "resume=auto")
+    steps.happens = {20: lambda: steps.taken.count(0) == 2 and os.kill(os.getpid(), signal.SIGINT)}
+    stopped = pinn_run(*sweep)
+    assert stopped.status == 130
+    assert stopped.err.endswith("the same command again; for what there is: pinn-run collect=sweep\n")
+    steps.undisturbed()
+    assert pinn_run(*sweep).status == 0
+    assert steps.taken == list(range(21, 31))
+    assert set(pd.read_csv(tmp_path / "sweep" / "fitness.csv")["seed"]) == {0, 1}
+
+
+def test_it_goes_on_with_its_own_configuration(pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
+    seen: list[DictConfig] = []
+    home, name = tmp_path / "home", "it's = a 'strange' place, 50"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    quotes = name.replace("'", "\\'")
+    given = (*SMALL, "network=mlp", "seed=7", f"hydra.run.dir='../{quotes}'")
+    pinn_run(*given, task=seen.append)
+    stored = contents(tmp_path / name / ".hydra")
+    monkeypatch.chdir(tmp_path)
+
+    def note(config: DictConfig) -> None:
+        seen.append(config)
+        assert Path.cwd() == home
+
+    outcome = pinn_run(f"resume={name}", "threads=2", "training.checkpoint_every_s=null", task=note)
+    assert outcome.status == 0, outcome.err
+    expected = seen[0].copy()
+    changes = {"threads": 2, "training.checkpoint_every_s": None, "resume": str(tmp_path / name)}
+    for setting, value in changes.items():
+        OmegaConf.update(expected, setting, value)
+    assert seen[1] == expected
+    assert contents(tmp_path / name / ".hydra") == stored
+
+
+REFUSED = {
+    "no such directory": (["resume=nowhere"], ["resume=nowhere:", "null, auto, never, or the directory of a run"]),
+    "no run": (["resume=empty"], ["resume=empty:", "no .hydra/config.yaml"]),
+    "a sweep": (["resume=sweep"], ["resume=sweep:", "name one of its jobs"]),
+    "broken": (["resume=broken"], ["resume=broken:", "cannot be read"]),
+    "other settings": (["resume=empty", "seed=1"], ["resume=empty:", "drop seed=1"]),
+    "in a sweep": (["-m", "resume=empty"], ["resume=empty:", "--multirun"]),
+    "only printed": (["--cfg", "job", "resume=empty"], ["resume=empty:", "--cfg"]),
+    "a directory of its own": (["resume=auto"], ["resume=auto:", "fixed hydra.run.dir"]),
+    "no word": (["resume=3"], ["resume=3:", "no such directory"]),
+    "no interval": (["training.checkpoint_every_s=0"], ["training.checkpoint_every_s=0:", "> 0"]),
+}
+
+
+@pytest.mark.parametrize(("arguments", "told"), REFUSED.values(), ids=REFUSED.keys())
+def test_what_cannot_be_resumed(pinn_run: PinnRun, tmp_path: Path, arguments: list[str], told: list[str]) -> None:
+    for name in ("empty", "sweep", "broken/.hydra"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "sweep" / "multirun.yaml").write_text("")
+    (tmp_path / "broken" / ".hydra" / "config.yaml").write_text("a: [")
+    before = sorted(tmp_path.rglob("*"))
+    outcome = pinn_run(*arguments)
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    for part in told:
+        assert part in outcome.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("training", sorted(option_names("training")))
+def test_every_training_takes_the_interval(composed: Compose, training: str) -> None:
+    assert RunConfig.read(composed(f"training={training}", "threads=1")).checkpoint_every_s == 30.0
+    off = composed(f"training={training}", "threads=1", "training.checkpoint_every_s=null")
+    assert RunConfig.read(off).checkpoint_every_s is None
+    with pytest.raises(InputError, match=r"training\.checkpoint_every_s=-1"):
+        RunConfig.read(composed(f"training={training}", "threads=1", "training.checkpoint_every_s=-1"))
+
+
+def test_an_interrupted_training_that_keeps_nothing_says_so(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(Evidence, "search", lambda *args, **settings: os.kill(os.getpid(), signal.SIGINT))
+    stopped = pinn_run(*SMALL, "hydra.run.dir=run")
+    assert (stopped.status, stopped.out) == (130, "")
+    assert stopped.err == "pinn-run: interrupted; nothing is kept of it; to start over: pinn-run resume=run\n"
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    again = pinn_run("resume=run")
+    assert again.status == 0, again.err
+
+
+QUASI_NEWTON = (*SMALL, "network=mlp", "training=quasi_newton", "training.collocation_points=60")
+
+
+def test_a_long_step_is_broken_off_and_taken_anew(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    undisturbed = pinn_run(*QUASI_NEWTON, "hydra.run.dir=whole")
+    assert undisturbed.status == 0, undisturbed.err
+    step, taken, survived = Linearisation.step, [], []
+
+    def stopped_in_the_third(*arguments: object) -> object:
+        taken.append(1)
+        if len(taken) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+            survived.append(1)
+        return step(*arguments)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Linearisation, "step", stopped_in_the_third)
+        stopped = pinn_run(*QUASI_NEWTON, "hydra.run.dir=run")
+    assert stopped.status == 143
+    assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"
+    assert (len(taken), survived) == (3, [])
+    resumed = pinn_run("resume=run")
+    assert resumed.status == 0, resumed.err
+    assert_same_numbers(tmp_path / "whole", tmp_path / "run")

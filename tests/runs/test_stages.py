@@ -1,0 +1,25 @@
+"""Seconds by stage."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from pinn_cli.runs.stages import Stages
+
+
+def test_stages_add_up_and_the_total_goes_on() -> None:
+    stages = Stages()
+    for _ in range(2):
+        with stages("record"):
+            time.sleep(0.01)
+    assert 0.02 <= stages.seconds["record"] <= stages.seconds["total"]
+    assert list(stages.seconds) == ["record", "total"]
+
+
+def test_a_stage_that_fails_is_timed_too() -> None:
+    stages = Stages()
+    with pytest.raises(ValueError, match="failed"), stages("estimate"):
+        raise ValueError("failed")
+    assert "estimate" in stages.seconds

@@ -1,0 +1,69 @@
+"""Files are there whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.runs.writing import replacing, write_json, write_table, write_text
+
+
+def _fail_halfway(place: Path) -> None:
+    with replacing(place) as beside:
+        beside.write_text("half")
+        raise KeyboardInterrupt
+
+
+def test_an_interrupted_file_leaves_the_old_one(tmp_path):
+    place = tmp_path / "fitness.csv"
+    place.write_text("old")
+    with pytest.raises(KeyboardInterrupt):
+        _fail_halfway(place)
+    assert place.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [place]
+
+
+def test_an_interrupted_new_file_leaves_nothing(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        _fail_halfway(tmp_path / "new.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_file_beside_keeps_its_suffix_and_folder(tmp_path):
+    place = tmp_path / "deep" / "response.nc"
+    with replacing(place) as beside:
+        assert (beside.parent, beside.suffix) == (place.parent, ".nc")
+        beside.touch()
+    assert list(place.parent.iterdir()) == [place]
+
+
+def test_empty_cells_stay_empty(tmp_path):
+    table = pd.DataFrame({"case": ["a", "b"], "snr_db": [None, 50.0], "value": [np.nan, 1 / 3]})
+    assert write_table(table, tmp_path / "t.csv").read_text() == "case,snr_db,value\na,,\nb,50,0.3333333333\n"
+
+
+def test_json_is_strict_and_takes_numpy(tmp_path):
+    content = {
+        "seconds": {"total": np.float64(1.5)},
+        "seed": np.int64(3),
+        "bad": [np.nan, np.inf],
+        "ok": np.bool_(True),
+    }
+    content |= {"array": np.arange(2), "path": Path("a"), "nothing": None}
+    read = json.loads(write_json(content, tmp_path / "run.json").read_text(), parse_constant=pytest.fail)
+    assert read["seconds"] == {"total": 1.5}
+    assert (read["seed"], read["bad"], read["ok"], read["array"], read["path"]) == (3, [None, None], True, [0, 1], "a")
+
+
+def test_json_refuses_what_it_cannot_hold(tmp_path):
+    with pytest.raises(TypeError, match="cannot hold"):
+        write_json({"x": object()}, tmp_path / "run.json")
+    assert not list(tmp_path.iterdir())
+
+
+def test_text_ends_in_one_newline(tmp_path):
+    assert write_text("a\n\n", tmp_path / "t.md").read_text() == "a\n"

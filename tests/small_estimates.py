@@ -1,0 +1,72 @@
+"""A small estimate, its record and its truth, of any number of DOFs: sums of sinusoids, no physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.record.record import QUANTITIES, Record, Response, Truth
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
+
+
+@dataclass(frozen=True)
+class Case:
+    estimate: Estimate
+    record: Record
+    truth: Truth
+    labels: dict[str, object]
+
+
+def _waves(time: np.ndarray, ndof: int, amplitude: float, seed: int) -> np.ndarray:
+    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (5, ndof))
+    frequencies = np.linspace(0.1, 0.9, 5)[:, None]
+    return amplitude * np.cos(2.0 * np.pi * time[:, None, None] * frequencies + phases).sum(axis=1)
+
+
+def _response(time: np.ndarray, ndof: int) -> Response:
+    force = _waves(time, ndof, 1.0, 3)
+    force[:, 1:] = 0.0
+    motion = (_waves(time, ndof, amplitude, seed) for seed, amplitude in enumerate((0.1, 0.2, 0.5)))
+    return Response(time, *motion, force)
+
+
+def _parameters(ndof: int) -> list[ParameterEstimate]:
+    nominal = {"c": 1.0, "k": 15.0, "kappa": 100.0}
+    return [
+        ParameterEstimate(f"{symbol}_{i}", value, 1.01 * value, 0.02 * value, 0.98 * value, 1.04 * value)
+        for symbol, value in nominal.items()
+        for i in range(1, ndof + 1)
+    ]
+
+
+def _history(iterations: int = 8) -> pd.DataFrame:
+    steps = np.arange(iterations)
+    return pd.DataFrame(
+        {
+            "iteration": steps,
+            "seconds": 0.1 * steps,
+            "loss_physics_forced": 10.0**-steps,
+            "loss_prior": np.zeros(iterations),
+            "weight_physics_forced": 10.0 ** (steps / 4.0),
+        }
+    )
+
+
+def make_estimate(ndof: int = 6, observed: int = 2, samples: int = 400, duration: float = 20.0) -> Case:
+    time = np.linspace(0.0, duration, samples)
+    truth = _response(time, ndof)
+    error = {quantity: 0.02 * _waves(time, ndof, 0.1, 9) for quantity in QUANTITIES}
+    response = Response(time, **{quantity: getattr(truth, quantity) + error[quantity] for quantity in QUANTITIES})
+    std = Response(time, **{quantity: np.full((samples, ndof), 0.01) for quantity in QUANTITIES})
+    nothing = np.full((samples, ndof), np.nan)
+    acceleration = np.where(np.arange(ndof) < observed, truth.acceleration + 0.01, np.nan)
+    record = Record(time, nothing, nothing, acceleration, truth.force, np.arange(ndof) > 0)
+    parameters = {"m": np.ones(ndof), "c": np.ones(ndof), "k": np.full(ndof, 15.0), "kappa": np.full(ndof, 100.0)}
+    labels: dict[str, object] = {
+        "case": "small", "estimator": "pinn", "scheme": "sparse_recovery", "ndof": ndof, "nonlinearity": "duffing",
+        "model_error": "none", "snr_db": 50.0, "seed": 0,
+    }  # fmt: skip
+    estimate = Estimate(response, std, _parameters(ndof), _history(), {})
+    return Case(estimate, record, Truth(truth, parameters), labels)

@@ -1,0 +1,65 @@
+"""The rooms of the house: imports point downwards, and no two files import each other."""
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[1] / "pinn_cli"
+# From the ground up. A room may import those before it, and itself. The two pages that lie in no room stand among them.
+ROOMS = (
+    "settings", "runs", "system", "record", "network", "scheme", "physics", "training", "baseline", "posterior",
+    "validation", "verdict", "report", "tracking", "sweep", "search", "cli", "paper", "main",
+)  # fmt: skip
+
+
+def module_name(file):
+    return ".".join((PACKAGE.name, *file.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+
+
+FILES = {module_name(file): file for file in PACKAGE.rglob("*.py")}
+
+
+def imports(module):
+    """Modules of the package that a module imports, those for its annotations and those within functions included."""
+    for node in ast.walk(ast.parse(FILES[module].read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in found:
+            for known in (name, name.rpartition(".")[0]):
+                if known in FILES:
+                    yield known
+                    break
+
+
+def room(module):
+    return module.split(".")[1] if "." in module else None
+
+
+def test_every_file_lies_in_a_room():
+    assert {room(module) for module in FILES} - {None} == set(ROOMS)
+
+
+def test_imports_point_downwards():
+    upwards = [
+        f"{module} -> {other}"
+        for module in FILES
+        for other in imports(module)
+        if room(module) and room(other) and ROOMS.index(room(other)) > ROOMS.index(room(module))
+    ]
+    assert upwards == []
+
+
+def test_nothing_imports_the_paper():
+    assert [module for module in FILES for other in imports(module) if room(other) == "paper" != room(module)] == []
+
+
+def test_no_files_import_each_other_in_a_circle():
+    # A package's page that lists what is in it is no part of a circle.
+    arrows = {m: {o for o in imports(m) if FILES[o].name != "__init__.py"} for m in FILES}
+    while leaves := [module for module, others in arrows.items() if not others & arrows.keys()]:
+        for leaf in leaves:
+            del arrows[leaf]
+    assert sorted(arrows) == []

@@ -1,0 +1,192 @@
+"""Band-with-border solves against dense linear algebra."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from pinn_cli.training.band.bordered import BorderedSystem
+
+# Half-width, size, border: diagonal, narrow, size no multiple of the width, band as wide as the matrix.
+SHAPES = [(0, 7, 0), (0, 7, 2), (1, 9, 3), (2, 23, 0), (3, 24, 1), (5, 31, 4), (7, 8, 2), (4, 4, 0), (1, 1, 1)]
+
+
+def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSystem, np.ndarray]:
+    """A positive definite system whose diagonal spans eight decades, and the same as a dense matrix."""
+    rng = np.random.default_rng([half_width, size, border])
+    offset = np.subtract.outer(np.arange(size), np.arange(size))
+    whole = np.zeros((size + border, size + border))
+    lower = np.where((offset >= 0) & (offset <= half_width), rng.normal(size=(size, size)), 0.0)
+    whole[:size, :size] = lower @ lower.T + 0.3 * np.eye(size)
+    whole[:size, size:] = 0.1 * rng.normal(size=(size, border))
+    whole[size:, :size] = whole[:size, size:].T
+    whole[size:, size:] = np.eye(border) + whole[size:, :size] @ np.linalg.solve(
+        whole[:size, :size], whole[:size, size:]
+    )
+    scale = 10.0 ** rng.uniform(-2.0, 2.0, size + border)
+    whole *= scale[:, None] * scale
+    gradient = rng.normal(size=size + border) * scale
+    width = min(half_width, size - 1)
+    band = np.zeros((half_width + 1, size))
+    for k in range(width + 1):
+        band[k, : size - k] = np.diag(whole[:size, :size], -k)
+    corner = whole[size:, size:]
+    return BorderedSystem(band, whole[:size, size:], corner, gradient[:size], gradient[size:]), whole
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_step(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    expected = -np.linalg.solve(whole, np.concatenate((system.gradient, system.corner_gradient)))
+    step = system.factor().step(system)
+    assert [x.shape for x in step] == [(size,), (border,)]
+    np.testing.assert_allclose(np.concatenate(step), expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_log_determinant(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    assert system.factor().log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-8)
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_corner_covariance_is_the_inverse_of_the_whole(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    expected = np.linalg.inv(whole)[size:, size:]
+    given, scale = system.factor().corner_covariance, np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(given / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-8)
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_inverse_band_is_the_inverse_of_the_band_alone(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    expected, given = np.linalg.inv(whole[:size, :size]), system.factor().inverse_band()
+    scale = np.sqrt(np.diag(expected))
+    assert given.shape == system.band.shape
+    for k in range(min(half_width + 1, size)):
+        off = scale[k:] * scale[: size - k]
+        np.testing.assert_allclose(given[k, : size - k] / off, np.diag(expected, -k) / off, atol=1e-8)
+
+
+@pytest.mark.parametrize("damping", [1e-3, 10.0])
+def test_damping_shortens_the_step_and_does_not_turn_it(damping):
+    system, whole = random_system(5, 31, 4)
+    free, damped = (np.concatenate(system.factor(x).step(system)) for x in (0.0, damping))
+    gradient, scale = np.concatenate((system.gradient, system.corner_gradient)), np.sqrt(np.diag(whole))
+    assert np.linalg.norm(damped * scale) < np.linalg.norm(free * scale)
+    assert gradient @ damped < 0
+
+
+def test_damping_scales_the_diagonal():
+    system, whole = random_system(3, 24, 0)
+    damped = whole + 0.5 * np.diag(np.diag(whole))
+    expected = -np.linalg.solve(damped, system.gradient)
+    np.testing.assert_allclose(system.factor(0.5).step(system)[0], expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("spoil", ["indefinite band", "indefinite corner", "zero", "nan"])
+def test_what_is_not_positive_definite_has_no_factor(spoil):
+    system, _ = random_system(2, 10, 2)
+    if spoil == "indefinite band":
+        system.band[1] = 10.0 * np.sqrt(system.band[0])[0] * np.abs(system.band[1]).max()
+    elif spoil == "indefinite corner":
+        system.corner[:] -= 10.0 * np.diag(np.diag(system.corner))
+    else:
+        system.band[0, 3] = 0.0 if spoil == "zero" else np.nan
+    assert system.factor() is None
+
+
+def coupled_system(border: int, seed: int, push: float) -> tuple[BorderedSystem, np.ndarray, np.ndarray]:
+    """A system whose parameters are not independent once the rest is eliminated, and what is left of it then.
+
+    Returns:
+        The system; the Schur complement (p, p) and the right side (p,) of the parameters alone, dense.
+    """
+    rng = np.random.default_rng(seed)
+    system, whole = random_system(3, 24, border)
+    size = len(system.gradient)
+    eliminated = np.linalg.solve(whole[:size, :size], np.column_stack((system.border, system.gradient)))
+    scale = np.sqrt(np.diag(system.corner - system.border.T @ eliminated[:, :-1]))
+    mixed = rng.normal(size=(border, border))
+    schur = (mixed @ mixed.T + 10.0 ** rng.uniform(-4.0, 0.0) * np.eye(border)) * scale * scale[:, None]
+    slope = rng.normal(size=border) * 10.0 ** rng.uniform(-1.0, push, border) * np.sqrt(np.diag(schur))
+    corner = schur + system.border.T @ eliminated[:, :-1]
+    return (
+        replace(system, corner=corner, corner_gradient=slope),
+        schur,
+        system.border.T @ eliminated[:, -1] - slope,
+    )
+
+
+def random_bounds(schur: np.ndarray, seed: int) -> np.ndarray:
+    """A third of the parameters without a bound, a third at it, the others some of their own units above it."""
+    rng = np.random.default_rng(seed)
+    room = rng.exponential(size=len(schur)) / np.sqrt(np.diag(schur))
+    return -np.choose(rng.integers(3, size=len(schur)), [np.full(len(schur), np.inf), np.zeros(len(schur)), room])
+
+
+def bounded_minimum(hessian: np.ndarray, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
+    """The x >= lower with the least x H x / 2 - right x: of all choices of active bounds the one that is optimal."""
+    unit = 1.0 / np.sqrt(np.diag(hessian))
+    hessian, right, least = hessian * unit * unit[:, None], right * unit, lower / unit
+    bounded, size = np.flatnonzero(np.isfinite(lower)), np.abs(right).max()
+    for pattern in product([False, True], repeat=len(bounded)):
+        held = np.zeros(len(lower), bool)
+        held[bounded] = pattern
+        x = np.where(held, least, 0.0)
+        x[~held] = np.linalg.solve(hessian[np.ix_(~held, ~held)], (right - hessian @ x)[~held])
+        if np.all(x >= least) and np.all((hessian @ x - right)[held] >= -1e-12 * size):
+            return np.where(held, lower, unit * x)
+    raise AssertionError("no choice of active bounds is optimal")
+
+
+@pytest.mark.parametrize("push", [0.0, 2.0, 6.0])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_bounded_step_is_the_least_within_its_bounds(seed, push):
+    system, schur, right = coupled_system(7, seed, push)
+    lower = random_bounds(schur, seed)
+    w, x = system.factor().step(system, lower)
+    expected, unit = bounded_minimum(schur, right, lower), 1.0 / np.sqrt(np.diag(schur))
+    np.testing.assert_allclose(x / unit, expected / unit, rtol=1e-6, atol=1e-9 * np.abs(expected / unit).max())
+    np.testing.assert_array_equal(x == lower, expected == lower)
+    assert np.all(x >= lower)
+    # The rest is where it is best, given the parameters.
+    band = system.band
+    lower_half = sum(np.diag(row[: len(row) - k], -k) for k, row in enumerate(band))
+    rest = np.linalg.solve(lower_half + np.tril(lower_half, -1).T, -system.gradient - system.border @ x)
+    np.testing.assert_allclose(w * np.sqrt(band[0]), rest * np.sqrt(band[0]), rtol=1e-6, atol=1e-9 * np.abs(w).max())
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_many_bounded_parameters(seed):
+    """Too many to try every choice: the slope vanishes where x is free, and points outwards where it is held."""
+    system, schur, right = coupled_system(50, seed, 3.0)
+    lower = random_bounds(schur, seed)
+    _, x = system.factor().step(system, lower)
+    slope = (schur @ x - right) / np.sqrt(np.diag(schur))
+    held, size = x == lower, np.abs(right / np.sqrt(np.diag(schur))).max()
+    assert np.all(x >= lower)
+    assert 5 < held.sum() < 45
+    np.testing.assert_allclose(slope[~held], 0.0, atol=1e-8 * size)
+    assert np.all(slope[held] >= -1e-8 * size)
+
+
+def test_bounds_that_do_not_bind_change_nothing():
+    system, _, _ = coupled_system(7, 0, 2.0)
+    factor = system.factor()
+    w, x = factor.step(system)
+    for lower in (np.full(7, -np.inf), -2.0 * np.abs(x), np.where(x < 0, x, -0.0)):
+        for given, expected in zip(factor.step(system, lower), (w, x), strict=True):
+            np.testing.assert_array_equal(given, expected)
+
+
+def test_a_damped_bounded_step_goes_downhill():
+    system, schur, _ = coupled_system(7, 1, 2.0)
+    lower = random_bounds(schur, 1)
+    w, x = system.factor(0.1).step(system, lower)
+    assert np.all(x >= lower)
+    assert np.any(x == lower)
+    assert system.gradient @ w + system.corner_gradient @ x < 0

@@ -1,0 +1,222 @@
+"""The search for the model error: what was put in is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_problems import QUANTITIES, excitation, measured, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.record import Record
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.parameter_likelihoods import marginal_likelihood
+from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+
+DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
+
+
+def disturbed(
+    level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9, through: str = "derivative"
+) -> tuple[Evidence, NoiseModel, float]:
+    """A record with a force of rms ``level`` on every DOF that no sensor sees, over a share of the features' band."""
+    chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
+    known = excitation(chain, DURATION, SAMPLES)
+    band = [0.05, share * INTERVALS / DURATION / 2.0]
+    unknown = BandedNoise(3, DURATION, SAMPLES, band, level, [1, 2, 3], seed=seed)
+    truth = simulation.run(chain, lambda t: known.force(t) + unknown.force(t))
+    rng = np.random.default_rng(seed)
+    noisy = [getattr(truth, q) + 0.003 * getattr(truth, q).std() * rng.normal(size=(SAMPLES, 3)) for q in QUANTITIES]
+    force = known.force(simulation.time)
+    force[:, 0] += 0.003 * rng.normal(size=SAMPLES)
+    record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
+    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record, (), through))
+    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
+    # An average over a knot interval carries the power of its samples, less what varies within the interval: of what
+    # fills the band up to f, the mean of sinc^2 up to f times the interval.
+    within = np.sinc(np.linspace(0.0, band[1] * equations.network.spacing, 101))
+    put_in = level * np.sqrt(SAMPLES / INTERVALS * np.mean(within**2))
+    return Evidence(equations, 12, 1e-6, lambda losses, noise: None), noise, put_in
+
+
+@pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
+@pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
+def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
+    evidence, noise, put_in = disturbed(level, 1, nonlinearity)
+    best = evidence.scan(noise, 1.0, evidence.equations.start())
+    assert best.solution.converged
+    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+
+
+@pytest.mark.parametrize("through", ["observer", "both"])
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
+    """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
+    evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
+    best = evidence.scan(noise, 1.0, evidence.equations.start())
+    assert best.solution.converged
+    assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_the_evidence_is_greatest_at_the_discrepancy_that_was_put_in(level, seed):
+    evidence, noise, put_in = disturbed(level, seed)
+    ratios = np.exp(np.linspace(-0.5, 0.5, 21))
+    tried = [evidence.train(noise.with_discrepancy(put_in * x), evidence.equations.start()) for x in ratios]
+    assert ratios[np.argmax([t.log_evidence for t in tried])] == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_derivative_of_the_evidence_is_that_of_its_formula():
+    evidence, noise, put_in = disturbed(0.1, 1)
+    equations = evidence.equations
+
+    middle, step = evidence.train(noise.with_discrepancy(put_in), equations.start()), 1e-3
+
+    def log_evidence(x: float) -> float:
+        """At the same motion: what no feature follows moves with it, and is not among what it makes least."""
+        level, point = noise.with_discrepancy(put_in * np.exp(x)), middle.solution.point
+        return evidence.log_evidence(point, level, equations.assemble(point, level).factor())
+
+    numerical = (log_evidence(step) - log_evidence(-step)) / (2 * step)
+    # Physics alone depends on the discrepancy: sum (x^2 - 1) + tr(H^-1 H_physics) per share of the discrepancy.
+    variance, squared = middle.noise.physics_variance, middle.noise.discrepancy**2
+    seen = equations.residuals(middle.solution.point)["physics"].square().sum((0, 1)).numpy()
+    share = squared / variance
+    size = equations.layout.size
+    inverse = np.linalg.inv(dense_band(equations, middle.solution.point, middle.noise))
+    change = dense_band(equations, middle.solution.point, middle.noise, step=1e-4)
+    trace = -0.5 * np.sum(inverse * change)
+    expected = float(((seen / variance - equations.averages.count) * share).sum() + trace)
+    assert size == len(inverse)
+    assert numerical == pytest.approx(expected, rel=0.01, abs=0.5)
+
+
+def dense_band(equations: NormalEquations, point, noise: NoiseModel, step: float | None = None) -> np.ndarray:
+    """The Hessian, or its derivative by the logarithm of the discrepancy."""
+    if step is not None:
+        ends = [
+            dense_band(equations, point, noise.with_discrepancy(noise.discrepancy * np.exp(s))) for s in (step, -step)
+        ]
+        return (ends[0] - ends[1]) / (2 * step)
+    band = equations.assemble(point, noise).band
+    lower = sum(np.diag(row[: len(row) - k], -k) for k, row in enumerate(band))
+    return lower + np.tril(lower, -1).T
+
+
+def test_the_evidence_prefers_the_right_stiffness():
+    evidence, noise, put_in = disturbed(0.05, 1)
+    right = evidence.train(noise.with_discrepancy(put_in), evidence.equations.start())
+    chain, record = small_chain("linear", k=12.0), evidence.equations.problem.record
+    wrong = Evidence(NormalEquations(evidence.equations.network, Problem(chain, record)), 12, 1e-6, lambda *a: None)
+    # The ridge is relative to the first matrix: the same in both.
+    wrong.equations.ridge = evidence.equations.ridge
+    assert wrong.train(noise.with_discrepancy(put_in), wrong.equations.start()).log_evidence < right.log_evidence - 10.0
+
+
+def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
+    growth = {}
+    for share in (0.1, 1.0):
+        evidence, noise, _ = disturbed(0.1, 1, share=share)
+        best = evidence.scan(noise, 1.0, evidence.equations.start())
+        growth[share] = evidence.widen_for_colour(best).noise.discrepancy / best.noise.discrepancy
+    assert growth[1.0] < 1.4
+    assert growth[0.1] > 1.5 * growth[1.0]
+
+
+def test_without_parameters_the_spread_stays():
+    evidence, noise, _ = disturbed(0.1, 1)
+    trained = evidence.scan(noise.with_spread(0.7), 1.0, evidence.equations.start())
+    assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
+    assert isinstance(trained.solution.point.parameters, torch.Tensor)
+
+
+@pytest.mark.xfail(reason="the marginal likelihood's table ends at six deviations, below the most probable noise")
+@pytest.mark.parametrize("through", ["observer", "both"])
+def test_the_force_sensors_noise_has_the_same_likelihood_through_every_comparison(through):
+    # With samples that no feature follows, which tell the noise; with as many features as samples next to nothing does.
+    found = {}
+    for way in ("derivative", through):
+        chain = small_chain()
+        record = measured(chain, snr_db=50.0, duration=20.0, samples=513).record.keep({"acceleration": (1, 3)})
+        problem = Problem(chain, record, (UncertainParameter("k", 1, 15.0, 150.0, unknown=True),), way)
+        equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
+        evidence = Evidence(equations, 20, 1e-6, lambda losses, noise: None)
+        noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+        likelihood = marginal_likelihood(evidence, evidence.train(noise, equations.start()))
+        s = likelihood.s_std * np.linspace(-16.0, 16.0, 321)
+        values = [likelihood.evaluate(likelihood.peak, each)[0] for each in s]
+        found[way] = s[np.argmax(values)] / likelihood.s_std
+    assert abs(found["derivative"]) < 5.0
+    assert found[through] == pytest.approx(found["derivative"], abs=1.0)
+
+
+def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
+    """Three believed stiffnesses of a Duffing chain and, unless it starts nowhere, one unknown cubic stiffness."""
+    chain = small_chain()
+    believed = [UncertainParameter("k", dof, 15.0, 1.5) for dof in range(3)]
+    kappa = chain.parameters["kappa"].clone()
+    unknown = []
+    if start is not None:
+        kappa[1] = start
+        unknown = [UncertainParameter("kappa", 1, start, 1e5, unknown=True, positive=True)]
+    record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+    problem = Problem(chain.with_parameters(kappa=kappa), record, (*believed, *unknown))
+    equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
+    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+    return Evidence(equations, 30, 1e-8, lambda losses, noise: None), noise
+
+
+def test_the_spread_is_learned_from_believed_parameters_alone():
+    """The update by hand, and an unknown parameter at a thousand prior deviations leaves it alone."""
+    evidence, noise = believed_and_unknown(1000.0)
+    trained = evidence.train(noise.with_spread(0.5), evidence.equations.start())
+    x = trained.solution.point.parameters.numpy()
+    variance = np.diag(trained.factor.corner_covariance)
+    determined = np.sum(1.0 - variance[:3] / 0.5**2)
+    assert determined > 2.5
+    expected = ((0.01 + np.sum(x[:3] ** 2)) / (0.01 + determined)) ** 0.5
+    assert evidence.learned_spread(trained) == pytest.approx(expected, rel=1e-9)
+    far = trained.solution.point.parameters.clone()
+    far[3] = 1e3
+    moved = replace(trained, solution=replace(trained.solution, point=Point(trained.solution.point.unknowns, far)))
+    assert evidence.learned_spread(moved) == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone():
+    spreads = {}
+    for start in (100.0, 10.0, 1000.0):
+        evidence, noise = believed_and_unknown(start)
+        spreads[start] = evidence.scan(noise, 1.0, evidence.equations.start()).noise.spread
+    assert spreads[100.0] < 0.3
+    for start in (10.0, 1000.0):
+        assert spreads[start] == pytest.approx(spreads[100.0], rel=1e-3)
+
+
+def test_with_unknown_parameters_alone_there_is_no_spread_to_learn():
+    evidence, noise = believed_and_unknown(30.0)
+    problem = evidence.equations.problem
+    equations = NormalEquations(evidence.equations.network, replace(problem, uncertain=problem.uncertain[3:]))
+    alone = Evidence(equations, 30, 1e-8, lambda losses, noise: None)
+    trained = alone.train(noise.with_spread(0.7), equations.start())
+    assert alone.learned_spread(trained) == 0.7
+
+
+def test_the_evidence_counts_the_spread_once_per_believed_parameter():
+    """With the parameters held where they are, only the spread's own terms change."""
+    evidence, noise = believed_and_unknown(100.0)
+    trained = evidence.train(noise, evidence.equations.start())
+    point, levels = trained.solution.point, {}
+    for spread in (0.5, 2.0):
+        under = noise.with_spread(spread)
+        factor = evidence.equations.assemble(point, under).factor()
+        levels[spread] = evidence.log_evidence(point, under, factor) + 0.5 * factor.log_determinant
+    x = float(point.parameters[:3].square().sum())
+    expected = -0.5 * x * (0.5**-2.0 - 2.0**-2.0) - 3.0 * np.log(0.5 / 2.0)
+    assert levels[0.5] - levels[2.0] == pytest.approx(expected, rel=1e-6)

@@ -1,0 +1,158 @@
+"""A motion that is known to begin at rest: what it adds to every estimator, and what that is worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from small_problems import accelerations, measured, small_chain
+
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import QUANTITIES, Measurements, Record, Response
+from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.function_space.training import QuasiNewton
+from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+
+SENSORS = (1, 2, 3, 4)
+
+
+@cache
+def long_chain() -> Measurements:
+    return measured(small_chain(ndof=12), snr_db=20.0, duration=40.0, samples=513)
+
+
+def posed(record: Record, begins: str, ndof: int = 12) -> Problem:
+    return SparseRecovery(initial_motion=begins).problem(small_chain(ndof=ndof), record)
+
+
+def solved(estimator: str, problem: Problem) -> Estimate:
+    if estimator == "kalman_smoother":
+        found = KalmanSmoother().solve(problem, RunContext())
+        assert found is not None
+        return found
+    return GaussNewton().solve(problem, Spline(), RunContext())
+
+
+def fitness_of_the_far(estimate: Estimate, truth: Response) -> float:
+    far = slice(len(SENSORS), None)
+    error = np.linalg.norm((estimate.response.displacement - truth.displacement)[:, far], axis=0)
+    return float(100.0 * (1.0 - error / np.linalg.norm(truth.displacement[:, far], axis=0)).mean())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ["gauss_newton", "kalman_smoother"])
+def test_knowing_rest_makes_the_far_end_of_a_long_chain_known(estimator):
+    measurements = long_chain()
+    record, truth = accelerations(measurements.record, SENSORS), measurements.truth.response
+    free, rest = (solved(estimator, posed(record, begins)) for begins in ("free", "rest"))
+    assert fitness_of_the_far(free, truth) < 90.0
+    assert fitness_of_the_far(rest, truth) > 95.0
+    held = np.abs(rest.response.displacement - truth.displacement) < 1.96 * rest.std.displacement
+    assert held.mean() > 0.9
+    assert rest.std.displacement[:, -1].mean() < 0.5 * free.std.displacement[:, -1].mean()
+
+
+@pytest.mark.slow
+def test_a_record_that_begins_in_motion_is_estimated_freely():
+    measurements = long_chain()
+    later = slice(200, None)
+    record, truth = accelerations(measurements.record, SENSORS), measurements.truth.response
+    record = replace(record, time=record.time[later], **{q: getattr(record, q)[later] for q in QUANTITIES})
+    free, rest = (solved("gauss_newton", posed(record, begins)) for begins in ("free", "rest"))
+    near = [np.linalg.norm((e.response.velocity - truth.velocity[later])[:, :4]) for e in (free, rest)]
+    assert near[0] < 0.1 * np.linalg.norm(truth.velocity[later, :4])
+    assert near[1] > 2.0 * near[0]
+
+
+@pytest.mark.parametrize(
+    "design", [Spline(intervals=12), Spline(intervals=12, continuity="penalised"), Fourier(harmonics=5)]
+)
+def test_the_normal_equations_are_those_of_the_loss(design):
+    record = accelerations(measured(small_chain(), snr_db=20.0).record)
+    free, rest = (posed(record, begins, ndof=3) for begins in ("free", "rest"))
+    network = design.build(record)
+    before, after = NormalEquations(network, free), NormalEquations(network, rest)
+    noise = NoiseModel(*sensor_noise(network, record), discrepancy=0.1, continuity=0.1)
+    point = after.start()
+    generator = torch.Generator().manual_seed(0)
+    point = Point(0.1 * torch.randn(len(point.unknowns), generator=generator).double(), point.parameters)
+    plain, known = before.assemble(point, noise), after.assemble(point, noise)
+    states = after.flat_states(after.observation, point)
+    first = np.concatenate([np.asarray(motion[0]) for motion in (states.displacement, states.velocity)])
+    deviation = rest.initial_deviation
+    assert deviation is not None
+    assert after.losses(point, noise)["initial"] == pytest.approx(
+        np.sum((first / np.repeat(deviation, 3)) ** 2), rel=1e-10
+    )
+    # The loss is quadratic: its gradient and its curvature along any direction are differences of it.
+    direction = torch.randn(len(point.unknowns), generator=generator).double()
+    there = [
+        after.losses(Point(point.unknowns + h * direction, point.parameters), noise)["initial"] for h in (-1, 0, 1)
+    ]
+    added = known.band - plain.band
+    along = direction.numpy()
+    curvature = sum(
+        (1 if diagonal == 0 else 2)
+        * float(along[diagonal:] @ (row[: len(along) - diagonal] * along[: len(along) - diagonal]))
+        for diagonal, row in enumerate(added)
+    )
+    assert curvature == pytest.approx((there[0] - 2 * there[1] + there[2]) / 2.0, rel=1e-6)
+    slope = float((known.gradient - plain.gradient) @ along)
+    assert slope == pytest.approx((there[2] - there[0]) / 4.0, rel=1e-6)
+
+
+def test_a_multilayer_perceptron_begins_where_it_is_told():
+    record = accelerations(measured(small_chain(), snr_db=20.0).record)
+    problem = posed(record, "rest", ndof=3)
+    estimate = QuasiNewton(iterations=4).solve(problem, Mlp(activation="sine"), RunContext())
+    deviation = problem.initial_deviation
+    assert deviation is not None
+    for motion, known in zip(("displacement", "velocity"), deviation, strict=True):
+        assert np.abs(getattr(estimate.response, motion)[0]).max() < 10.0 * known
+        assert getattr(estimate.std, motion)[0].max() < 1.1 * known
+
+
+def test_a_gradient_training_has_it_among_its_priors():
+    record = accelerations(measured(small_chain()).record)
+    terms = []
+    for begins in ("free", "rest"):
+        problem = posed(record, begins, ndof=3)
+        network = Mlp(activation="tanh").build(record, torch.float64)
+        network.reset(0)
+        losses = Losses(problem, None, "cpu", torch.float64)
+        terms.append(losses.terms(network, LearnedParameters(problem, torch.float64))["prior"].item())
+    states = network(torch.as_tensor(record.time[:1]))
+    u, v = problem.initial_deviation or (0.0, 0.0)
+    expected = float((states.displacement / u).square().sum() + (states.velocity / v).square().sum())
+    assert terms[1] - terms[0] == pytest.approx(expected / len(record.time))
+    assert expected > 0
+
+
+@pytest.mark.parametrize("scheme", [SparseRecovery, StateParameter, Bayesian])
+def test_every_scheme_says_how_the_motion_begins(scheme):
+    record = measured(small_chain()).record
+    assert scheme().initial_motion == "free"
+    posing = scheme(initial_motion="rest", **({"unknown": "k_1"} if scheme is StateParameter else {}))
+    problem = posing.problem(small_chain(), record)
+    deviation = problem.initial_deviation
+    assert deviation is not None
+    largest = np.sqrt(np.mean(record.displacement**2, axis=0)).max()
+    assert deviation[0] == pytest.approx(RESIDUAL_MOTION * largest, rel=1e-6)
+    with pytest.raises(InputError, match=r"scheme\.initial_motion=quiet: must be one of free, rest"):
+        scheme(initial_motion="quiet")

@@ -1,0 +1,211 @@
+"""Gauss-Newton's convergence, and a linear chain against dense weighted least squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from small_problems import NONLINEARITIES, accelerations, measured, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.band.levenberg_marquardt import minimise
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.posterior import Posterior
+from pinn_cli.training.noise_model import NoiseModel
+
+
+def stiffnesses(chain) -> tuple[UncertainParameter, ...]:
+    return tuple(
+        UncertainParameter("k", dof, float(k), 0.075 * float(k)) for dof, k in enumerate(chain.parameters["k"])
+    )
+
+
+def posed(nonlinearity: str, ndof: int = 3, uncertain: bool = False) -> tuple[NormalEquations, NoiseModel]:
+    chain = small_chain(nonlinearity, ndof)
+    record = accelerations(measured(chain, snr_db=40.0, duration=6.0, samples=65).record, tuple(range(1, ndof + 1)))
+    problem = Problem(chain, record, stiffnesses(chain) if uncertain else ())
+    nothing = np.full(ndof, np.nan)
+    levels = {"displacement": nothing, "velocity": nothing, "acceleration": np.full(ndof, 0.01)}
+    noise = NoiseModel(levels, np.where(record.sensors("force"), 0.02, np.nan), 0.03, 1.0)
+    return NormalEquations(Spline(intervals=12).build(record), problem), noise
+
+
+def solved(equations: NormalEquations, noise: NoiseModel, **settings):
+    options = {"iterations": 30, "tolerance": 1e-12, "watch": lambda terms: None, **settings}
+    return minimise(equations, noise, equations.start(), **options)
+
+
+def weighted_residuals(equations: NormalEquations, noise: NoiseModel):
+    """All residuals over their standard deviations, with the prior's, of the unknowns and parameters in one vector."""
+    weights, size = equations.weights(noise), equations.layout.size
+
+    def residuals(z):
+        terms = equations.residuals(Point(z[:size], z[size:])).items()
+        return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in terms] + [z[size:] / noise.spread])
+
+    return residuals
+
+
+def joined(point: Point) -> torch.Tensor:
+    return torch.cat((point.unknowns, point.parameters))
+
+
+def jacobian(function, z: torch.Tensor) -> torch.Tensor:
+    return torch.autograd.functional.jacobian(function, z, vectorize=True).flatten(0, -2)
+
+
+@pytest.mark.parametrize("ndof", [1, 3])
+def test_a_linear_chain_is_solved_by_weighted_least_squares(ndof):
+    equations, noise = posed("linear", ndof)
+    solution = solved(equations, noise)
+    residuals, zero = weighted_residuals(equations, noise), joined(equations.start())
+    expected = torch.linalg.lstsq(jacobian(residuals, zero), -residuals(zero)[:, None], driver="gelsd").solution[:, 0]
+    found, wanted = (
+        equations.flat_states(equations.observation, p) for p in (solution.point, Point(expected, zero[:0]))
+    )
+    for given, truth in zip(found[:3], wanted[:3], strict=True):
+        torch.testing.assert_close(given, truth, rtol=1e-6, atol=1e-6 * truth.abs().max().item())
+    assert solution.converged
+    assert solution.factor is not None
+    assert solution.iterations <= 3
+    assert solution.loss == pytest.approx(float(residuals(joined(solution.point)).square().sum()), rel=1e-9)
+
+
+@pytest.mark.parametrize("uncertain", [False, True])
+@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, uncertain):
+    equations, noise = posed(nonlinearity, uncertain=uncertain)
+    solution = solved(equations, noise, iterations=60, tolerance=1e-9)
+    z, size = joined(solution.point), equations.layout.size
+    dense = jacobian(weighted_residuals(equations, noise), z)
+    covariance = torch.linalg.inv(dense.T @ dense)
+    factor = equations.assemble(solution.point, noise).factor()
+    posterior = Posterior(equations, solution.point, factor)
+
+    def states(x):
+        return torch.stack(equations.flat_states(equations.observation, Point(x[:size], x[size:]))[:3])
+
+    def force(x):
+        point = Point(x[:size], x[size:])
+        motion = equations.flat_states(equations.physics, point)[:3]
+        return equations.chain.external_force(*motion, equations.parameters(point))
+
+    moved = torch.stack(posterior.states(equations.observation))
+    for given, function in ((moved, states), (posterior.force(equations.physics), force)):
+        rows = jacobian(function, z)
+        expected = ((rows @ covariance) * rows).sum(-1).sqrt().reshape(given.shape)
+        torch.testing.assert_close(given, expected, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(factor.corner_covariance, covariance[size:, size:], rtol=1e-5, atol=1e-9)
+
+
+# Cubic springs pull harder the further a start is off: it has to be close for seven whole steps to do.
+@pytest.mark.parametrize(("nonlinearity", "away"), [("duffing", 0.3), ("van_der_pol", 3.0)])
+def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity, away):
+    equations, noise = posed(nonlinearity, uncertain=True)
+    # A record that a point of the network fits exactly, so that Gauss-Newton is Newton there.
+    there = solved(equations, noise, tolerance=1e-6).point
+    motion = equations.flat_states(equations.physics, there)[:3]
+    force = equations.chain.external_force(*motion, equations.parameters(there)).numpy()
+    record = replace(equations.problem.record, acceleration=motion[2].numpy(), displacement=motion[0].numpy(),
+                     force=force, unforced=np.zeros(3, bool))  # fmt: skip
+    exact = NormalEquations(equations.network, replace(equations.problem, record=record))
+    exact.ridge = 0.0  # it would move the solution away from the one that the record was made of
+    level = np.full(3, 0.01)
+    noise = NoiseModel(
+        {"displacement": level, "velocity": np.full(3, np.nan), "acceleration": level}, level, 0.01, 1.0, 1e6
+    )
+    truth = joined(there)
+    generator = torch.Generator().manual_seed(3)
+    shift = away * truth.abs().mean() * torch.randn(len(truth), generator=generator, dtype=truth.dtype)
+    point = there.moved((shift[: exact.layout.size], shift[exact.layout.size :]))
+    errors = []
+    for _ in range(7):
+        factor = exact.assemble(point, noise).factor()
+        point = point.moved(tuple(torch.as_tensor(x) for x in factor.step(exact.assemble(point, noise))))
+        errors.append(
+            float((exact.flat_states(exact.physics, point).displacement - motion[0]).norm() / motion[0].norm())
+        )
+    # Above rounding, an error is a constant times the square of the one before.
+    steps = zip(errors, errors[1:], errors[2:], strict=False)
+    slopes = [np.log(c / b) / np.log(b / a) for a, b, c in steps if b < 0.1 and c > 1e-12]
+    assert min(errors) < 1e-12, errors
+    assert slopes, errors
+    assert slopes[-1] == pytest.approx(2.0, abs=0.4), errors
+
+
+def test_every_accepted_step_lowers_the_loss():
+    equations, noise = posed("duffing")
+    losses: list[float] = []
+    solution = solved(equations, noise, watch=lambda terms: losses.append(sum(terms.values())))
+    assert len(losses) == solution.iterations
+    assert all(after <= before * (1 + 1e-9) for before, after in pairwise(losses))
+    assert losses[-1] == solution.loss
+
+
+def test_it_says_that_it_ran_out_of_steps():
+    solution = solved(*posed("duffing"), iterations=1)
+    assert not solution.converged
+    assert solution.factor is None
+    assert solution.iterations == 1
+
+
+def test_a_loss_that_is_not_finite_at_the_start_is_divergence():
+    equations, noise = posed("linear")
+    with pytest.raises(DivergenceError, match="not finite at the start"):
+        minimise(equations, noise, equations.start().moved((np.inf, 0.0)), 3, 1e-6, lambda terms: None)
+
+
+def softening(positive: bool, prescribed: float = 50.0, prior_std: float = 100.0) -> tuple[NormalEquations, NoiseModel]:
+    """A chain whose second spring softens, and an estimator that takes it to harden."""
+    chain = small_chain()
+    kappa = torch.tensor([100.0, -40.0, 100.0], dtype=torch.float64)
+    record = accelerations(
+        measured(chain.with_parameters(kappa=kappa), snr_db=50.0, duration=20.0, samples=257).record, (1, 2, 3)
+    )
+    prior = UncertainParameter("kappa", 1, prescribed, prior_std, positive=positive)
+    kappa = kappa.clone()
+    kappa[1] = prescribed
+    stiffness = UncertainParameter("k", 1, 15.0, 1.0)
+    problem = Problem(chain.with_parameters(kappa=kappa), record, (stiffness, prior) if prior_std else (stiffness,))
+    nothing, level = np.full(3, np.nan), np.full(3, 0.002)
+    noise = NoiseModel(
+        {"displacement": nothing, "velocity": nothing, "acceleration": level},
+        np.where(record.sensors("force"), 0.004, np.nan), 0.004, 1.0,
+    )  # fmt: skip
+    return NormalEquations(Spline(intervals=100).build(record), problem), noise
+
+
+@pytest.mark.parametrize("prescribed", [0.0, 7.3, 50.0, 123.4])
+def test_a_parameter_that_cannot_be_negative_ends_exactly_at_zero(prescribed):
+    equations, noise = softening(True, prescribed)
+    solution = solved(equations, noise)
+    assert solution.converged
+    assert solution.point.parameters[1] == equations.lower[1]
+    assert float(equations.parameters(solution.point)["kappa"][1]) == pytest.approx(0.0, abs=1e-13 * prescribed)
+    # It would like to go on, and nothing else would.
+    slope = equations.assemble(solution.point, noise).corner_gradient
+    assert slope[1] > 0
+    assert abs(slope[0]) < 1e-3 * slope[1]
+
+
+def test_without_the_bound_it_goes_below_zero_and_fits_better():
+    found = {}
+    for positive in (True, False):
+        equations, noise = softening(positive)
+        solution = solved(equations, noise)
+        assert solution.converged
+        found[positive] = solution.loss, float(equations.parameters(solution.point)["kappa"][1])
+    assert found[False][1] == pytest.approx(-40.0, abs=3.0)
+    assert found[False][0] < found[True][0]
+
+
+def test_at_its_bound_a_parameter_is_one_that_is_held_at_zero():
+    bounded, held = (solved(*softening(True, *settings)) for settings in ((50.0, 100.0), (0.0, 0.0)))
+    # The prior of the bounded one counts its way from 50 to 0.
+    assert bounded.loss == pytest.approx(held.loss + (50.0 / 100.0) ** 2, rel=1e-6)
+    torch.testing.assert_close(bounded.point.parameters[:1], held.point.parameters, rtol=1e-4, atol=1e-5)

@@ -1,0 +1,145 @@
+"""Every noise level by evidence, on records that another simulator made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from independent_records import IndependentRecord, frame_record, measured
+from small_problems import excitation, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.chain import Chain
+from pinn_cli.system.connection import Duffing
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.inference import starting_noise
+from pinn_cli.training.band.noise_levels import _floor, settled, updated, values_taken
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.noise_model import starting_levels
+
+HIGHEST = 20.0  # Hz, of the frame's force
+
+
+def model(made: IndependentRecord) -> Chain:
+    s = made.structure
+    return build_chain(3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
+
+
+def estimated(made: IndependentRecord, **settings) -> Estimate:
+    return GaussNewton(**settings).solve(Problem(model(made), made.record), Spline(), RunContext())
+
+
+def ratios(made: IndependentRecord, estimate: Estimate, quantity: str) -> np.ndarray:
+    """Noise that was found over noise that was put in, of every sensor."""
+    found = np.array(estimate.summary[f"sigma_{quantity}"], dtype=float)
+    there = made.record.sensors(quantity)
+    assert np.isnan(found[~there]).all()
+    return found[there] / made.noise[quantity][there]
+
+
+@pytest.mark.parametrize("per_period", [2.6, 5.0, 20.0])
+def test_the_noise_of_every_sensor_is_found(per_period):
+    made = frame_record(rate=per_period * HIGHEST, duration=15.0)
+    estimate = estimated(made)
+    np.testing.assert_allclose(ratios(made, estimate, "acceleration"), 1.0, atol=0.1)
+    np.testing.assert_allclose(ratios(made, estimate, "force"), 1.0, atol=0.1)
+
+
+def test_pooled_sensors_have_the_noise_that_is_common():
+    made, rng = frame_record(rate=100.0, duration=15.0), np.random.default_rng(8)
+    acceleration = made.truth.acceleration + 0.05 * rng.standard_normal(made.truth.acceleration.shape)
+    problem = Problem(model(made), replace(made.record, acceleration=acceleration))
+    found = GaussNewton(pooled=True).solve(problem, Spline(), RunContext()).summary["sigma_acceleration"]
+    assert len(set(found)) == 1
+    assert found[0] == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_lone_sensor_with_as_many_features_as_samples_does_not_lose_its_noise():
+    """The motion could follow every sample; then the least of residuals is rounding, and no noise level."""
+    made = frame_record(rate=100.0, duration=8.0, sensors=(("acceleration", (3,)),))
+    problem, design = Problem(model(made), made.record), Spline(intervals=len(made.record.time))
+    estimate = GaussNewton().solve(problem, design, RunContext())
+    assert estimate.summary["features_per_dof"] >= len(made.record.time)
+    assert 0.3 < ratios(made, estimate, "acceleration")[0] < 2.0
+
+
+def test_noise_starts_at_the_emptiest_part_of_a_spectrum_or_at_a_tenth_of_a_channel():
+    made = frame_record(rate=100.0, duration=15.0)
+    response, force = starting_levels(made.record)
+    for found, quantity in ((response["acceleration"], "acceleration"), (force[2:], "force")):
+        channel = getattr(made.record, quantity)[:, -len(found) :]
+        true = made.noise[quantity][-len(found) :]
+        assert np.all(found <= 0.1 * np.sqrt(np.mean(channel**2, axis=0)) * (1.0 + 1e-12))
+        assert np.all(found > 0.5 * true)
+    assert np.isnan(response["displacement"]).all()
+
+
+def solved(made: IndependentRecord) -> tuple[Evidence, Trained]:
+    record = made.record
+    equations = NormalEquations(Spline().build(record), Problem(model(made), record))
+    evidence = Evidence(equations, 12, 1e-6, lambda losses, noise: None)
+    noise = starting_noise(evidence)
+    return evidence, evidence.search(noise, noise.discrepancy, lambda: None)
+
+
+def test_settled_levels_stay_where_they_are():
+    evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
+    once = settled(evidence, trained)
+    again = updated(evidence, once, _floor(evidence, once.noise))
+    np.testing.assert_allclose(again.response["acceleration"], once.noise.response["acceleration"], rtol=0.03)
+    assert again.force[2] == pytest.approx(once.noise.force[2], rel=0.05)
+    assert once.log_evidence >= trained.log_evidence
+
+
+def test_the_evidence_is_greatest_at_the_levels_that_are_found():
+    """The derivative by every sensor's level is MacKay's: samples less those taken up, less the residuals."""
+    evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
+    once = settled(evidence, trained)
+    point, equations, step = once.solution.point, evidence.equations, 0.02
+
+    def log_evidence(dof: int, by: float) -> float:
+        level = once.noise.response["acceleration"].copy()
+        level[dof] *= np.exp(by)
+        noise = replace(once.noise, response={**once.noise.response, "acceleration": level})
+        return evidence.log_evidence(point, noise, equations.assemble(point, noise).factor())
+
+    samples = len(equations.problem.record.time)
+    residual = equations.residuals(point)["acceleration"].square().sum((0, 1)).numpy()
+    taken = values_taken(evidence, once).response["acceleration"]
+    for dof in range(3):
+        slope = (log_evidence(dof, step) - log_evidence(dof, -step)) / (2.0 * step)
+        chi_square = residual[dof] / once.noise.response["acceleration"][dof] ** 2
+        # Sixteen draws tell how many are taken to a few per cent of them.
+        assert slope == pytest.approx(chi_square - (samples - taken[dof]), abs=0.1 * taken[dof])
+        assert abs(slope) < 0.05 * samples
+
+
+def test_the_scatter_of_repeats_stays_what_it_is():
+    chain = small_chain()
+    source = Simulated(excitation(chain), Simulation(12.0, 257), Noise(20.0, repeats=4))
+    record = source.measure(chain).record.keep({"acceleration": (1, 2)})
+    summary = GaussNewton().solve(Problem(chain, record), Spline(), RunContext()).summary
+    for quantity in ("acceleration", "force"):
+        there = record.sensors(quantity)
+        found = np.array(summary[f"sigma_{quantity}"], dtype=float)[there]
+        np.testing.assert_allclose(found, record.repeats.noise_of_mean(quantity)[there])
+
+
+def test_sensors_of_one_kind_and_very_different_noise_keep_their_own():
+    made = frame_record(rate=100.0, duration=15.0, snr_db=300.0)
+    noisy = measured(made.structure, made.truth, {"acceleration": (1, 2, 3)}, 40.0)
+    record, extra = noisy.record, 10.0 * noisy.noise["acceleration"][1]
+    acceleration = record.acceleration.copy()
+    acceleration[:, 1] += extra * np.random.default_rng(9).standard_normal(len(acceleration))
+    worse = replace(record, acceleration=acceleration)
+    summary = GaussNewton().solve(Problem(model(made), worse), Spline(), RunContext()).summary
+    found = np.array(summary["sigma_acceleration"]) / noisy.noise["acceleration"]
+    np.testing.assert_allclose(found, [1.0, np.hypot(10.0, 1.0), 1.0], rtol=0.15)

@@ -1,0 +1,315 @@
+"""Banded normal equations against dense Jacobians by automatic differentiation, and the layout of the band."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_problems import NONLINEARITIES, small_chain
+
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.training.band.bordered import BorderedSystem
+from pinn_cli.training.band.dof_major import DofMajorSums
+from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.noise_model import NoiseModel
+
+SAMPLES = 21
+
+
+def random_record(
+    ndof: int, hold: str = "band_limited", unknown_force: int | None = None, sensors: str = "all"
+) -> Record:
+    """Histories without physics: accelerometers, displacement sensor on the first DOF, velocity sensor on the last."""
+    rng = np.random.default_rng(ndof)
+    nothing = np.full((SAMPLES, ndof), np.nan)
+    force, acceleration = np.zeros((SAMPLES, ndof)), rng.normal(size=(SAMPLES, ndof))
+    displacement, velocity = nothing.copy(), nothing.copy()
+    forced = np.arange(ndof) % 2 == 0
+    force[:, forced] = rng.normal(size=(SAMPLES, int(forced.sum())))
+    if unknown_force is not None:
+        force[:, unknown_force], forced[unknown_force] = np.nan, True
+    if sensors != "acceleration":
+        displacement[:, 0], velocity[:, -1] = rng.normal(size=SAMPLES), rng.normal(size=SAMPLES)
+    if sensors == "motion":
+        acceleration = nothing
+    return Record(0.3 * np.arange(SAMPLES) + 2.0, displacement, velocity, acceleration, force, ~forced, hold)
+
+
+def every_other(chain, kinds) -> tuple[UncertainParameter, ...]:
+    """Some parameters of each kind, in an order of their own, with spreads of their own."""
+    chosen = [
+        (kind, dof) for kind in kinds for dof in range(chain.ndof) if (dof + len(kind)) % 3 or dof == chain.ndof - 1
+    ]
+    return tuple(
+        UncertainParameter(
+            kind, dof, float(chain.parameters[kind][dof]), (0.05 + 0.01 * i) * float(chain.parameters[kind][dof])
+        )
+        for i, (kind, dof) in enumerate(reversed(chosen))
+    )
+
+
+def posed(record, nonlinearity="duffing", design=None, through="derivative", kinds=()) -> NormalEquations:
+    chain = small_chain(nonlinearity, ndof=record.ndof)
+    problem = Problem(chain, record, every_other(chain, kinds), through)
+    return NormalEquations((design or Spline(intervals=5)).build(record), problem)
+
+
+def noise_of(record: Record, continuity: float = 0.3) -> NoiseModel:
+    levels = 0.5 + 0.1 * np.arange(record.ndof)
+    response = {
+        q: np.where(record.sensors(q), levels * s, np.nan)
+        for q, s in {"displacement": 0.7, "velocity": 0.9, "acceleration": 1.1}.items()
+    }
+    return NoiseModel(response, np.where(record.sensors("force"), levels, np.nan), 0.4, continuity, spread=1.7)
+
+
+def somewhere(equations: NormalEquations) -> Point:
+    generator = torch.Generator().manual_seed(5)
+    start = equations.start()
+    return Point(
+        *(0.3 * torch.randn(len(x), generator=generator, dtype=x.dtype) for x in (start.unknowns, start.parameters))
+    )
+
+
+def dense(system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
+    """Hessian and gradient."""
+    size = system.band.shape[1]
+    lower = np.zeros((size, size))
+    for k in range(min(len(system.band), size)):
+        lower += np.diag(system.band[k, : size - k], -k)
+    band = lower + np.tril(lower, -1).T
+    hessian = np.block([[band, system.border], [system.border.T, system.corner]])
+    return hessian, np.concatenate((system.gradient, system.corner_gradient))
+
+
+def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
+    """The same by differentiating every weighted residual."""
+    weights = equations.weights(noise)
+
+    def weighted(unknowns, parameters):
+        residuals = equations.residuals(Point(unknowns, parameters))
+        return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in residuals.items()])
+
+    inputs = (point.unknowns, point.parameters)
+    jacobian = torch.cat(torch.autograd.functional.jacobian(weighted, inputs, vectorize=True), -1)
+    prior = torch.cat((torch.full_like(inputs[0], equations.ridge), torch.full_like(inputs[1], noise.spread**-2)))
+    gradient = jacobian.T @ weighted(*inputs) + prior * torch.cat(inputs)
+    return (jacobian.T @ jacobian + torch.diag(prior)).numpy(), gradient.detach().numpy()
+
+
+def assert_agrees(equations: NormalEquations, noise: NoiseModel | None = None) -> None:
+    point, noise = somewhere(equations), noise or noise_of(equations.problem.record)
+    hessian, gradient = dense(equations.assemble(point, noise))
+    expected_hessian, expected_gradient = autograd_equations(equations, point, noise)
+    scale = np.sqrt(np.diag(expected_hessian))
+    np.testing.assert_allclose(hessian / scale / scale[:, None], expected_hessian / scale / scale[:, None], atol=1e-10)
+    size = np.abs(expected_gradient / scale).max()
+    np.testing.assert_allclose(gradient / scale / size, expected_gradient / scale / size, atol=1e-9)
+
+
+@pytest.mark.parametrize("ndof", [1, 2, 3])
+@pytest.mark.parametrize("through", ["derivative", "observer", "both"])
+@pytest.mark.parametrize("continuity", ["exact", "penalised"])
+@pytest.mark.parametrize("kind", [Spline, Fourier])
+def test_every_network_and_observation(kind, continuity, through, ndof):
+    size = {"intervals": 5} if kind is Spline else {"harmonics": 3}
+    design = kind(continuity=continuity, **size)
+    assert_agrees(posed(random_record(ndof), "duffing", design, through, ("k", "c", "kappa")))
+
+
+@pytest.mark.parametrize("ndof", [1, 2, 3])
+@pytest.mark.parametrize("through", ["derivative", "observer", "both"])
+@pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
+def test_every_nonlinearity_with_its_own_parameters(nonlinearity, through, ndof):
+    kinds = [name for name in small_chain(nonlinearity).parameters if name != "m"]
+    assert_agrees(posed(random_record(ndof), nonlinearity, None, through, kinds))
+
+
+@pytest.mark.parametrize("through", ["derivative", "observer", "both"])
+@pytest.mark.parametrize("ndof", [1, 2, 3])
+def test_uncertain_masses(ndof, through):
+    assert_agrees(posed(random_record(ndof), through=through, kinds=("m", "k", "kappa")))
+
+
+@pytest.mark.parametrize("through", ["derivative", "observer", "both"])
+@pytest.mark.parametrize("sensors", ["all", "acceleration", "motion"])
+@pytest.mark.parametrize("unknown_force", [None, 0, 1, 2])
+@pytest.mark.parametrize("hold", ["band_limited", "zero_order_hold"])
+def test_every_record(hold, unknown_force, sensors, through):
+    assert_agrees(posed(random_record(3, hold, unknown_force, sensors), "duffing", None, through, ("k",)))
+
+
+def test_no_uncertain_parameters():
+    assert_agrees(posed(random_record(3), through="both"))
+
+
+def some_unknown(equations: NormalEquations, positive: bool = False) -> NormalEquations:
+    """The same with every other parameter unknown."""
+    uncertain = tuple(
+        replace(p, unknown=bool(i % 2), positive=positive) for i, p in enumerate(equations.problem.uncertain)
+    )
+    return NormalEquations(equations.network, replace(equations.problem, uncertain=uncertain))
+
+
+@pytest.mark.parametrize("spread", [0.01, 1.0, 30.0])
+def test_the_spread_is_that_of_believed_parameters_alone(spread):
+    equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")))
+    noise = replace(noise_of(equations.problem.record), spread=spread)
+    expected = [1.0 if p.unknown else spread**-2 for p in equations.problem.uncertain]
+    assert len(set(expected)) == (1 if spread == 1.0 else 2)
+    np.testing.assert_allclose(equations.precision(noise), expected)
+    # In the Hessian, in its gradient and in the loss.
+    point = somewhere(equations)
+    wide = replace(noise, spread=1e9)
+    given, without = (equations.assemble(point, n) for n in (noise, wide))
+    believed = np.array([not p.unknown for p in equations.problem.uncertain])
+    added = believed * spread**-2
+    np.testing.assert_allclose(given.corner - without.corner, np.diag(added), atol=1e-9 * added.max())
+    np.testing.assert_allclose(
+        given.corner_gradient - without.corner_gradient, added * point.parameters.numpy(), atol=1e-9 * added.max()
+    )
+    prior = float((torch.tensor(expected) * point.parameters.square()).sum())
+    assert equations.losses(point, noise)["prior"] == pytest.approx(prior)
+
+
+def test_room_below_is_the_way_to_zero():
+    equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")), positive=True)
+    point = somewhere(equations)
+    low = {name: values.clone() for name, values in equations.parameters(point).items()}
+    room = equations.room_below(point)
+    assert np.all(room < 0)
+    for parameter, step in zip(equations.problem.uncertain, room, strict=True):
+        low[parameter.kind][parameter.dof] += parameter.prior_std * step
+        assert low[parameter.kind][parameter.dof] == pytest.approx(0.0, abs=1e-12)
+    free = some_unknown(posed(random_record(3), kinds=("k",)))
+    assert np.all(free.room_below(somewhere(free)) == -np.inf)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_to_a_bound_ends_at_the_bound(seed):
+    """Exactly, from wherever it comes, and back again to exactly no room."""
+    equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")), positive=True)
+    rng = np.random.default_rng(seed)
+    point, count = equations.start(), len(equations.lower)
+    nowhere = np.zeros(equations.layout.size)
+    for _ in range(20):
+        room, held = equations.room_below(point), rng.random(count) < 0.5
+        point = equations.moved(point, (nowhere, np.where(held, room, rng.exponential(size=count))))
+        parameters = point.parameters.numpy()
+        np.testing.assert_array_equal(parameters[held], equations.lower[held])
+        np.testing.assert_array_equal(equations.room_below(point)[held], 0.0)
+        assert np.all(parameters >= equations.lower)
+
+
+def test_without_bounds_a_step_is_a_sum():
+    equations = posed(random_record(3), kinds=("k",))
+    point = somewhere(equations)
+    step = np.full(equations.layout.size, 0.1), np.full(len(equations.lower), -5.0)
+    moved = equations.moved(point, step)
+    torch.testing.assert_close(moved.unknowns, point.unknowns + 0.1)
+    torch.testing.assert_close(moved.parameters, point.parameters - 5.0)
+
+
+@pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
+def test_more_dofs_than_a_chunk_holds(monkeypatch, design):
+    for sums in ("time_major", "dof_major"):
+        monkeypatch.setattr(f"pinn_cli.training.{sums}.CHUNK", 1)
+    assert_agrees(posed(random_record(3), "duffing", design, "both", ("k",)))
+
+
+@pytest.mark.parametrize("ndof", [1, 2])
+def test_global_features_are_never_summed_by_diagonals(ndof):
+    """Every pair of features is a diagonal then: minutes for the features of an ordinary record."""
+    equations = posed(random_record(ndof), design=Fourier(harmonics=3))
+    assert equations.layout.feature_first  # the narrower band of so few
+    assert isinstance(equations._sums(), DofMajorSums)
+    assert_agrees(equations)
+
+
+def test_parameters_at_a_point():
+    equations = posed(random_record(3), kinds=("k", "c"))
+    point = somewhere(equations)
+    expected = {name: value.clone() for name, value in equations.chain.parameters.items()}
+    for parameter, x in zip(equations.problem.uncertain, point.parameters, strict=True):
+        expected[parameter.kind][parameter.dof] += parameter.prior_std * x
+    given = equations.parameters(point)
+    assert list(given) == list(expected)
+    for name, value in expected.items():
+        torch.testing.assert_close(given[name], value)
+
+
+@pytest.mark.parametrize("continuity", ["exact", "penalised"])
+@pytest.mark.parametrize("kind", [Spline, Fourier])
+def test_the_network_moves_as_the_point_says(kind, continuity):
+    equations = posed(random_record(3), design=kind(continuity=continuity))
+    point = somewhere(equations)
+    equations.network.readout.data = equations.readout(point)
+    expected = equations.network(equations.target.observation_time)
+    for given, wanted in zip(equations.flat_states(equations.observation, point)[:3], expected[:3], strict=True):
+        torch.testing.assert_close(given, wanted)
+
+
+def test_losses_are_what_the_gradient_is_of():
+    equations = posed(random_record(2), through="both", kinds=("k",))
+    point, noise = somewhere(equations), noise_of(equations.problem.record)
+    system = equations.assemble(point, noise)
+    direction = torch.ones_like(point.unknowns), torch.ones_like(point.parameters)
+    step = 1e-6
+    losses = [
+        sum(equations.losses(point.moved(tuple(s * x for x in direction)), noise).values()) for s in (step, -step)
+    ]
+    expected = 2.0 * (system.gradient.sum() + system.corner_gradient.sum())
+    assert (losses[0] - losses[1]) / (2.0 * step) == pytest.approx(expected, rel=1e-6)
+
+
+def test_unobserved_and_unenforced_dofs_weigh_nothing():
+    record = random_record(3, unknown_force=2)
+    weights = posed(record, through="both").weights(noise_of(record))
+    assert {name: (w > 0).tolist() for name, w in weights.items()} == {
+        "displacement": [True, False, False],
+        "velocity": [False, False, True],
+        "acceleration": [True, True, True],
+        "observer": [True, True, False],
+        "physics": [True, True, False],
+    }
+
+
+def test_a_splines_band_does_not_grow_with_the_record():
+    short, long = (posed(random_record(3), design=Spline(intervals=n)).layout for n in (5, 12))
+    assert short.feature_first
+    assert short.half_width == long.half_width == 6 * 3 + 2
+
+
+def test_global_features_are_ordered_by_dof():
+    ndof = 6
+    layout = posed(random_record(ndof), design=Fourier(harmonics=3)).layout
+    count = 2 * 3 + 2
+    assert not layout.feature_first
+    assert layout.half_width == 2 * count + count - 1
+
+
+@pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)])
+@pytest.mark.parametrize("ndof", [1, 2, 6])
+def test_every_weight_has_one_place(design, ndof):
+    layout = posed(random_record(ndof), design=design).layout
+    feature, dof = np.meshgrid(np.arange(layout.count), np.arange(ndof), indexing="ij")
+    place = layout.positions(feature, dof)
+    assert sorted(place.flatten()) == list(range(layout.size))
+    weights = layout.weights(torch.arange(layout.size))
+    np.testing.assert_array_equal(weights.numpy(), place)
+
+
+def test_residuals_vanish_at_padding_and_without_sensors():
+    record = random_record(2)
+    equations = posed(replace(record, displacement=np.full_like(record.force, np.nan)))
+    residuals = equations.residuals(somewhere(equations))
+    assert set(residuals) == {"velocity", "acceleration", "physics"}
+    assert not residuals["velocity"][..., 0].any()
+    assert not residuals["velocity"][equations.observation.mask == 0].any()
+    assert residuals["physics"].shape == (equations.averages.count, 1, 2)
+    assert not equations.force_residual(somewhere(equations))[equations.physics.mask == 0].any()
