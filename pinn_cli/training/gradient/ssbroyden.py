@@ -55,7 +55,7 @@ class SsBroyden(CurvatureTraining):
             raise InputError(
                 "training",
                 self.name,
-                f"lbfgs or soap for a network of {count} weights",
+                f"lbfgs for a network of {count} weights",
                 f"its inverse Hessian takes {8e-9 * count**2:.2g} GB; training.most_weights is {self.most_weights}, "
                 "and network.width and network.depth say how many there are",
             )

@@ -6,21 +6,18 @@ from collections.abc import Mapping
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.gradient.equalised_weights import EqualisedWeights
-from pinn_cli.training.gradient.evidence_weights import EvidenceWeights
 from pinn_cli.training.gradient.loss_weights import LossWeights, Weights
 
 
 def read_weights(given: Mapping[str, float | None] | str | None) -> Weights:
-    """Loss weights from a setting: ``equalised``, ``evidence``, or fixed ones by name.
+    """Loss weights from a setting: ``equalised``, or fixed ones by name.
 
     Raises:
         InputError: Anything else.
     """
     if given == "equalised":
         return EqualisedWeights()
-    if given == "evidence":
-        return EvidenceWeights()
     if given is None or isinstance(given, Mapping):
         return LossWeights.read(given or {})
     names = ", ".join(LossWeights.__dataclass_fields__)
-    raise InputError("training.weights", given, f"equalised, evidence, or numbers for {names}")
+    raise InputError("training.weights", given, f"equalised, or numbers for {names}")

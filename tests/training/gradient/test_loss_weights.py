@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,22 +12,19 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.equalised_weights import EqualisedWeights
-from pinn_cli.training.gradient.evidence_weights import EvidenceWeights
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.loss_weights import Weights
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.gradient.objective import Objective
 
 
-def objective(weights: Weights, snr_db: float | None = 40.0, force_factor: float = 1.0) -> Objective:
+def objective(weights: Weights) -> Objective:
     chain = small_chain()
-    record: Record = accelerations(measured(chain, snr_db=snr_db).record)
-    record = replace(record, force=force_factor * record.force)
+    record = accelerations(measured(chain, snr_db=40.0).record)
     problem = Problem(chain, record)
     network = Mlp(1, 16, "sine").build(record)
     parameters = LearnedParameters(problem, torch.float64)
@@ -66,48 +62,16 @@ def test_equalised_weights_are_frozen_but_for_the_growth_of_the_physics():
     assert second["forced"] == pytest.approx(10.0 * first["forced"])
 
 
-def test_evidence_weights_are_the_ratios_of_the_noise():
-    noisy, clean = objective(EvidenceWeights(), snr_db=20.0), objective(EvidenceWeights(), snr_db=40.0)
-    for given in (noisy, clean):
-        given.begin_stage(0, 1.0)
-    # Ten times the noise of the sensors: against the same discrepancy the physics weighs a hundred times as much.
-    ratio = noisy().weights["unforced"] / clean().weights["unforced"]
-    assert ratio == pytest.approx(100.0, rel=0.5)
-    weights = noisy().weights
-    assert weights["observation"] == 1.0
-    assert weights["forced"] < weights["unforced"] == weights["continuity"]
-    # The prior is in units of its own: a weight of one on the scale of a likelihood.
-    assert weights["prior"] == noisy.weights.observation
-
-
-def test_evidence_learns_the_discrepancy_where_a_stage_begins():
-    given = objective(EvidenceWeights())
-    given.begin_stage(0, 1.0)
-    levels = []
-    for _ in range(2):
-        given.begin_stage(1, 1.0)
-        levels.append(given.weights.discrepancy)
-        with torch.no_grad():
-            given.network.weights[-1].mul_(0.1)
-            given.network.biases[-1].mul_(0.1)
-    # A motion of a tenth leaves out a tenth of the force of the DOFs that none acts on, but for the cubic part.
-    assert levels[1] == pytest.approx(0.1 * levels[0], rel=0.2)
-    assert given().weights["unforced"] == pytest.approx(given.weights.observation / levels[1] ** 2, rel=0.9)
-
-
-@pytest.mark.parametrize("kind", ["equalised", "evidence"])
-def test_the_history_has_the_weights_that_were_found(kind, composed: Compose):
+def test_the_history_has_the_weights_that_were_found(composed: Compose):
     chain = small_chain()
     problem = Problem(chain, accelerations(measured(chain, snr_db=40.0).record))
-    training = Adam(iterations=10, stages=2, weights=kind, collocation_points=128, history_every=5)
+    training = Adam(iterations=10, stages=2, weights="equalised", collocation_points=128, history_every=5)
     history = training.solve(problem, Mlp(1, 16, "sine"), RunContext()).history
     assert history["iteration"].tolist() == [0, 5, 10, 15, 20]
-    if kind == "equalised":
-        # The row at the border of two stages has the second one's weights.
-        expected = history["weight_unforced"][0] * np.array([1.0, 1.0, 10.0, 10.0, 10.0])
-        np.testing.assert_allclose(history["weight_unforced"], expected)
+    # The row at the border of two stages has the second one's weights.
+    expected = history["weight_unforced"][0] * np.array([1.0, 1.0, 10.0, 10.0, 10.0])
+    np.testing.assert_allclose(history["weight_unforced"], expected)
     again = training.solve(problem, Mlp(1, 16, "sine"), RunContext()).history
     assert again.drop(columns="seconds").equals(history.drop(columns="seconds"))
-    assert isinstance(
-        RunConfig.read(composed("network=mlp", "training=adam", f"training.weights={kind}")).training, Adam
-    )
+    configured = RunConfig.read(composed("network=mlp", "training=adam", "training.weights=equalised"))
+    assert isinstance(configured.training, Adam)

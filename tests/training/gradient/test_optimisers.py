@@ -25,12 +25,11 @@ from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER
-from pinn_cli.training.gradient.soap import Soap
 from pinn_cli.training.gradient.ssbroyden import SsBroyden
 from pinn_cli.training.gradient.training import GradientTraining
 from pinn_cli.training.gradient.weight_settings import read_weights
 
-TRAININGS = {"adam": Adam, "lbfgs": Lbfgs, "soap": Soap, "ssbroyden": SsBroyden}
+TRAININGS = {"adam": Adam, "lbfgs": Lbfgs, "ssbroyden": SsBroyden}
 CURVED = ("lbfgs", "ssbroyden")
 NETWORK = Mlp(1, 12, "sine", "exact")
 
@@ -58,10 +57,10 @@ def descent(training: GradientTraining, problem: Problem, seed: int) -> Descent:
 def training_weights(training: GradientTraining) -> str | None:
     """What a training with such weights was given."""
     kind = type(training.weights).__name__
-    return {"EqualisedWeights": "equalised", "EvidenceWeights": "evidence"}.get(kind)
+    return {"EqualisedWeights": "equalised"}.get(kind)
 
 
-@pytest.mark.parametrize("weights", [None, "equalised", "evidence"])
+@pytest.mark.parametrize("weights", [None, "equalised"])
 @pytest.mark.parametrize("name", TRAININGS)
 def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
     warm_up = {} if name == "adam" else {"warm_up": 3}
@@ -84,12 +83,11 @@ def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
     assert rows[0].equals(rows[1])
 
 
-@pytest.mark.parametrize("name", ["lbfgs", "soap", "ssbroyden"])
+@pytest.mark.parametrize("name", CURVED)
 def test_it_finds_the_motion_where_all_is_measured(name):
     chain = small_chain("linear", ndof=1)
     measurements = measured(chain, snr_db=50.0)
-    settings = {"iterations": 400, "learning_rate": 1e-2} if name == "soap" else {"iterations": 150, "warm_up": 0}
-    training = TRAININGS[name](stages=1, collocation_points=None, **settings)
+    training = TRAININGS[name](iterations=150, stages=1, warm_up=0, collocation_points=None)
     estimate = training.solve(Problem(chain, measurements.record), Fourier(), RunContext())
     for quantity in (*QUANTITIES, "force"):
         truth = getattr(measurements.truth.response, quantity)
@@ -147,7 +145,7 @@ def test_an_unknown_parameter_moves_to_the_truth(name):
 
 
 def test_a_network_whose_inverse_hessian_would_not_fit_is_refused():
-    with pytest.raises(InputError, match=r"training=ssbroyden: must be lbfgs or soap for a network of \d+ weights"):
+    with pytest.raises(InputError, match=r"training=ssbroyden: must be lbfgs for a network of \d+ weights"):
         SsBroyden().solve(small_problem(), Mlp(), RunContext())
 
 
@@ -158,9 +156,8 @@ def test_a_network_whose_inverse_hessian_would_not_fit_is_refused():
         (Lbfgs, {"warm_up": -1}, "training.warm_up=-1"),
         (SsBroyden, {"most_weights": 0}, "training.most_weights=0"),
         (SsBroyden, {"tolerance": -1.0}, "training.tolerance=-1.0"),
-        (Soap, {"precondition_every": 0}, "training.precondition_every=0"),
-        (Soap, {"weights": "inferred"}, "training.weights=inferred"),
-        (Soap, {"betas": [0.9, 1.0]}, "training.betas=[0.9, 1.0]"),
+        (Adam, {"weights": "evidence"}, "training.weights=evidence: must be equalised, or numbers for observation"),
+        (Adam, {"betas": [0.9, 1.0]}, "training.betas=[0.9, 1.0]"),
     ],
 )
 def test_impossible_settings_are_named(training, settings, named):
