@@ -18,7 +18,7 @@ from hydra.core.override_parser.types import IntervalSweep
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.estimate import RunContext
-from pinn_cli.training.function_space import training as quasi_newton
+from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
 ROOT = Path(__file__).parents[1]
@@ -65,7 +65,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def begins(*arguments: object, **settings: object) -> None:
         raise TrainingBeginsError
 
-    monkeypatch.setattr(quasi_newton, "train", begins)
+    monkeypatch.setattr(over_all_weights, "train", begins)
     monkeypatch.setattr(gradient_training, "train", begins)
     monkeypatch.setattr(Evidence, "train", begins)
 

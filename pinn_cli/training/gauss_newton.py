@@ -1,13 +1,14 @@
 """Gauss-Newton training, with the loss weights inferred from the record.
 
 A network with a linear readout is solved for its readout, one whose features are learned for all its weights, see
-:class:`pinn_cli.training.function_space.training.QuasiNewton`.
+:class:`pinn_cli.training.function_space.training.FunctionSpaceGaussNewton`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.function_space.training import QuasiNewton
+from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.scales import scales
@@ -42,13 +43,15 @@ class GaussNewton(Training):
     """Most probable readout and parameters, with weights that are noise levels.
 
     Args:
-        iterations: Steps at most under one noise model.
-        tolerance: Relative decrease of the loss below which a noise model's solution has converged.
+        iterations: Steps at most, under one noise model or of an MLP; None: ``ITERATIONS`` and 40.
+        tolerance: Relative decrease of the loss below which that has converged; None: ``TOLERANCE`` and 0.02.
         weights: ``inferred`` (see :mod:`pinn_cli.training.noise_model`), or fixed loss weights lambda by
             ``observation``, ``physics`` and ``continuity`` on residuals that are scaled by the largest measured value
-            of their kind, as in the paper.
-        pooled: Whether the sensors of one quantity share one noise level; otherwise each has its own.
+            of their kind, as in the paper; those of an MLP are always inferred.
+        pooled: Whether the sensors of one quantity share one noise level; otherwise each has its own, as with an MLP.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
+        collocation_points, most_residuals: Of an MLP, see
+            :class:`pinn_cli.training.function_space.training.FunctionSpaceGaussNewton`.
 
     Raises:
         InputError: A setting outside its range.
@@ -56,17 +59,23 @@ class GaussNewton(Training):
 
     def __init__(
         self,
-        iterations: int = ITERATIONS,
-        tolerance: float = TOLERANCE,
+        iterations: int | None = None,
+        tolerance: float | None = None,
         weights: str | Mapping[str, float] = "inferred",
         learn_spread: bool = True,
         pooled: bool = False,
+        collocation_points: int | None = None,
+        most_residuals: int = MOST_RESIDUALS,
     ) -> None:
-        self.iterations = whole_number("training.iterations", iterations, least=1)
-        self.tolerance = fraction("training.tolerance", tolerance)
+        self.iterations = None if iterations is None else whole_number("training.iterations", iterations, least=1)
+        self.tolerance = None if tolerance is None else fraction("training.tolerance", tolerance)
         self.learn_spread = true_or_false("training.learn_spread", learn_spread)
         self.pooled = true_or_false("training.pooled", pooled)
         self.weights = _checked_weights(weights)
+        self.collocation_points = collocation_points
+        if collocation_points is not None:
+            whole_number("training.collocation_points", collocation_points, least=2)
+        self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
@@ -76,8 +85,11 @@ class GaussNewton(Training):
         network = design.build(problem.record)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
+        self._left_alone(design, "has a linear readout", collocation_points=None, most_residuals=MOST_RESIDUALS)
         history = History(run.progress, run.watch)
-        settings = InferenceSettings(self.iterations, self.tolerance, self.learn_spread, self.pooled)
+        settings = InferenceSettings(
+            self.iterations or ITERATIONS, self.tolerance or TOLERANCE, self.learn_spread, self.pooled
+        )
         if self.weights:
             found = self._weighed(settings.solved_by(problem, network, run.device, history))
         else:
@@ -99,11 +111,23 @@ class GaussNewton(Training):
         if problem.priors is not None:
             hint = "an MLP gives no likelihood of its parameters"
             raise InputError("network", design.name, "spline or fourier with scheme=bayesian", hint)
-        for setting, value, default in (("weights", self.weights, {}), ("pooled", self.pooled, False)):
-            if value != default:
-                hint = f"network={design.name} has no linear readout"
+        self._left_alone(design, "has no linear readout", weights={}, pooled=False)
+        training = FunctionSpaceGaussNewton(
+            self.iterations or FunctionSpaceGaussNewton.iterations,
+            self.tolerance or FunctionSpaceGaussNewton.tolerance,
+            self.learn_spread,
+            self.collocation_points,
+            self.most_residuals,
+        )
+        return training.solve(problem, design, run)
+
+    def _left_alone(self, design: NetworkDesign, why: str, **unused: Any) -> None:
+        """Refuse settings that a network has no use for, unless they have the given defaults."""
+        for setting, default in unused.items():
+            if getattr(self, setting) != default:
+                hint = f"network={design.name} {why}"
+                value = getattr(self, setting)
                 raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
-        return QuasiNewton(learn_spread=self.learn_spread).solve(problem, design, run)
 
     def _weighed(self, evidence: Evidence) -> Inferred:
         """The solution under weights that the user has fixed."""

@@ -281,13 +281,13 @@ def test_an_interrupted_training_that_keeps_nothing_says_so(
     assert again.status == 0, again.err
 
 
-QUASI_NEWTON = (*SMALL, "network=mlp", "training=quasi_newton", "training.collocation_points=60")
+MLP = (*SMALL, "network=mlp", "training.collocation_points=60")
 
 
 def test_a_long_step_is_broken_off_and_taken_anew(
     pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    undisturbed = pinn_run(*QUASI_NEWTON, "hydra.run.dir=whole")
+    undisturbed = pinn_run(*MLP, "hydra.run.dir=whole")
     assert undisturbed.status == 0, undisturbed.err
     step, taken, survived = Linearisation.step, [], []
 
@@ -300,7 +300,7 @@ def test_a_long_step_is_broken_off_and_taken_anew(
 
     with monkeypatch.context() as patch:
         patch.setattr(Linearisation, "step", stopped_in_the_third)
-        stopped = pinn_run(*QUASI_NEWTON, "hydra.run.dir=run")
+        stopped = pinn_run(*MLP, "hydra.run.dir=run")
     assert stopped.status == 143
     assert stopped.err == "pinn-run: interrupted; to go on: pinn-run resume=run\n"
     assert (len(taken), survived) == (3, [])

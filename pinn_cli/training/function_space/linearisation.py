@@ -102,7 +102,7 @@ class Linearisation:
         factor = cholesky(system)
         if factor is None:
             raise DivergenceError(
-                "quasi_newton diverged: its normal matrix is singular; try network.width or training.collocation_points"
+                "gauss_newton diverged: its normal matrix is singular; try network.width or training.collocation_points"
                 " of half the size"
             )
         target = self.residual + share * self._push(to_start) - self.by_parameter @ parameters

@@ -54,7 +54,7 @@ class FunctionSpacePosterior:
         system.diagonal().add_(1.0)
         factor = cholesky(system)
         if factor is None:
-            raise DivergenceError("quasi_newton diverged: the normal matrix of its solution is singular")
+            raise DivergenceError("gauss_newton diverged: the normal matrix of its solution is singular")
         self.factor = factor
         by_parameter = self.linear.by_parameter
         solved = torch.cholesky_solve(by_parameter, self.factor)

@@ -1,7 +1,8 @@
-"""The recommended way to train a multilayer perceptron: Gauss-Newton in function space, with inferred weights."""
+"""Gauss-Newton training of a multilayer perceptron in function space, with inferred weights."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,7 @@ from pinn_cli.network.mlp import Mlp, MlpNetwork
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import fraction, true_or_false, whole_number
 from pinn_cli.training.acting_force import acting_force
-from pinn_cli.training.base import Training
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.function_space.collocation import Collocation, collocate, noise_model
@@ -35,47 +34,36 @@ SOFT = 0.1
 FIRST_PRECISION = 100.0
 
 
-class QuasiNewton(Training):
+MOST_RESIDUALS = 8000
+
+
+@dataclass(frozen=True)
+class FunctionSpaceGaussNewton:
     """Levenberg-Marquardt over all weights and physical parameters, with noise levels inferred from the record.
 
     The curvature is the Gauss-Newton matrix of all residuals, solved in the space of the residuals (see
     :mod:`pinn_cli.training.function_space`), so that its cost hardly depends on the number of weights.
 
-    Args:
+    Attributes:
         iterations: Steps at most.
         tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         collocation_points: Points at which sensors and equations of motion are compared; None: as many as the record
             has independent values, but no more than ``most_residuals`` in all.
         most_residuals: Its square is the memory, its cube the time of a step.
-
-    Raises:
-        InputError: A setting outside its range.
     """
 
-    def __init__(
-        self,
-        iterations: int = 40,
-        tolerance: float = 0.02,
-        learn_spread: bool = True,
-        collocation_points: int | None = None,
-        most_residuals: int = 8000,
-    ) -> None:
-        self.iterations = whole_number("training.iterations", iterations, least=1)
-        self.tolerance = fraction("training.tolerance", tolerance)
-        self.learn_spread = true_or_false("training.learn_spread", learn_spread)
-        if collocation_points is not None:
-            whole_number("training.collocation_points", collocation_points, least=2)
-        self.collocation_points = collocation_points
-        self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
+    iterations: int = 40
+    tolerance: float = 0.02
+    learn_spread: bool = True
+    collocation_points: int | None = None
+    most_residuals: int = MOST_RESIDUALS
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
-        """See :meth:`Training.solve`."""
-        if problem.priors is not None:
-            raise InputError("training", "quasi_newton", "gauss_newton with scheme=bayesian", "it gives no likelihood")
+        """See :meth:`pinn_cli.training.base.Training.solve`."""
         if not isinstance(design, Mlp):
-            hint = f"the residuals of network={design.name} are nearly linear in its weights"
-            raise InputError("training", "quasi_newton", "gauss_newton for this network", hint)
+            hint = f"network={design.name} has neither a linear readout nor layers"
+            raise InputError("training", "gauss_newton", "adam, lbfgs or ssbroyden for this network", hint)
         every = targets(problem.record, problem.chain, run.device)
         collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
         network = design.build(problem.record, torch.float64, len(collocation.target.physics_time))
@@ -83,7 +71,7 @@ class QuasiNewton(Training):
         gain = network.make_nearly_linear()
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
-        history = History("quasi-newton", run.progress, self.iterations, 1, run.watch)
+        history = History("gauss-newton", run.progress, self.iterations, 1, run.watch)
         search = self._search(problem, collocation, network, gain, parameters, history)
         try:
             train(search, run)

@@ -23,7 +23,7 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.function_space.training import QuasiNewton
+from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.losses import Losses
@@ -120,7 +120,7 @@ def test_the_normal_equations_are_those_of_the_loss(design):
 def test_a_multilayer_perceptron_begins_where_it_is_told():
     record = accelerations(measured(small_chain(), snr_db=20.0).record)
     problem = posed(record, "rest", ndof=3)
-    estimate = QuasiNewton(iterations=4).solve(problem, Mlp(activation="sine"), RunContext())
+    estimate = FunctionSpaceGaussNewton(iterations=4).solve(problem, Mlp(activation="sine"), RunContext())
     deviation = problem.initial_deviation
     assert deviation is not None
     for motion, known in zip(("displacement", "velocity"), deviation, strict=True):

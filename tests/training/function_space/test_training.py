@@ -19,7 +19,8 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.training import stepwise
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
-from pinn_cli.training.function_space.training import QuasiNewton
+from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
+from pinn_cli.training.gauss_newton import GaussNewton
 
 SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
@@ -39,7 +40,7 @@ def truth(hold: str = "exact"):
 
 
 def solved(given: Problem, design: Mlp = SMALL, seed: int = 0, **settings) -> Estimate:
-    return QuasiNewton(**settings).solve(given, design, RunContext(seed=seed))
+    return GaussNewton(**settings).solve(given, design, RunContext(seed=seed))
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
@@ -166,18 +167,35 @@ def test_the_force_that_acts_is_between_the_motions_and_the_measured_one():
 )
 def test_settings_outside_their_range(setting, message):
     with pytest.raises(InputError, match=message):
-        QuasiNewton(**setting)
+        GaussNewton(**setting)
 
 
-def test_a_network_with_linear_readout_is_an_input_error():
-    with pytest.raises(InputError, match=r"training=quasi_newton: must be gauss_newton for this network"):
-        solved(problem(), Spline())  # type: ignore[arg-type]
+@pytest.mark.parametrize("setting", [{"collocation_points": 100}, {"most_residuals": 500}])
+def test_settings_of_an_mlp_are_refused_with_a_linear_readout(setting):
+    with pytest.raises(
+        InputError, match=r"training\.\w+=\d+: must be left as it is, .*; network=spline has a linear readout"
+    ):
+        solved(problem(), Spline(), **setting)  # type: ignore[arg-type]
 
 
-def test_it_is_what_the_configuration_says(composed: Compose):
-    config = RunConfig.read(composed("network=mlp", "training=quasi_newton"))
-    assert isinstance(config.training, QuasiNewton)
-    assert vars(config.training) == vars(QuasiNewton())
+def test_every_setting_of_the_configuration_reaches_it(composed: Compose, monkeypatch):
+    settings = {
+        "iterations": 3,
+        "tolerance": 0.3,
+        "learn_spread": False,
+        "collocation_points": 90,
+        "most_residuals": 900,
+    }
+    overrides = (f"training.{name}={str(value).lower()}" for name, value in settings.items())
+    seen: list[FunctionSpaceGaussNewton] = []
+    monkeypatch.setattr(FunctionSpaceGaussNewton, "solve", lambda training, *_: seen.append(training))
+    RunConfig.read(composed("network=mlp", *overrides)).training.solve(problem(), SMALL, RunContext())
+    GaussNewton().solve(problem(), SMALL, RunContext())
+    assert seen == [FunctionSpaceGaussNewton(**settings), FunctionSpaceGaussNewton(40, 0.02, True, None, 8000)]
+
+
+def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Compose):
+    assert vars(RunConfig.read(composed("network=mlp")).training) == vars(GaussNewton())
 
 
 def covered(estimate: Estimate, quantity: str) -> float:
