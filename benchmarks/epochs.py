@@ -22,8 +22,6 @@ from benchmarks.plain_step import PlainNetwork
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.gradient.objective import Objective
 
 CASES = {
@@ -44,9 +42,7 @@ def objective(overrides: list[str]) -> tuple[Objective, Adam]:
     assert isinstance(training, Adam)
     _, prescribed = config.model_error.chains(config.chain)
     problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.chain).record))
-    losses = Losses(problem, training.collocation_points, "cpu", training.dtype)
-    network = training.network(problem, config.network, RunContext())
-    return Objective(losses, network, LearnedParameters(problem, training.dtype), training.weights), training
+    return training.objective(problem, config.network, RunContext()), training
 
 
 def our_step(given: Objective, training: Adam) -> Callable[[], None]:
@@ -78,7 +74,7 @@ def plain_step(given: Objective, training: Adam) -> Callable[[], None]:
 
 def plain_loss(given: Objective) -> torch.Tensor:
     """The weighted loss by one reverse pass per output."""
-    weights = given.weights.by_term(1.0)
+    weights = given.term_weights()
     terms = given.losses.terms(PlainNetwork(given.network), given.parameters)
     return sum(weights[name] * term for name, term in terms.items())
 

@@ -15,7 +15,7 @@ from calls import SMALL
 from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 from pinn_cli.report import figures
-from pinn_cli.training.gradient.descent import Descent
+from pinn_cli.training.gradient.training import Descent
 
 # 30 steps of Adam on a network of 8 x 8 weights, with a checkpoint at each.
 ADAM = (

@@ -47,6 +47,12 @@ class Network(nn.Module, ABC):
         """Outputs per DOF."""
         return 1 if self.continuity == "exact" else 2
 
+    def reset(self, seed: int) -> None:
+        """Draw all weights anew, where they cannot start from zero; otherwise there is nothing to draw.
+
+        The same seed gives the same weights and leaves torch's global generator alone.
+        """
+
     @abstractmethod
     def jet(self, time: Tensor, order: int) -> tuple[Tensor, ...]:
         """Outputs and their time derivatives up to ``order`` (0, 1 or 2), each (N, channels * ndof).

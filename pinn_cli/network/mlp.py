@@ -13,7 +13,6 @@ from torch.nn import functional
 from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.base import Continuity, Network, NetworkDesign
 from pinn_cli.network.embedding import Embedding, EmbeddingName, embedding
-from pinn_cli.network.random_start import RandomStart
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
@@ -34,7 +33,7 @@ MOST_LAYERS = 1000
 LEAST_WIDTH, UNITS_PER_DOF = 20, 3
 
 
-class MlpNetwork(RandomStart, Network):
+class MlpNetwork(Network):
     """``depth`` hidden layers of ``width`` from an embedding of time to outputs in units of the record's amplitudes.
 
     Derivatives are carried forward through the layers (Taylor mode): a layer is one matrix product for the value and
@@ -82,7 +81,7 @@ class MlpNetwork(RandomStart, Network):
 
     @torch.no_grad()
     def reset(self, seed: int) -> None:
-        """See :meth:`RandomStart.reset`.
+        """See :meth:`Network.reset`.
 
         Weights and biases are uniform within 1 / sqrt(inputs), as torch does it and the paper with it. The first layer
         of sines begins as random Fourier features instead: frequencies up to half the record's highest, since the

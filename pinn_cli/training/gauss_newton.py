@@ -90,11 +90,11 @@ class GaussNewton(Training):
         settings = InferenceSettings(
             self.iterations or ITERATIONS, self.tolerance or TOLERANCE, self.learn_spread, self.pooled
         )
-        if self.weights:
-            found = self._weighed(settings.solved_by(problem, network, run.device, history))
-        else:
-            found = inferred(problem, design, settings, run.device, history)
-        history.close()
+        with history:
+            if self.weights:
+                found = self._weighed(settings.solved_by(problem, network, run.device, history))
+            else:
+                found = inferred(problem, design, settings, run.device, history)
         equations = found.evidence.equations
         equations.network.readout.data = equations.readout(found.trained.solution.point)
         estimate = posterior_estimate(found.evidence, found.trained, history)

@@ -1,11 +1,15 @@
-"""What a training went through: one row per step, and the progress bar."""
+"""What a training went through: losses and weights every so many iterations, and the progress bar."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from torch import Tensor
 from tqdm import tqdm
 
 from pinn_cli.training.estimate import Watch, unwatched
@@ -13,31 +17,94 @@ from pinn_cli.training.noise_model import NoiseModel
 
 
 class History:
-    """One row per accepted step, and the progress bar."""
+    """A row of weighted loss terms and weights every so many iterations, and the progress bar while it is a context.
 
-    def __init__(self, progress: bool, watch: Watch = unwatched) -> None:
+    Args:
+        progress: Whether to draw a progress bar, where there is a terminal.
+        watch: Sees every row.
+        name: Of the training, on the bar.
+        iterations: How many there will be, None where nobody knows.
+        every: Iterations from row to row.
+    """
+
+    def __init__(
+        self,
+        progress: bool,
+        watch: Watch = unwatched,
+        name: str = "gauss-newton",
+        iterations: int | None = None,
+        every: int = 1,
+    ) -> None:
         self.rows: list[dict[str, float]] = []
-        self.watch = watch
+        self.watch, self.every = watch, every
         self.started = time.perf_counter()
-        self.bar = tqdm(disable=None if progress else True, unit="step", desc="gauss-newton", leave=False)
+        disable = None if progress else True
+        self.bar = tqdm(total=iterations, disable=disable, unit="iteration", desc=name, leave=False)
 
-    def add(self, losses: dict[str, float], noise: NoiseModel) -> None:
-        """Note the loss terms and weights of a step."""
-        weights = {f"weight_{q}": 1.0 / np.nanmean(s) ** 2 for q, s in noise.response.items() if not np.isnan(s).all()}
-        weights["weight_unforced"] = 1.0 / noise.discrepancy**2
-        if not np.isnan(noise.force).all():
-            weights["weight_forced"] = 1.0 / (np.nanmean(noise.force) ** 2 + noise.discrepancy**2)
-        row = {"iteration": len(self.rows) + 1, "seconds": time.perf_counter() - self.started}
-        row.update({f"loss_{name}": value for name, value in losses.items()})
-        self.rows.append({**row, **weights})
-        self.watch(self.rows[-1])
-        self.bar.update()
-        self.bar.set_postfix(loss=f"{sum(losses.values()):.3g}", discrepancy=f"{noise.discrepancy:.2g} N")
+    def __enter__(self) -> History:
+        return self
 
-    def close(self) -> None:
-        """Take the bar away."""
+    def __exit__(self, kind: type[BaseException] | None, error: object, traceback: TracebackType | None) -> None:
         self.bar.close()
 
+    @property
+    def seconds(self) -> float:
+        """Since training began, those before an interruption included."""
+        return time.perf_counter() - self.started
+
+    def add(
+        self,
+        iteration: int,
+        losses: Mapping[str, Tensor | float],
+        weights: Mapping[str, float],
+        last: bool = False,
+        **shown: str,
+    ) -> None:
+        """Note the weighted loss terms after so many iterations, if a row is due or this is the last one.
+
+        Args:
+            iteration: How many.
+            losses: By term.
+            weights: By term.
+            last: Whether no further one follows.
+            **shown: What else the bar shows.
+        """
+        self.bar.update(iteration - self.bar.n)
+        if iteration % self.every and not last:
+            return
+        # Torch warns on the terminal about a tensor that has a graph.
+        values = {name: float(x.detach() if isinstance(x, Tensor) else x) for name, x in losses.items()}
+        row = {"iteration": iteration, "seconds": self.seconds}
+        row.update({f"loss_{name}": value for name, value in values.items()})
+        row.update({f"weight_{name}": weight for name, weight in weights.items()})
+        self.rows.append(row)
+        self.watch(row)
+        self.bar.set_postfix({**{name: f"{value:.2g}" for name, value in values.items()}, **shown})
+
+    def add_step(self, losses: Mapping[str, float], noise: NoiseModel) -> None:
+        """Note a step under a noise model, whose variances are the weights."""
+        weights = noise_weights(noise)
+        if not np.isnan(noise.force).all():
+            weights["forced"] = 1.0 / (np.nanmean(noise.force) ** 2 + noise.discrepancy**2)
+        self.add(len(self.rows) + 1, losses, weights, discrepancy=f"{noise.discrepancy:.2g} N")
+
     def table(self) -> pd.DataFrame:
-        """All steps."""
+        """All rows."""
         return pd.DataFrame(self.rows)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Rows and seconds so far."""
+        return {"rows": [dict(row) for row in self.rows], "seconds": self.seconds}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there; whoever watches sees those rows too: a process that was killed may not have told them."""
+        self.rows = [dict(row) for row in state["rows"]]
+        for row in self.rows:
+            self.watch(row)
+        self.started = time.perf_counter() - state["seconds"]
+
+
+def noise_weights(noise: NoiseModel) -> dict[str, float]:
+    """Weights of the sensors' quantities and of unforced DOFs."""
+    weights = {q: float(1.0 / np.nanmean(s) ** 2) for q, s in noise.response.items() if not np.isnan(s).all()}
+    return {**weights, "unforced": 1.0 / noise.discrepancy**2}

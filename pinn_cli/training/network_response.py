@@ -8,7 +8,7 @@ from pinn_cli.network.base import Network
 from pinn_cli.physics import Targets, estimated_response
 from pinn_cli.record.record import Response
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 
 @torch.no_grad()

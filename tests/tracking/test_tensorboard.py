@@ -16,7 +16,7 @@ from interrupted_runs import ADAM, Steps, in_a_child
 from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.gradient.descent import Descent
+from pinn_cli.training.gradient.training import Descent
 
 pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
 

@@ -19,9 +19,8 @@ def noise(force: np.ndarray) -> NoiseModel:
 
 def test_rows_hold_losses_and_weights():
     history = History(progress=False)
-    history.add({"physics": 2.0, "prior": 0.5}, noise(np.array([0.3, np.nan])))
-    history.add({"physics": 1.0, "prior": 0.5}, noise(np.array([0.3, np.nan])))
-    history.close()
+    history.add_step({"physics": 2.0, "prior": 0.5}, noise(np.array([0.3, np.nan])))
+    history.add_step({"physics": 1.0, "prior": 0.5}, noise(np.array([0.3, np.nan])))
     table = history.table()
     assert list(table["iteration"]) == [1, 2]
     assert list(table["loss_physics"]) == [2.0, 1.0]
@@ -34,12 +33,11 @@ def test_rows_hold_losses_and_weights():
 
 def test_without_a_force_sensor_there_is_no_weight_of_one():
     history = History(progress=False)
-    history.add({"physics": 2.0}, noise(NOTHING))
+    history.add_step({"physics": 2.0}, noise(NOTHING))
     assert "weight_forced" not in history.table()
 
 
 def test_no_progress_bar_is_drawn(capfd):
-    history = History(progress=False)
-    history.add({"physics": 2.0}, noise(NOTHING))
-    history.close()
+    with History(progress=False) as history:
+        history.add_step({"physics": 2.0}, noise(NOTHING))
     assert capfd.readouterr() == ("", "")

@@ -50,7 +50,7 @@ class InferenceSettings:
     def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
         """What finds the solutions of one network."""
         equations = NormalEquations(network, problem, device)
-        return Evidence(equations, self.iterations, self.tolerance, history.add, self.learn_spread)
+        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread)
 
 
 def inferred(

@@ -45,6 +45,10 @@ class Collocation:
     force: np.ndarray
     filtered_force: np.ndarray
 
+    def noise_model(self, discrepancy: float, continuity: float) -> NoiseModel:
+        """Of the residuals at the points."""
+        return NoiseModel(self.response, self.force, discrepancy, continuity)
+
 
 def collocate(problem: Problem, every: Targets, points: int | None, most_rows: int) -> Collocation:
     """The record at ``points`` uniform samples, low-passed to what a spline of its band can follow.
@@ -99,8 +103,3 @@ def _low_passed(target: Targets, network: LinearReadout) -> Targets:
     return replace(
         target, response=response, force=smooth(target.force, 0), observer_force=smooth(target.observer_force, 0)
     )
-
-
-def noise_model(collocation: Collocation, discrepancy: float, continuity: float) -> NoiseModel:
-    """Of the residuals at the points."""
-    return NoiseModel(collocation.response, collocation.force, discrepancy, continuity)

@@ -12,7 +12,7 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, Layers, kernel, linearised, pulled_back, pushed_forward
 from pinn_cli.training.function_space.residuals import ResidualRows
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.noise_model import NoiseModel
 
 # Random signs that estimate how many residuals each group keeps; their scatter is a few in a thousand residuals.

@@ -45,10 +45,10 @@ class FunctionSpacePosterior:
     """
 
     def __init__(self, search: FunctionSpaceSearch) -> None:
-        self.search, self.precision = search, search.levels.precision
+        self.search, self.precision = search, search.precision
         self.columns = tuple((p.kind, p.dof) for p in search.parameters.uncertain)
-        self.unit = search.parameters.prior_deviation(search.levels.noise.spread)
-        self.noise = search.levels.noise.widened(self._occupied())
+        self.unit = search.parameters.prior_deviation(search.noise.spread)
+        self.noise = search.noise.widened(self._occupied())
         self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
         system = self.linear.kernel / self.precision
         system.diagonal().add_(1.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +14,8 @@ from pinn_cli.training.band.evidence import SUSPICIOUS_DISCREPANCY, updated_spre
 from pinn_cli.training.function_space.kernel import Layers, layers
 from pinn_cli.training.function_space.linearisation import Linearisation, Step
 from pinn_cli.training.function_space.residuals import ResidualRows
-from pinn_cli.training.gradient.history import History
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.history import History, noise_weights
+from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.stepwise import Stepwise
 
@@ -38,19 +37,6 @@ SPREAD_TOLERANCE = 0.2
 # load cell's own noise makes no motion better known. Stiffer physics only leaves it to the parameters to make up for
 # what the network cannot follow.
 FINEST_DISCREPANCY, FINEST_OF_NOISE = 3e-4, 0.02
-
-
-@dataclass
-class Levels:
-    """What the loss is weighed with.
-
-    Attributes:
-        noise: Standard deviations of all residuals.
-        precision: Of the weights about those that training began with.
-    """
-
-    noise: NoiseModel
-    precision: float
 
 
 class Loss(NamedTuple):
@@ -75,7 +61,8 @@ class FunctionSpaceSearch(Stepwise):
         network: At the weights that its prior is about.
         parameters: At their prescribed values.
         rows: Which residuals.
-        levels: Where noise and precision begin; a large discrepancy makes the physics soft.
+        noise: Standard deviations of all residuals, where they begin; a large discrepancy makes the physics soft.
+        precision: Where that of the weights about those that training began with begins.
         largest: The force that acts, N.
         iterations: At most.
         tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
@@ -90,14 +77,16 @@ class FunctionSpaceSearch(Stepwise):
         network: MlpNetwork,
         parameters: LearnedParameters,
         rows: ResidualRows,
-        levels: Levels,
+        noise: NoiseModel,
+        precision: float,
         largest: float,
         iterations: int,
         tolerance: float,
         learn_spread: bool,
         history: History,
     ) -> None:
-        self.network, self.parameters, self.rows, self.levels, self.largest = network, parameters, rows, levels, largest
+        self.network, self.parameters, self.rows, self.largest = network, parameters, rows, largest
+        self.noise, self.precision = noise, precision
         self.iterations, self.tolerance, self.learn_spread, self.history = iterations, tolerance, learn_spread, history
         self.start: Layers = [(w.clone(), b.clone()) for w, b in layers(network)]
         self.damping, self.iteration, self.idle, self.stop_reason = 0.0, 0, 0, ""
@@ -109,7 +98,7 @@ class FunctionSpaceSearch(Stepwise):
         before = self.loss()
         if self.iteration == 0:
             self._note(before)
-        linear = Linearisation(self.network, self.parameters, self.rows, self.levels.noise)
+        linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
         step, after = self._improve(linear, before)
         self.iteration += 1
         if step is None:
@@ -126,7 +115,7 @@ class FunctionSpaceSearch(Stepwise):
     @torch.no_grad()
     def loss(self) -> Loss:
         """Where network, parameters and levels are now."""
-        values, noise = self.parameters(), self.levels.noise
+        values, noise = self.parameters(), self.noise
         observed = self.rows.observed(self.network(self.rows.target.observation_time), values, noise)
         enforced = self.rows.enforced(self.network(self.rows.target.physics_time), values, noise)
         forces, continuity = enforced.tensor_split([self.rows.force_count])
@@ -136,7 +125,7 @@ class FunctionSpaceSearch(Stepwise):
         if self.rows.deviation is not None:
             begins = self.rows.initial(self.network(self.rows.target.observation_time[:1]))
             prior += float(begins.square().sum())
-        return Loss(seen, balance, continuous, self.levels.precision * moved, prior)
+        return Loss(seen, balance, continuous, self.precision * moved, prior)
 
     def _flat(self, position: Layers | None = None) -> list[Tensor]:
         return [tensor for layer in position or layers(self.network) for tensor in layer]
@@ -144,7 +133,7 @@ class FunctionSpaceSearch(Stepwise):
     def _standardised(self) -> Tensor:
         """(p,), distances of the parameters from their prescribed values in prior standard deviations."""
         parameters = self.parameters
-        return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.levels.noise.spread)
+        return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.noise.spread)
 
     def _improve(self, linear: Linearisation, before: Loss) -> tuple[Step | None, Loss]:
         """Take the first step, or share of it, that lowers the loss.
@@ -156,20 +145,20 @@ class FunctionSpaceSearch(Stepwise):
         to_start = [(w0 - w, b0 - b) for (w0, b0), (w, b) in zip(self.start, here, strict=True)]
         x, moved = self._standardised(), self.parameters.moved.detach().clone()
         for _ in range(TRIES):
-            step = linear.step(to_start, x, self.levels.precision, self.damping)
+            step = linear.step(to_start, x, self.precision, self.damping)
             for share in SHARES:
                 self._move(here, moved, step, share)
                 after = self.loss()
                 if after.total < before.total:
                     self.damping = self._lower(self.damping) if share == 1.0 else self.damping
                     return step, after
-            self.damping = max(MORE_DAMPING * self.damping, self.levels.precision)
+            self.damping = max(MORE_DAMPING * self.damping, self.precision)
         self._move(here, moved, step, 0.0)
         return None, before
 
     def _lower(self, damping: float) -> float:
         """Less, and none at all once it is a small part of the prior's precision."""
-        return LESS_DAMPING * damping if damping > self.levels.precision else 0.0
+        return LESS_DAMPING * damping if damping > self.precision else 0.0
 
     @torch.no_grad()
     def _move(self, here: Layers, moved: Tensor, step: Step, share: float) -> None:
@@ -177,7 +166,7 @@ class FunctionSpaceSearch(Stepwise):
             target[0].copy_(w + share * dw)
             target[1].copy_(b + share * db)
         parameters = self.parameters
-        proposed = step.parameters * parameters.prior_deviation(self.levels.noise.spread) / parameters.unit
+        proposed = step.parameters * parameters.prior_deviation(self.noise.spread) / parameters.unit
         parameters.moved.copy_(moved + share * (proposed - moved))
         parameters.respect_bounds()
 
@@ -195,9 +184,9 @@ class FunctionSpaceSearch(Stepwise):
         # Forces that the next step will balance say nothing against the model.
         excess = max(1.0, promised) if excess > 1.0 else excess
         unknowns = len(kept) - float(kept.sum())
-        before, noise = self.levels.noise, self._following(self.levels.noise, linear, step.factor, excess)
+        before, noise = self.noise, self._following(self.noise, linear, step.factor, excess)
         growth = float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
-        self.levels.noise, self.levels.precision = noise, growth * self.levels.precision
+        self.noise, self.precision = noise, growth * self.precision
         changes = np.abs(np.log([growth, noise.discrepancy / before.discrepancy, noise.spread / before.spread]))
         return bool(changes[:2].max() < LEVEL_TOLERANCE and changes[2] < SPREAD_TOLERANCE)
 
@@ -234,20 +223,18 @@ class FunctionSpaceSearch(Stepwise):
         return max(FINEST_DISCREPANCY * self.largest, of_noise)
 
     def _note(self, loss: Loss) -> None:
-        noise = self.levels.noise
-        weights = {q: float(1.0 / np.nanmean(s) ** 2) for q, s in noise.response.items() if np.isfinite(s).any()}
-        weights |= {"unforced": 1.0 / noise.discrepancy**2, "weights": self.levels.precision}
-        self.history.add(self.iteration, loss._asdict(), weights, last=True)
+        weights = {**noise_weights(self.noise), "weights": self.precision}
+        self.history.add(self.iteration, loss._asdict(), weights)
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Stepwise.state_dict`; what training began with is the settings' and the seed's."""
-        noise = self.levels.noise
+        noise = self.noise
         return {
             "iteration": self.iteration,
             "idle": self.idle,
             "stop_reason": self.stop_reason,
             "damping": self.damping,
-            "precision": self.levels.precision,
+            "precision": self.precision,
             "discrepancy": noise.discrepancy,
             "spread": noise.spread,
             "network": self.network.state_dict(),
@@ -258,8 +245,8 @@ class FunctionSpaceSearch(Stepwise):
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Stepwise.load_state_dict`."""
         self.iteration, self.idle, self.stop_reason = state["iteration"], state["idle"], state["stop_reason"]
-        self.damping, self.levels.precision = state["damping"], state["precision"]
-        self.levels.noise = self.levels.noise.with_discrepancy(state["discrepancy"]).with_spread(state["spread"])
+        self.damping, self.precision = state["damping"], state["precision"]
+        self.noise = self.noise.with_discrepancy(state["discrepancy"]).with_spread(state["spread"])
         self.network.load_state_dict(state["network"])
         self.parameters.load_state_dict(state["parameters"])
         self.history.load_state_dict(state["history"])

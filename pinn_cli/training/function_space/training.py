@@ -9,19 +9,19 @@ import numpy as np
 import torch
 
 from pinn_cli.network.base import NetworkDesign
-from pinn_cli.network.mlp import Mlp, MlpNetwork
+from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
-from pinn_cli.training.function_space.collocation import Collocation, collocate, noise_model
+from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.posterior import FunctionSpacePosterior
 from pinn_cli.training.function_space.residuals import ResidualRows
-from pinn_cli.training.function_space.search import FunctionSpaceSearch, Levels
-from pinn_cli.training.gradient.history import History
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.function_space.search import FunctionSpaceSearch
+from pinn_cli.training.history import History
+from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
 from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
 from pinn_cli.training.stepwise import train
@@ -71,38 +71,24 @@ class FunctionSpaceGaussNewton:
         gain = network.make_nearly_linear()
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
-        history = History("gauss-newton", run.progress, self.iterations, 1, run.watch)
-        search = self._search(problem, collocation, network, gain, parameters, history)
-        try:
-            train(search, run)
-        finally:
-            history.close()
-        response = network_response(problem, every, network, parameters)
-        response = acting_force(response, collocation.filtered_force, search.levels.noise)
-        posterior = FunctionSpacePosterior(search)
-        std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
-        estimates, correlation = _parameters(search, posterior)
-        return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
-
-    def _search(
-        self,
-        problem: Problem,
-        collocation: Collocation,
-        network: MlpNetwork,
-        gain: float,
-        parameters: LearnedParameters,
-        history: History,
-    ) -> FunctionSpaceSearch:
-        force, velocity = scales(problem)
         rows = ResidualRows(
             problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised",
             problem.initial_deviation,
         )  # fmt: skip
-        noise = noise_model(collocation, SOFT * force, CONTINUITY_TOLERANCE * velocity)
-        levels = Levels(noise, FIRST_PRECISION * gain**2)
-        return FunctionSpaceSearch(
-            network, parameters, rows, levels, force, self.iterations, self.tolerance, self.learn_spread, history
-        )
+        force, velocity = scales(problem)
+        noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
+        with History(run.progress, run.watch, iterations=self.iterations) as history:
+            search = FunctionSpaceSearch(
+                network, parameters, rows, noise, FIRST_PRECISION * gain**2, force, self.iterations, self.tolerance,
+                self.learn_spread, history,
+            )  # fmt: skip
+            train(search, run)
+        response = network_response(problem, every, network, parameters)
+        response = acting_force(response, collocation.filtered_force, search.noise)
+        posterior = FunctionSpacePosterior(search)
+        std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
+        estimates, correlation = _parameters(search, posterior)
+        return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
 
 
 def _parameters(
@@ -113,7 +99,7 @@ def _parameters(
     if not parameters.uncertain:
         return [], None
     unit = parameters.unit.cpu().numpy()
-    deviation = (parameters.prior_deviation(search.levels.noise.spread) / parameters.unit).cpu().numpy()
+    deviation = (parameters.prior_deviation(search.noise.spread) / parameters.unit).cpu().numpy()
     mode, lower = parameters.moved.detach().cpu().numpy(), parameters.lower.cpu().numpy()
     covariance = posterior.covariance.cpu().numpy()
     cut_off = TruncatedGaussian(mode, covariance * np.outer(deviation, deviation), lower)
@@ -122,7 +108,7 @@ def _parameters(
 
 
 def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
-    noise = search.levels.noise
+    noise = search.noise
     return {
         "iterations": search.iteration,
         "stop_reason": search.stop_reason,
@@ -131,5 +117,5 @@ def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
         "collocation_points": search.rows.points,
         "sigma_discrepancy": noise.discrepancy,
         "parameter_spread": noise.spread,
-        "weight_precision": search.levels.precision,
+        "weight_precision": search.precision,
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -15,16 +16,15 @@ from pinn_cli.training.gradient.optimiser import Optimiser
 from pinn_cli.training.gradient.training import GradientTraining
 
 
+@dataclass
 class Adam(GradientTraining):
-    """Adam on every collocation point at once, with one loss.
+    """Adam on every collocation point at once, with one loss; other settings as in :class:`GradientTraining`.
 
-    Args:
-        iterations, stages, physics_growth: See :class:`GradientTraining`.
+    Attributes:
         learning_rate: Step of the network's weights.
         parameter_learning_rate: Step of the uncertain parameters, relative to their prescribed values.
         betas: Decay rates of Adam's two moments.
         weight_decay: Of the network's weights.
-        weights, collocation_points, dtype, history_every: See :class:`GradientTraining`.
 
     Raises:
         InputError: A setting outside its range.
@@ -32,25 +32,24 @@ class Adam(GradientTraining):
 
     name = "adam"
 
-    def __init__(
-        self,
-        iterations: int = 2000,
-        stages: int = 2,
-        physics_growth: float = 10.0,
-        learning_rate: float = 1e-3,
-        parameter_learning_rate: float = 5e-4,
-        betas: Sequence[float] = (0.99, 0.999),
-        weight_decay: float = 1e-5,
-        weights: Mapping[str, float | None] | str | None = None,
-        collocation_points: int | None = 512,
-        dtype: str = "float32",
-        history_every: int = 50,
-    ) -> None:
-        super().__init__(iterations, stages, physics_growth, weights, collocation_points, dtype, history_every)
-        self.learning_rate = positive_number("training.learning_rate", learning_rate)
-        self.parameter_learning_rate = positive_number("training.parameter_learning_rate", parameter_learning_rate)
-        self.betas = checked_betas(betas)
-        self.weight_decay = non_negative_number("training.weight_decay", weight_decay)
+    iterations: int = 2000
+    stages: int = 2
+    dtype: str = "float32"
+    learning_rate: float = 1e-3
+    parameter_learning_rate: float = 5e-4
+    betas: Sequence[float] = (0.99, 0.999)
+    weight_decay: float = 1e-5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.learning_rate = positive_number("training.learning_rate", self.learning_rate)
+        self.parameter_learning_rate = positive_number("training.parameter_learning_rate", self.parameter_learning_rate)
+        given = entries(self.betas)
+        if len(given) != 2 or not all(is_finite_number(beta) and 0 <= beta < 1 for beta in given):
+            allowed, hint = "two numbers from 0 to below 1", "[0.99, 0.999] in the paper"
+            raise InputError("training.betas", self.betas, allowed, hint)
+        self.betas = (float(given[0]), float(given[1]))
+        self.weight_decay = non_negative_number("training.weight_decay", self.weight_decay)
 
     @property
     def remedy(self) -> str:
@@ -64,45 +63,30 @@ class Adam(GradientTraining):
         if objective.parameters.count:
             # No weight decay: their prior is a term of the loss.
             groups.append({"params": list(objective.parameters.parameters()), "lr": self.parameter_learning_rate})
+        first, second = self.betas
+        return AdamSteps(groups, lr=self.learning_rate, betas=(first, second))
+
+
+class AdamSteps(Optimiser):
+    """Steps of torch.optim.Adam within bounds, which takes the given arguments."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
         # Fused: a third of the time of a loop over the tensors, which small networks notice.
-        return FirstOrder(torch.optim.Adam(groups, lr=self.learning_rate, betas=self.betas, fused=True))
-
-
-class FirstOrder(Optimiser):
-    """An optimiser of torch's kind that steps along one gradient.
-
-    Args:
-        optimiser: Over the objective's variables.
-    """
-
-    def __init__(self, optimiser: torch.optim.Optimizer) -> None:
-        self.optimiser = optimiser
+        self.adam = torch.optim.Adam(*arguments, **settings, fused=True)
 
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
-        self.optimiser.zero_grad(set_to_none=True)
+        self.adam.zero_grad(set_to_none=True)
         evaluation.loss.backward()
-        self.optimiser.step()
+        self.adam.step()
         objective.parameters.respect_bounds()
         return ""
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Optimiser.state_dict`."""
-        return self.optimiser.state_dict()
+        return self.adam.state_dict()
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Optimiser.load_state_dict`."""
         # torch would go on in the given tensors.
-        self.optimiser.load_state_dict(deepcopy(dict(state)))
-
-
-def checked_betas(betas: Sequence[float]) -> tuple[float, float]:
-    """The decay rates of two moments.
-
-    Raises:
-        InputError: Not two numbers from 0 to below 1.
-    """
-    given = entries(betas)
-    if len(given) != 2 or not all(is_finite_number(beta) and 0 <= beta < 1 for beta in given):
-        raise InputError("training.betas", betas, "two numbers from 0 to below 1", "[0.99, 0.999] in the paper")
-    return float(given[0]), float(given[1])
+        self.adam.load_state_dict(deepcopy(dict(state)))

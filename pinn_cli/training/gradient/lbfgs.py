@@ -1,23 +1,33 @@
-"""Training by limited-memory BFGS."""
+"""Training by limited-memory BFGS: torch's, within bounds and one iteration at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
 
 from pinn_cli.settings.legal_values import whole_number
-from pinn_cli.training.gradient.curvature_training import CurvatureTraining
-from pinn_cli.training.gradient.limited_memory import LimitedMemory
-from pinn_cli.training.gradient.objective import Objective
-from pinn_cli.training.gradient.optimiser import Optimiser
+from pinn_cli.training.gradient.objective import Evaluation, Objective
+from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER, Optimiser
+from pinn_cli.training.gradient.quasi_newton import QuasiNewtonTraining
+
+# torch's L-BFGS learns no curvature below an absolute 1e-10. Losses get there; a power of two changes no digit. In
+# float32 the square of a gradient must stay a number.
+UNITS = {torch.float32: 2.0**30, torch.float64: 2.0**100}
+# Values in one line search, and the one that is known already.
+MOST_VALUES = 26
 
 
-class Lbfgs(CurvatureTraining):
+@dataclass
+class Lbfgs(QuasiNewtonTraining):
     """L-BFGS with a strong-Wolfe line search; it suits networks of any size.
 
-    Args:
-        iterations, stages, physics_growth, warm_up, learning_rate, tolerance: See :class:`CurvatureTraining`.
-        memory: Steps that the curvature is learned from.
-        weights, collocation_points, dtype, history_every: See :class:`GradientTraining`.
+    Attributes:
+        memory: Steps that the curvature is learned from; other settings as in :class:`QuasiNewtonTraining`.
 
     Raises:
         InputError: A setting outside its range.
@@ -25,26 +35,86 @@ class Lbfgs(CurvatureTraining):
 
     name = "lbfgs"
 
-    def __init__(
-        self,
-        iterations: int = 3000,
-        stages: int = 1,
-        physics_growth: float = 10.0,
-        warm_up: int = 300,
-        learning_rate: float = 1e-3,
-        tolerance: float = 1e-12,
-        memory: int = 100,
-        weights: Mapping[str, float | None] | str | None = None,
-        collocation_points: int | None = 512,
-        dtype: str = "float64",
-        history_every: int = 50,
-    ) -> None:
-        super().__init__(
-            iterations, stages, physics_growth, warm_up, learning_rate, tolerance, weights, collocation_points, dtype,
-            history_every,
-        )  # fmt: skip
-        self.memory = whole_number("training.memory", memory, least=1)
+    memory: int = 100
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.memory = whole_number("training.memory", self.memory, least=1)
 
     def quasi_newton(self, objective: Objective) -> Optimiser:
-        """See :meth:`CurvatureTraining.quasi_newton`."""
-        return LimitedMemory(objective, self.memory, self.tolerance)
+        """See :meth:`QuasiNewtonTraining.quasi_newton`."""
+        return LbfgsSteps(objective, self.memory, self.tolerance)
+
+
+class LbfgsSteps(Optimiser):
+    """torch.optim.LBFGS with its strong-Wolfe line search.
+
+    It sees the objective of the nearest point within the bounds, whose gradient vanishes in every direction that a
+    bound blocks.
+
+    Args:
+        objective: Whose variables are moved.
+        memory: Steps that the curvature is learned from.
+        tolerance: Largest entry of the gradient at which the training ends.
+    """
+
+    def __init__(self, objective: Objective, memory: int, tolerance: float) -> None:
+        self.objective, self.memory, self.tolerance = objective, memory, tolerance
+        self.weights: dict[str, float] = {}
+        self.unit = UNITS[objective.variables[0].dtype]
+        self.lbfgs = self._fresh()
+
+    def _fresh(self) -> torch.optim.LBFGS:
+        # Its own tolerances stop at a loss of 1e-9, where this one is still on its way.
+        return torch.optim.LBFGS(
+            self.objective.variables, max_iter=1, max_eval=MOST_VALUES, history_size=self.memory,
+            line_search_fn="strong_wolfe", tolerance_grad=0.0, tolerance_change=0.0,
+        )  # fmt: skip
+
+    def step(self, objective: Objective, evaluation: Evaluation) -> str:
+        """See :meth:`Optimiser.step`."""
+        start = objective.vector
+        if float(self._inward(start, evaluation).abs().amax()) <= self.tolerance:
+            return GRADIENT_VANISHED
+        if evaluation.weights != self.weights:
+            # Gradients of two losses say nothing about the curvature of either.
+            self.lbfgs, self.weights = self._fresh(), dict(evaluation.weights)
+        fresh = not self.lbfgs.state
+        seen = [(start, evaluation)]
+        self.lbfgs.step(lambda: self._closure(seen))
+        objective.parameters.respect_bounds()
+        end = objective.vector
+        known = [there for point, there in reversed(seen) if torch.equal(point, end)]
+        if known and known[0].loss < evaluation.loss:
+            objective.remember(known[0])
+            return ""
+        objective.put(start)
+        objective.remember(evaluation)
+        self.lbfgs = self._fresh()
+        return NOTHING_LOWER if fresh else ""
+
+    def _closure(self, seen: list[tuple[Tensor, Evaluation]]) -> float:
+        """The loss where the variables are, with their gradients; the start is known already."""
+        objective, point = self.objective, self.objective.vector
+        inside = torch.maximum(point, objective.lower)
+        start, here = seen[0]
+        there = here if torch.equal(point, start) else objective.move(inside)
+        seen.append((inside, there))
+        gradient = self.unit * self._inward(point, there)
+        for variable, part in zip(objective.variables, objective.split(gradient), strict=True):
+            variable.grad = part.clone()
+        return self.unit * there.loss.item()
+
+    def _inward(self, point: Tensor, there: Evaluation) -> Tensor:
+        """The gradient, 0 where bounds block the way down."""
+        lower, gradient = self.objective.lower, self.objective.gradient(there)
+        return gradient.masked_fill((point < lower) | ((point == lower) & (gradient > 0)), 0.0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Optimiser.state_dict`."""
+        return {"optimiser": self.lbfgs.state_dict(), "weights": dict(self.weights)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See :meth:`Optimiser.load_state_dict`."""
+        self.weights = dict(state["weights"])
+        self.lbfgs.load_state_dict(deepcopy(state["optimiser"]))

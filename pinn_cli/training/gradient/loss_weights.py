@@ -1,95 +1,72 @@
-"""Weights of the loss terms: what all kinds share, and the fixed ones."""
+"""Weights lambda of the loss terms: fixed ones, and those under which every term pulls equally hard at the start."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+
+import torch
 
 from pinn_cli.network.base import Network
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import non_negative_number
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.learned_parameters import LearnedParameters
+
+# The paper's. Those of physics are of the DOFs whose force is measured, and of the others too unless they are given.
+FIXED: dict[str, float | None] = {"observation": 1.0, "continuity": 10.0, "physics": 100.0, "unforced": None}
+EQUALISED = "equalised"
+# The terms of the equations of motion, whose weights grow from stage to stage.
+PHYSICS = ("forced", "unforced")
 
 
-class Weights(ABC):
-    """Weights lambda of the loss terms; a kind that finds its own does so where a stage begins."""
-
-    @abstractmethod
-    def by_term(self, physics_factor: float) -> dict[str, float]:
-        """Weight of every term of :meth:`Losses.terms`.
-
-        Args:
-            physics_factor: That of the stage, for the equations of motion.
-        """
-
-    @abstractmethod
-    def begin_stage(self, losses: Losses, network: Network, parameters: LearnedParameters, stage: int) -> None:
-        """Find the weights of the stage (counted from 0), with the network and the parameters where it begins."""
-
-    @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
-        """What was found."""
-
-    @abstractmethod
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from there."""
-
-
-@dataclass(frozen=True)
-class LossWeights(Weights):
-    """Fixed weights lambda of the loss terms.
-
-    Attributes:
-        observation, continuity: As in the paper.
-        physics: Of the equations of motion of the DOFs whose force is measured, and of the others by default.
-        unforced: Of the equations of motion of the DOFs that are known to carry no force; None: as ``physics``.
+def checked_weights(given: Mapping[str, float | None] | str | None) -> dict[str, float | None] | str:
+    """Fixed weights, completed by the paper's, or ``equalised``.
 
     Raises:
-        InputError: A weight that is negative or not finite.
+        InputError: Anything else.
     """
+    if given == EQUALISED:
+        return EQUALISED
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError("training.weights", given, f"{EQUALISED}, or numbers for {', '.join(FIXED)}")
+    weights = dict(FIXED)
+    for name, value in (given or {}).items():
+        if name not in FIXED:
+            raise InputError(f"training.weights.{name}", value, f"one of {', '.join(FIXED)}")
+        if name != "unforced" or value is not None:
+            non_negative_number(f"training.weights.{name}", value)
+        weights[name] = value
+    return weights
 
-    observation: float = 1.0
-    continuity: float = 10.0
-    physics: float = 100.0
-    unforced: float | None = None
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "unforced" or value is not None:
-                non_negative_number(f"training.weights.{name}", value)
+def fixed_weights(given: Mapping[str, float | None]) -> dict[str, float]:
+    """By term of :meth:`Losses.terms`."""
+    by_term = {
+        "observation": given["observation"],
+        "continuity": given["continuity"],
+        "forced": given["physics"],
+        "unforced": given["physics"] if given["unforced"] is None else given["unforced"],
+        "prior": 1.0,
+    }
+    return {name: float(weight) for name, weight in by_term.items() if weight is not None}
 
-    @classmethod
-    def read(cls, weights: Mapping[str, float | None]) -> LossWeights:
-        """From a mapping; what it leaves out has the paper's value.
 
-        Raises:
-            InputError: A name that is no weight, or a value that is none.
-        """
-        for name, value in weights.items():
-            if name not in cls.__dataclass_fields__:
-                raise InputError(f"training.weights.{name}", value, f"one of {', '.join(cls.__dataclass_fields__)}")
-        return cls(**weights)  # type: ignore[arg-type]
+def equalised_weights(losses: Losses, network: Network, parameters: LearnedParameters) -> dict[str, float]:
+    """Weights with which every term's gradient by the network's weights has the norm of the observations'.
 
-    def by_term(self, physics_factor: float) -> dict[str, float]:
-        """Weight of every term of :meth:`Losses.terms`, those of the equations of motion times a factor."""
-        unforced = self.physics if self.unforced is None else self.unforced
-        return {
-            "observation": self.observation,
-            "continuity": self.continuity,
-            "forced": physics_factor * self.physics,
-            "unforced": physics_factor * unforced,
-            "prior": 1.0,
-        }
-
-    def begin_stage(self, losses: Losses, network: Network, parameters: LearnedParameters, stage: int) -> None:
-        """See :meth:`Weights.begin_stage`; there is nothing to find."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """See :meth:`Weights.state_dict`."""
-        return {}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """See :meth:`Weights.load_state_dict`."""
+    Wang, Teng & Perdikaris 2021 ("Understanding and mitigating gradient flow pathologies in physics-informed neural
+    networks") and Wang et al. 2023 ("An expert's guide to training physics-informed neural networks", algorithm 1) do
+    so again and again; here it is done once, since quasi-Newton methods and line searches need one loss. A term without
+    a gradient (continuity, where a network begins at zero) keeps its fixed weight, and so does the prior.
+    """
+    weights, norms = fixed_weights(FIXED), {}
+    for name, term in losses.terms(network, parameters).items():
+        if term.requires_grad:
+            parts = torch.autograd.grad(
+                term, list(network.parameters()), retain_graph=True, allow_unused=True, materialize_grads=True
+            )
+            norms[name] = float(torch.stack([part.norm() for part in parts]).norm())
+    for name, norm in norms.items():
+        if name != "prior" and norm > 0 and norms["observation"] > 0:
+            weights[name] = norms["observation"] / norm
+    return weights

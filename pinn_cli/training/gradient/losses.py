@@ -20,7 +20,7 @@ from pinn_cli.record.spectrum import periodogram, signal_band
 from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 # Points that follow this much of a channel's power leave out a tenth of its amplitude at most.
 BULK_OF_THE_POWER = 0.99
@@ -41,7 +41,6 @@ class Losses:
 
     def __init__(self, problem: Problem, points: int | None, device: str, dtype: torch.dtype) -> None:
         record = problem.record
-        self.problem = problem
         self.chain, self.through = problem.chain, problem.acceleration_through
         self.simultaneous = hold_delay(record) == 0
         everything = targets(record, problem.chain, device, dtype)

@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector
 
 from pinn_cli.network.base import Network
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.gradient.loss_weights import Weights
+from pinn_cli.training.gradient.loss_weights import EQUALISED, FIXED, PHYSICS, equalised_weights, fixed_weights
 from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 # Residuals are over the largest measured value, so this loss is some million times what any start gives.
 DIVERGED = 1e12
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Evaluation:
     """The loss at one point.
 
     Attributes:
-        loss: The sum of the weighted terms, a scalar with a graph behind it.
+        loss: The sum of the weighted terms, a scalar; with a graph behind it until the gradient is known.
         terms: Weighted loss terms by name.
         weights: By name of term.
-        gradient: (variables,), as one vector; None where nobody has asked for it yet.
+        known_gradient: (variables,), as one vector; None where nobody has asked for it yet.
     """
 
     loss: Tensor
     terms: dict[str, Tensor]
     weights: dict[str, float]
-    gradient: Tensor | None = None
+    known_gradient: Tensor | None = None
 
 
 class Objective:
@@ -42,21 +44,35 @@ class Objective:
         losses: The terms.
         network: Its weights are moved.
         parameters: Of the chain; the uncertain ones are moved.
-        weights: Of the terms.
+        weights: Of the terms, see :func:`pinn_cli.training.gradient.loss_weights.checked_weights`.
 
     Attributes:
+        weights: By term.
         physics_factor: On the weights of the equations of motion; a training may raise it as it goes on.
     """
 
-    def __init__(self, losses: Losses, network: Network, parameters: LearnedParameters, weights: Weights) -> None:
-        self.losses, self.network, self.parameters, self.weights = losses, network, parameters, weights
+    def __init__(
+        self,
+        losses: Losses,
+        network: Network,
+        parameters: LearnedParameters,
+        weights: Mapping[str, float | None] | str,
+    ) -> None:
+        self.losses, self.network, self.parameters = losses, network, parameters
+        self.equalised = weights == EQUALISED
+        self.weights = fixed_weights(FIXED if isinstance(weights, str) else weights)
         self.physics_factor = 1.0
         self._known: Evaluation | None = None
 
     def begin_stage(self, stage: int, physics_factor: float) -> None:
         """Weigh the terms as the stage (counted from 0) does."""
         self.physics_factor = physics_factor
-        self.weights.begin_stage(self.losses, self.network, self.parameters, stage)
+        if stage == 0 and self.equalised:
+            self.weights = equalised_weights(self.losses, self.network, self.parameters)
+
+    def term_weights(self) -> dict[str, float]:
+        """Weight of every term of :meth:`Losses.terms`, those of the equations of motion times their factor."""
+        return {name: w * (self.physics_factor if name in PHYSICS else 1.0) for name, w in self.weights.items()}
 
     @property
     def variables(self) -> list[nn.Parameter]:
@@ -66,7 +82,7 @@ class Objective:
     def __call__(self) -> Evaluation:
         """The loss where network and parameters are now; it need not be finite."""
         known, self._known = self._known, None
-        if known is not None and known.weights == self.weights.by_term(self.physics_factor):
+        if known is not None and known.weights == self.term_weights():
             return known
         return self.evaluate()
 
@@ -76,9 +92,48 @@ class Objective:
 
     def evaluate(self) -> Evaluation:
         """The loss, worked out."""
-        weights = self.weights.by_term(self.physics_factor)
+        weights = self.term_weights()
         terms = {name: weights[name] * term for name, term in self.losses.terms(self.network, self.parameters).items()}
         return Evaluation(torch.stack(list(terms.values())).sum(), terms, weights)
+
+    def gradient(self, evaluation: Evaluation) -> Tensor:
+        """(variables,), of an evaluation made where the variables are now, or asked before; its graph is let go."""
+        if evaluation.known_gradient is None:
+            parts = torch.autograd.grad(evaluation.loss, self.variables, allow_unused=True, materialize_grads=True)
+            evaluation.loss = evaluation.loss.detach()
+            evaluation.terms = {name: term.detach() for name, term in evaluation.terms.items()}
+            evaluation.known_gradient = torch.cat([part.reshape(-1) for part in parts])
+        return evaluation.known_gradient
+
+    @property
+    def vector(self) -> Tensor:
+        """(variables,), a copy."""
+        return parameters_to_vector(self.variables).detach().clone()
+
+    @property
+    def lower(self) -> Tensor:
+        """(variables,), the least value that each may have: that of a bounded parameter, -inf elsewhere."""
+        held = self.parameters.lower if self.parameters.count else self.parameters.lower.new_zeros(0)
+        count = sum(variable.numel() for variable in self.variables)
+        return torch.cat((held.new_full((count - len(held),), -math.inf), held))
+
+    def move(self, vector: Tensor) -> Evaluation:
+        """Put the variables there; the loss there, with its gradient."""
+        self.put(vector)
+        evaluation = self.evaluate()
+        self.gradient(evaluation)
+        return evaluation
+
+    @torch.no_grad()
+    def put(self, vector: Tensor) -> None:
+        """Give the variables these values, (variables,)."""
+        for variable, part in zip(self.variables, self.split(vector), strict=True):
+            variable.copy_(part)
+
+    def split(self, vector: Tensor) -> list[Tensor]:
+        """Its parts, each shaped like its variable."""
+        sizes = [variable.numel() for variable in self.variables]
+        return [part.view_as(v) for part, v in zip(vector.split(sizes), self.variables, strict=True)]
 
 
 def check_finite(evaluation: Evaluation, iteration: int, method: str, remedy: str) -> None:

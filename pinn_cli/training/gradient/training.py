@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from copy import deepcopy
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import torch
 
 from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.network.random_start import RandomStart
 from pinn_cli.physics import targets
 from pinn_cli.record.record import Response
 from pinn_cli.scheme.problem import Problem
@@ -20,28 +18,28 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gradient.descent import Descent
-from pinn_cli.training.gradient.history import History
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.gradient.loss_weights import checked_weights
 from pinn_cli.training.gradient.losses import Losses
-from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.gradient.objective import Objective, check_finite
 from pinn_cli.training.gradient.optimiser import Optimiser
 from pinn_cli.training.gradient.readout_scaling import scale_readout
-from pinn_cli.training.gradient.weight_settings import read_weights
+from pinn_cli.training.history import History
+from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
-from pinn_cli.training.stepwise import train
+from pinn_cli.training.stepwise import Stepwise, train
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
 
+@dataclass
 class GradientTraining(Training):
     """An optimiser on every collocation point at once. A new one is a file here and a file in ``conf/training``.
 
-    Args:
+    Attributes:
         iterations: Steps in each stage.
         stages: Stages; the optimiser keeps its memory from one to the next.
         physics_growth: Factor on the weights of the equations of motion from stage to stage.
-        weights: See :func:`pinn_cli.training.gradient.weight_settings.read_weights`.
+        weights: See :func:`pinn_cli.training.gradient.loss_weights.checked_weights`.
         collocation_points: See :class:`pinn_cli.training.gradient.losses.Losses`.
         dtype: ``float32`` or ``float64``.
         history_every: Iterations from one row of the history to the next.
@@ -50,27 +48,25 @@ class GradientTraining(Training):
         InputError: A setting outside its range.
     """
 
-    name: str
+    name: ClassVar[str]
 
-    def __init__(
-        self,
-        iterations: int,
-        stages: int,
-        physics_growth: float,
-        weights: Mapping[str, float | None] | str | None,
-        collocation_points: int | None,
-        dtype: str,
-        history_every: int,
-    ) -> None:
-        self.iterations = whole_number("training.iterations", iterations, least=1)
-        self.stages = whole_number("training.stages", stages, least=1)
-        self.physics_growth = positive_number("training.physics_growth", physics_growth)
-        self.weights = read_weights(weights)
-        self.collocation_points = collocation_points
-        if collocation_points is not None:
-            whole_number("training.collocation_points", collocation_points, least=2)
-        self.dtype = DTYPES[one_of("training.dtype", dtype, tuple(DTYPES))]
-        self.history_every = whole_number("training.history_every", history_every, least=1)
+    iterations: int = 3000
+    stages: int = 1
+    physics_growth: float = 10.0
+    weights: Mapping[str, float | None] | str | None = None
+    collocation_points: int | None = 512
+    dtype: str = "float64"
+    history_every: int = 50
+
+    def __post_init__(self) -> None:
+        self.iterations = whole_number("training.iterations", self.iterations, least=1)
+        self.stages = whole_number("training.stages", self.stages, least=1)
+        self.physics_growth = positive_number("training.physics_growth", self.physics_growth)
+        self.weights = checked_weights(self.weights)
+        if self.collocation_points is not None:
+            whole_number("training.collocation_points", self.collocation_points, least=2)
+        one_of("training.dtype", self.dtype, tuple(DTYPES))
+        self.history_every = whole_number("training.history_every", self.history_every, least=1)
 
     @abstractmethod
     def optimiser(self, objective: Objective) -> Optimiser:
@@ -86,43 +82,107 @@ class GradientTraining(Training):
         if problem.priors is not None:
             raise InputError("training", self.name, "gauss_newton with scheme=bayesian", "it gives no likelihood")
         # Clock times have too few digits in float32: begin at 0.
-        record = replace(problem.record, time=problem.record.time - problem.record.time[0])
-        shifted = replace(problem, record=record)
-        losses = Losses(shifted, self.collocation_points, run.device, self.dtype)
-        parameters = LearnedParameters(shifted, self.dtype).to(run.device)
-        # What one run finds is no business of the next.
-        weights = deepcopy(self.weights)
-        objective = Objective(losses, self.network(shifted, design, run), parameters, weights)
-        steps = self.iterations * self.stages
-        history = History(self.name, run.progress, steps, self.history_every, run.watch)
-        descent = Descent(
-            objective, self.optimiser(objective), history, self.iterations, self.stages, self.physics_growth,
-            self.name, self.remedy,
-        )  # fmt: skip
-        try:
+        time = problem.record.time
+        problem = replace(problem, record=replace(problem.record, time=time - time[0]))
+        descent = self.descent(problem, design, run)
+        with descent.history:
             train(descent, run)
-        finally:
-            history.close()
-        every = targets(record, shifted.chain, run.device, self.dtype)
-        response = replace(network_response(shifted, every, objective.network, parameters), time=problem.record.time)
-        unknown = Response.unknown(problem.record.time, problem.record.ndof)
-        return Estimate(response, unknown, parameters.estimates(), history.table(), self._summary(descent))
+        objective, parameters = descent.objective, descent.objective.parameters
+        every = targets(problem.record, problem.chain, run.device, DTYPES[self.dtype])
+        response = replace(network_response(problem, every, objective.network, parameters), time=time)
+        unknown = Response.unknown(time, problem.record.ndof)
+        summary = {**descent.summary(), "dtype": self.dtype}
+        return Estimate(response, unknown, parameters.estimates(), descent.history.table(), summary)
 
-    def network(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Network:
-        """The network that is trained: at its random start, and in units of the record's amplitudes."""
-        network = design.build(problem.record, self.dtype)
-        if isinstance(network, RandomStart):
-            network.reset(run.seed)
+    def descent(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Descent:
+        """The training at its start."""
+        history = History(run.progress, run.watch, self.name, self.iterations * self.stages, self.history_every)
+        return Descent(self, self.objective(problem, design, run), history)
+
+    def objective(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Objective:
+        """The loss of a network at its random start, its readout in units of the record's amplitudes."""
+        dtype = DTYPES[self.dtype]
+        losses = Losses(problem, self.collocation_points, run.device, dtype)
+        network: Network = design.build(problem.record, dtype)
+        network.reset(run.seed)
         if isinstance(network, LinearReadout):
             scale_readout(network, problem.record)
-        return network.to(run.device)
+        parameters = LearnedParameters(problem, dtype)
+        return Objective(losses, network.to(run.device), parameters.to(run.device), checked_weights(self.weights))
 
-    def _summary(self, descent: Descent) -> dict[str, Any]:
-        last = descent.history.rows[-1]
+
+class Descent(Stepwise):
+    """A training under way, stage after stage: a reason to stop ends a stage; that of the last one ends the training.
+
+    Args:
+        training: Whose settings it follows.
+        objective: What is made small.
+        history: Takes a row now and then.
+    """
+
+    def __init__(self, training: GradientTraining, objective: Objective, history: History) -> None:
+        self.training, self.objective, self.history = training, objective, history
+        self.optimiser = training.optimiser(objective)
+        self.iteration, self.stop_reason = 0, ""
+        self.stage, self.until = -1, 0
+
+    def step(self) -> bool:
+        """See :meth:`Stepwise.step`; the row of the last iteration is written when it is asked for one more."""
+        if self.iteration == self.until and not self.stop_reason:
+            self._next_stage()
+        evaluation = self.objective()
+        check_finite(evaluation, self.iteration, self.training.name, self.training.remedy)
+        weights = {name: evaluation.weights[name] for name in evaluation.terms}
+        self.history.add(self.iteration, evaluation.terms, weights, last=bool(self.stop_reason))
+        if self.stop_reason:
+            return False
+        reason = self.optimiser.step(self.objective, evaluation)
+        self.iteration += 1
+        if reason and self.stage == self.training.stages - 1:
+            self.stop_reason = reason
+        elif reason:
+            self.until = self.iteration
+        return True
+
+    def _next_stage(self) -> None:
+        if self.stage == self.training.stages - 1:
+            self.stop_reason = "iteration limit"
+            return
+        self.stage += 1
+        self.until = self.iteration + self.training.iterations
+        self.objective.begin_stage(self.stage, self.training.physics_growth**self.stage)
+
+    def summary(self) -> dict[str, Any]:
+        """For run.json."""
+        last = self.history.rows[-1]
         return {
-            "iterations": descent.iteration,
-            "stop_reason": descent.stop_reason,
+            "iterations": self.iteration,
+            "stop_reason": self.stop_reason,
             "loss": sum(value for name, value in last.items() if name.startswith("loss_")),
-            "network_weights": sum(weight.numel() for weight in descent.objective.network.parameters()),
-            "dtype": str(self.dtype).removeprefix("torch."),
+            "network_weights": sum(weight.numel() for weight in self.objective.network.parameters()),
         }
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Stepwise.state_dict`."""
+        return {
+            "iteration": self.iteration,
+            "stop_reason": self.stop_reason,
+            "stage": self.stage,
+            "until": self.until,
+            "network": self.objective.network.state_dict(),
+            "parameters": self.objective.parameters.state_dict(),
+            "weights": dict(self.objective.weights),
+            "optimiser": self.optimiser.state_dict(),
+            "history": self.history.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See :meth:`Stepwise.load_state_dict`."""
+        self.iteration, self.stop_reason = state["iteration"], state["stop_reason"]
+        self.stage, self.until = state["stage"], state["until"]
+        self.objective.physics_factor = self.training.physics_growth ** max(self.stage, 0)
+        self.objective.network.load_state_dict(state["network"])
+        self.objective.parameters.load_state_dict(state["parameters"])
+        self.objective.weights = dict(state["weights"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.history.load_state_dict(state["history"])

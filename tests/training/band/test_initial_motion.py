@@ -25,8 +25,8 @@ from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.losses import Losses
+from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 SENSORS = (1, 2, 3, 4)

@@ -9,11 +9,11 @@ from small_problems import accelerations, measured, small_chain
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem, UncertainParameter
-from pinn_cli.training.function_space.collocation import collocate, noise_model
+from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.kernel import prior_variance, pulled_back, pushed_forward
 from pinn_cli.training.function_space.linearisation import Linearisation
 from pinn_cli.training.function_space.residuals import ResidualRows
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 DESIGNS = {
     "fourier-sine": Mlp(1, 5, "sine", "exact", "fourier"),
@@ -49,7 +49,7 @@ class Dense:
         self.parameters = LearnedParameters(problem, torch.float64)
         self.parameters.moved.data += 0.05
         collocation = collocate(problem, targets(problem.record, problem.chain), 48, 10000)
-        self.noise = noise_model(collocation, 0.05, 0.01).with_spread(0.8)
+        self.noise = collocation.noise_model(0.05, 0.01).with_spread(0.8)
         self.rows = ResidualRows(chain, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
 

@@ -216,14 +216,8 @@ def test_the_configuration_has_the_papers_settings(composed: Compose):
     assert isinstance(network, Mlp)
     assert (training.iterations, training.stages, training.physics_growth) == (200_000, 2, 10.0)
     assert (training.learning_rate, training.betas, training.weight_decay) == (1e-3, (0.99, 0.999), 1e-5)
-    assert training.weights.by_term(1.0) == {
-        "observation": 1.0,
-        "continuity": 10.0,
-        "forced": 100.0,
-        "unforced": 100.0,
-        "prior": 1.0,
-    }
-    assert (training.collocation_points, training.dtype) == (512, torch.float32)
+    assert training.weights == {"observation": 1.0, "continuity": 10.0, "physics": 100.0, "unforced": None}
+    assert (training.collocation_points, training.dtype) == (512, "float32")
     assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "silu", "penalised")
     assert config.case == "sr_6dof_snr50"
 

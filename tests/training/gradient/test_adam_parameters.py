@@ -131,14 +131,8 @@ def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation
     assert (training.iterations, training.stages, training.physics_growth) == (200_000, 2, 10.0)
     assert (training.learning_rate, training.parameter_learning_rate) == (1e-3, 5e-4)
     assert (training.betas, training.weight_decay) == ((0.99, 0.999), 1e-5)
-    assert training.weights.by_term(1.0) == {
-        "observation": 1.0,
-        "continuity": 1.0,
-        "forced": 100.0,
-        "unforced": 100.0,
-        "prior": 1.0,
-    }
-    assert (training.collocation_points, training.dtype) == (4096, torch.float32)
+    assert training.weights == {"observation": 1.0, "continuity": 1.0, "physics": 100.0, "unforced": None}
+    assert (training.collocation_points, training.dtype) == (4096, "float32")
     assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "tanh", "penalised")
     _, prescribed = config.model_error.chains(config.chain)
     problem = scheme.problem(prescribed, config.observe(config.source.measure(config.chain).record))

@@ -15,20 +15,18 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
-from pinn_cli.training.gradient.equalised_weights import EqualisedWeights
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
-from pinn_cli.training.gradient.loss_weights import Weights
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.gradient.objective import Objective
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 
-def objective(weights: Weights) -> Objective:
+def objective() -> Objective:
     chain = small_chain()
     record = accelerations(measured(chain, snr_db=40.0).record)
     problem = Problem(chain, record)
     network = Mlp(1, 16, "sine").build(record)
     parameters = LearnedParameters(problem, torch.float64)
-    return Objective(Losses(problem, 128, "cpu", torch.float64), network, parameters, weights)
+    return Objective(Losses(problem, 128, "cpu", torch.float64), network, parameters, "equalised")
 
 
 def gradient_norms(given: Objective) -> dict[str, float]:
@@ -40,7 +38,7 @@ def gradient_norms(given: Objective) -> dict[str, float]:
 
 
 def test_equalised_terms_pull_equally_hard_at_the_start():
-    given = objective(EqualisedWeights())
+    given = objective()
     given.begin_stage(0, 1.0)
     norms = gradient_norms(given)
     assert set(norms) == {"observation", "continuity", "forced", "unforced"}
@@ -49,7 +47,7 @@ def test_equalised_terms_pull_equally_hard_at_the_start():
 
 
 def test_equalised_weights_are_frozen_but_for_the_growth_of_the_physics():
-    given = objective(EqualisedWeights())
+    given = objective()
     given.begin_stage(0, 1.0)
     first = given().weights
     with torch.no_grad():

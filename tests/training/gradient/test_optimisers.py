@@ -18,16 +18,10 @@ from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
-from pinn_cli.training.gradient.descent import Descent
-from pinn_cli.training.gradient.history import History
 from pinn_cli.training.gradient.lbfgs import Lbfgs
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
 from pinn_cli.training.gradient.losses import Losses
-from pinn_cli.training.gradient.objective import Objective
 from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER
 from pinn_cli.training.gradient.ssbroyden import SsBroyden
-from pinn_cli.training.gradient.training import GradientTraining
-from pinn_cli.training.gradient.weight_settings import read_weights
 
 TRAININGS = {"adam": Adam, "lbfgs": Lbfgs, "ssbroyden": SsBroyden}
 CURVED = ("lbfgs", "ssbroyden")
@@ -40,37 +34,17 @@ def small_problem() -> Problem:
     return Problem(chain, accelerations(measured(chain, snr_db=40.0).record), (stiffness,))
 
 
-def descent(training: GradientTraining, problem: Problem, seed: int) -> Descent:
-    """What the training steps through."""
-    losses = Losses(problem, training.collocation_points, "cpu", training.dtype)
-    network = NETWORK.build(problem.record, training.dtype)
-    network.reset(seed)
-    parameters, weights = LearnedParameters(problem, training.dtype), read_weights(training_weights(training))
-    objective = Objective(losses, network, parameters, weights)
-    history = History(training.name, False, training.iterations * training.stages, training.history_every)
-    return Descent(
-        objective, training.optimiser(objective), history, training.iterations, training.stages,
-        training.physics_growth, training.name, training.remedy,
-    )  # fmt: skip
-
-
-def training_weights(training: GradientTraining) -> str | None:
-    """What a training with such weights was given."""
-    kind = type(training.weights).__name__
-    return {"EqualisedWeights": "equalised"}.get(kind)
-
-
 @pytest.mark.parametrize("weights", [None, "equalised"])
 @pytest.mark.parametrize("name", TRAININGS)
 def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
     warm_up = {} if name == "adam" else {"warm_up": 3}
     settings = {"iterations": 12, "stages": 2, "collocation_points": 64, "history_every": 5, **warm_up}
     training, problem = TRAININGS[name](weights=weights, **settings), small_problem()
-    whole = descent(training, problem, seed=1)
+    whole = training.descent(problem, NETWORK, RunContext(seed=1))
     for _ in range(8):
         whole.step()
     torch.save(whole.state_dict(), tmp_path / "state.pt")
-    resumed = descent(training, problem, seed=2)
+    resumed = training.descent(problem, NETWORK, RunContext(seed=2))
     resumed.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
     steps = 0
     while whole.step():

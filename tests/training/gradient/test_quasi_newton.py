@@ -9,16 +9,16 @@ import scipy.optimize
 import torch
 from plain_objectives import PlainObjective, minimise, quadratic, rosenbrock
 
-from pinn_cli.training.gradient.dense_quasi_newton import DenseQuasiNewton
 from pinn_cli.training.gradient.inverse_hessian import InverseHessian, scaling
-from pinn_cli.training.gradient.limited_memory import LimitedMemory
+from pinn_cli.training.gradient.lbfgs import LbfgsSteps
 from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER, Optimiser
+from pinn_cli.training.gradient.ssbroyden import SsBroydenSteps
 
 METHODS = ("lbfgs", "ssbroyden")
 
 
 def optimiser(name: str, objective: PlainObjective, tolerance: float = 1e-10) -> Optimiser:
-    return LimitedMemory(objective, 20, tolerance) if name == "lbfgs" else DenseQuasiNewton(tolerance)
+    return LbfgsSteps(objective, 20, tolerance) if name == "lbfgs" else SsBroydenSteps(tolerance)
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -9,7 +9,7 @@ import torch
 from small_problems import measured, small_chain
 
 from pinn_cli.scheme.problem import Problem, UncertainParameter
-from pinn_cli.training.gradient.learned_parameters import LearnedParameters
+from pinn_cli.training.learned_parameters import LearnedParameters
 
 UNCERTAIN = (
     UncertainParameter("k", 1, 1.5, 255.0, scale=25.5, unknown=True, positive=True),
