@@ -1,10 +1,10 @@
-"""The examples of docs/extending.md: put into a copy of the package as they stand, they run."""
+"""The examples of docs/extending.md: added to the package as they stand, they run."""
 
-import os
+import importlib
+import json
 import re
+import runpy
 import shlex
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -33,48 +33,46 @@ def examples():
 EXAMPLES = examples()
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory):
-    """The package as a wheel lays it out, with the files of every example."""
-    place = tmp_path_factory.mktemp("source")
-    shutil.copytree(ROOT / "pinn_cli", place / "pinn_cli")  # with what is compiled of it, which saves seconds
-    shutil.copytree(ROOT / "conf", place / "pinn_cli" / "conf")
-    (place / "conf").symlink_to(place / "pinn_cli" / "conf")
+@pytest.fixture
+def extended(tmp_path, monkeypatch):
+    """A folder with the files of every example; the package looks for modules there too while a test runs."""
+    known = set(sys.modules)
     for files, _ in EXAMPLES.values():
         for name, text in files.items():
-            if name.partition("/")[0] in FOLDERS:
-                assert not (place / name).exists(), f"{name} is there already"
-                (place / name).write_text(text, encoding="utf-8")
-    return place
+            place, package = tmp_path / "extended" / name, Path(name).parent.as_posix().replace("/", ".")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(text, encoding="utf-8")
+            if package.startswith("pinn_cli."):
+                searched = importlib.import_module(package).__path__
+                monkeypatch.setattr(sys.modules[package], "__path__", [*searched, str(place.parent)])
+    importlib.invalidate_caches()
+    yield tmp_path / "extended"
+    for name in [name for name in set(sys.modules) - known if str(tmp_path) in str(sys.modules[name])]:
+        del sys.modules[name]
 
 
 @pytest.fixture
-def run(source, tmp_path):
-    """Call Python with these arguments in an empty folder, with the extended package."""
+def example(extended, pinn_run):
+    """Run an example's only command; returns the run's directory."""
 
-    def call(*arguments):
-        environment = os.environ | {"PYTHONPATH": str(source), "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, *arguments]
-        called = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
-        assert called.returncode == 0, called.stdout + called.stderr
-        return called.stdout
+    def call(heading):
+        (command,) = EXAMPLES[heading][1]
+        arguments = shlex.split(command)[1:]
+        outcome = pinn_run("--config-dir", str(extended / "conf"), *arguments, "figures=false")
+        assert outcome.status == 0, outcome.err
+        return outcome.directory
 
     return call
 
 
 @pytest.fixture
-def rig(run, tmp_path):
-    """rig.csv, as the tutorial makes it."""
-    (script,) = [text for language, text in FENCED.findall(TUTORIAL.read_text(encoding="utf-8")) if language]
-    (tmp_path / "make_rig.py").write_text(script, encoding="utf-8")
-    run("make_rig.py")
-
-
-def pinn_run(run, heading):
-    """The directory that an example's only command prints last."""
-    (command,) = EXAMPLES[heading][1]
-    out = run("-m", "pinn_cli.main", *shlex.split(command)[1:], "figures=false", "threads=1")
-    return Path(out.splitlines()[-1])
+def rig(tmp_path, monkeypatch):
+    """rig.npz, made of what the tutorial makes."""
+    monkeypatch.chdir(tmp_path)
+    (tutorial,) = [text for language, text in FENCED.findall(TUTORIAL.read_text(encoding="utf-8")) if language]
+    for text in (tutorial, EXAMPLES["A file format of records"][0]["make_npz.py"]):
+        Path("script.py").write_text(text, encoding="utf-8")
+        runpy.run_path("script.py")
 
 
 def fitness(directory, quantity="displacement"):
@@ -86,24 +84,38 @@ def fitness(directory, quantity="displacement"):
 @pytest.mark.parametrize("heading", EXAMPLES)
 def test_an_example_is_one_file_and_one_yaml(heading):
     files, commands = EXAMPLES[heading]
-    assert sorted(name.partition("/")[0] for name in files if "/" in name) == sorted(FOLDERS)
+    new = [name for name in files if "/" in name]
+    assert sorted(name.partition("/")[0] for name in new) == sorted(FOLDERS)
+    assert not any((ROOT / name).exists() for name in new)
     assert len(commands) == 1
 
 
-def test_a_law_of_a_connection(run):
-    directory = pinn_run(run, "A law of a connection")
+def test_a_law_of_a_connection(example):
+    directory = example("A law of a connection")
     parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
     assert parameters.loc["friction_1", "estimate"] == pytest.approx(0.5, rel=0.05)
     assert parameters.loc["friction_2", "estimate"] == pytest.approx(0.5, rel=0.05)
 
 
-def test_a_network(run):
-    assert fitness(pinn_run(run, "A network")) > 99.0
+def test_a_network(example):
+    assert fitness(example("A network")) > 99.0
 
 
-def test_a_file_format_of_records(run, rig, tmp_path):
-    (tmp_path / "make_npz.py").write_text(EXAMPLES["A file format of records"][0]["make_npz.py"], encoding="utf-8")
-    run("make_npz.py")
-    directory = pinn_run(run, "A file format of records")
+def test_a_file_format_of_records(example, rig):
+    directory = example("A file format of records")
     parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
     assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
+
+
+def test_a_scheme(example):
+    directory = example("A scheme")
+    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    assert list(parameters.index) == ["k_1", "k_2", "k_3"]
+    # The prescribed values are 5 to 10 % off.
+    assert parameters["error_percent"].abs().max() < 2.0
+
+
+def test_an_estimator(example):
+    directory = example("An estimator")
+    assert json.loads((directory / "run.json").read_text())["training"]["stop_reason"] == "simulated"
+    assert fitness(directory) > 99.0
