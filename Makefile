@@ -62,22 +62,22 @@ bench-epochs: venv ## time of one epoch of the paper's network, against one reve
 	$(BIN)/python -m benchmarks.epochs $(ARGS)
 
 table1: venv ## the paper's Table 1, perturbed parameters, beside the published values
-	$(BIN)/python -m pinn_cli.paper.single_tables table1 $(ARGS)
+	$(BIN)/python -m pinn_cli.paper table1 $(ARGS)
 
 table2: venv ## the paper's sparse-recovery table: six cases, uncertain and fixed parameters, published beside ours
-	$(BIN)/python -m pinn_cli.paper.single_tables table2 $(ARGS)
+	$(BIN)/python -m pinn_cli.paper table2 $(ARGS)
 
 table3: venv ## the paper's parameters by noise level: uncertain and fixed prescribed parameters, published beside ours
-	$(BIN)/python -m pinn_cli.paper.single_tables table3 $(ARGS)
+	$(BIN)/python -m pinn_cli.paper table3 $(ARGS)
 
 table4: venv ## the paper's parameters of the Van der Pol chain, the linear model and wrong values, published beside ours
-	$(BIN)/python -m pinn_cli.paper.single_tables table4 $(ARGS)
+	$(BIN)/python -m pinn_cli.paper table4 $(ARGS)
 
 table5: venv ## the paper's state-parameter table: fitness of its six cases, published beside ours
-	$(BIN)/python -m pinn_cli.paper.single_tables table5 $(ARGS)
+	$(BIN)/python -m pinn_cli.paper table5 $(ARGS)
 
 table6: venv ## the paper's Bayesian table: marginal, conditional and Laplace posteriors, published beside ours
-	$(BIN)/python -m pinn_cli.paper.single_tables table6 $(ARGS)
+	$(BIN)/python -m pinn_cli.paper table6 $(ARGS)
 
 paper: venv ## outputs/paper: every run that is missing, Tables 1 to 6, Figures 1 to 14 and report.html
 	$(BIN)/python -m pinn_cli.paper $(ARGS)

@@ -18,14 +18,15 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
-from pinn_cli.paper.study.posed import posed
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report.fitness import fitness_percent
+from pinn_cli.training.estimate import RunContext
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pinn_cli.paper.study.posed import Posed
     from pinn_cli.record.record import Response
     from pinn_cli.training.estimate import Estimate
 
@@ -41,13 +42,13 @@ def errors(estimate: Estimate, truth: Response) -> dict[str, float]:
     return {quantity: float(np.nanmean(100.0 - score)) for quantity, score in scores.items()}
 
 
-def smoothed(problem: Posed, level: float | None = None) -> Estimate:
+def smoothed(prepared: PreparedProblem, seed: int, level: float | None = None) -> Estimate:
     """The smoother's estimate, with its process noise in N or, for None, the most probable one.
 
     Raises:
         RuntimeError: It found none.
     """
-    estimate = KalmanSmoother(process_noise=level).solve(problem.problem, problem.context)
+    estimate = KalmanSmoother(process_noise=level).solve(prepared.problem, RunContext("cpu", seed))
     if estimate is None:
         raise RuntimeError(f"no smoother's estimate with process noise {level}")
     return estimate
@@ -59,19 +60,20 @@ def measured(snr_db: float, seeds: int) -> Iterator[dict[str, object]]:
     for seed in range(seeds):
         drawn = [f"noise.snr_db={snr_db}", f"seed={seed}", f"excitation.seed={seed}", "simulation.hold=exact"]
         for name, setting in (("uncertain", UNCERTAIN), ("fixed", FIXED)):
-            problem = posed([*drawn, setting])
-            ours = problem.config.training.solve(problem.problem, problem.config.network, problem.context)
-            yield {"estimator": name, "snr_db": snr_db, "seed": seed, **errors(ours, problem.truth.response)}
-        fixed.append(problem)
-        found = smoothed(problem)
+            config = RunConfig.read(compose_config([*drawn, setting]))
+            prepared = prepare_problem(config)
+            ours = config.training.solve(prepared.problem, config.network, RunContext("cpu", seed))
+            yield {"estimator": name, "snr_db": snr_db, "seed": seed, **errors(ours, prepared.truth.response)}
+        fixed.append(prepared)
+        found = smoothed(prepared, seed)
         levels.append(found.summary["sigma_discrepancy"])
-        yield {"estimator": "evidence", "snr_db": snr_db, "seed": seed, **errors(found, problem.truth.response)}
+        yield {"estimator": "evidence", "snr_db": snr_db, "seed": seed, **errors(found, prepared.truth.response)}
     centre = float(np.exp(np.mean(np.log(levels))))
     for level in centre * np.array(FACTORS):
-        for seed, problem in enumerate(fixed):
-            found = smoothed(problem, float(level))
+        for seed, prepared in enumerate(fixed):
+            found = smoothed(prepared, seed, float(level))
             row = {"estimator": f"process noise {level:.3g} N", "snr_db": snr_db, "seed": seed}
-            yield {**row, **errors(found, problem.truth.response)}
+            yield {**row, **errors(found, prepared.truth.response)}
 
 
 def compared(rows: pd.DataFrame) -> pd.DataFrame:

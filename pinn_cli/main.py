@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 
 from pinn_cli.cli.command_line import execute
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
 from pinn_cli.runs.stages import Stages
@@ -73,13 +74,8 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
         from pinn_cli.runs.run_checkpoints import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Estimator
-    with stages("system"):
-        true, prescribed = config.model_error.chains(config.chain)
-    with stages("record"):
-        measurements = config.source.measure(true)
-        record = config.observe(measurements.record)
-    with stages("problem"):
-        problem = config.scheme.problem(prescribed, record)
+    prepared = prepare_problem(config, stages)
+    prescribed, problem = prepared.prescribed, prepared.problem
     with stages("estimate"):
         (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
         checkpoints = open_checkpoints(
@@ -96,12 +92,12 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
     with stages("baseline"):
         baseline = config.baseline.solve(problem, context)
     drawn = config.figures if config.figures is not None else not in_sweep
-    linear = _linear_response(config, true) if drawn else None
+    linear = _linear_response(config, prepared.true) if drawn else None
     results = Results(
         config.description,
         prescribed,
-        record,
-        measurements.truth,
+        prepared.record,
+        prepared.truth,
         estimate,
         baseline,
         posterior,

@@ -49,12 +49,13 @@ def _pip(*arguments: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_the_wheel_holds_every_module_config_and_table(wheel: Path) -> None:
+def test_the_wheel_holds_every_module_config_and_data_file(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     modules = {p.relative_to(CHECKOUT).as_posix() for p in (CHECKOUT / "pinn_cli").rglob("*.py")}
-    tables = {p.relative_to(CHECKOUT).as_posix() for p in (CHECKOUT / "pinn_cli").rglob("*.csv")}
+    endings = ("*.csv", "*.yaml", "*.j2", "*.svg", "*.pdf")
+    data = {p.relative_to(CHECKOUT).as_posix() for ending in endings for p in (CHECKOUT / "pinn_cli").rglob(ending)}
     configs = {f"pinn_cli/{p.relative_to(CHECKOUT).as_posix()}" for p in (CHECKOUT / "conf").rglob("*.yaml")}
-    assert modules | tables | configs | {"pinn_cli/py.typed", "pinn_cli/conf/__init__.py"} <= held
+    assert modules | data | configs | {"pinn_cli/py.typed", "pinn_cli/conf/__init__.py"} <= held
     assert not any(name.startswith(("tests/", "conf/", "benchmarks/")) for name in held)
 
 

@@ -1,19 +1,22 @@
-"""``python -m pinn_cli.paper [paper|figures|seeds|nonlinearity|all]``: what ``make paper`` and its like run."""
+"""``python -m pinn_cli.paper``: what ``make paper``, ``make table2`` and its like run."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.paper.making import make_all, make_figures, make_nonlinearity, make_paper, make_seeds
+from pinn_cli.paper.cases import TABLES
+from pinn_cli.paper.commands import make_all, make_figures, make_nonlinearity, make_paper, make_seeds, make_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 MAKERS: dict[str, Callable[[Path], int]] = {
     "paper": make_paper,
+    **{table.name: partial(make_table, table.name) for table in TABLES},
     "figures": make_figures,
     "seeds": make_seeds,
     "nonlinearity": make_nonlinearity,

@@ -1,112 +1,119 @@
-"""Published values beside ours: long tables for files, short ones for readers."""
+"""Published values beside ours: one row per cell or parameter and run."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import QUANTITIES
-
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping, Sequence
+    from collections.abc import Sequence
 
-    from pinn_cli.paper.case_runs import CaseRun, Variant
+    from pinn_cli.paper.runs import CaseScores
 
-COLUMNS = (
+FITNESS_COLUMNS = (
     "case", "variant", "group", "quantity", "published", "range_fitness_percent", "difference", "below_published",
     "fitness_percent", "seconds", "process_seconds",
 )  # fmt: skip
-SYMBOLS = {"displacement": "u", "velocity": "u̇", "acceleration": "ü", "force": "f"}
-GROUP_TITLES = {
-    "all": "All DOFs",
-    "first": "First DOF",
-    "last": "Last DOF",
-    "observed": "Observed DOFs",
-    "unobserved": "Unobserved DOFs",
-}
-BELOW = "▼"
+PARAMETER_COLUMNS = (
+    "case", "variant", "parameter", "true", "published", "published_error_percent", "published_std", "estimate",
+    "error_percent", "larger_error", "std", "lower_90", "upper_90", "truth_inside", "seconds", "process_seconds",
+)  # fmt: skip
+AUTHORS_SEED = 43810  # of the draws behind the paper's Table 1
 
 
-def compare_fitness(published: pd.DataFrame, runs: Sequence[CaseRun]) -> pd.DataFrame:
+def compare_fitness(published: pd.DataFrame, scores: Sequence[CaseScores]) -> pd.DataFrame:
     """Every published cell beside ours, one row per run.
 
     Args:
         published: Rows of `pinn_cli.report.published.fitness`.
-        runs: Of the same cases; those of other cases add no rows.
+        scores: Of the same cases; those of other cases add no rows.
 
     Returns:
-        Columns `COLUMNS`, in the order of ``published``, run by run. ``difference`` is ours less the published value,
-        both by the formula of the paper's tables; ``below_published`` is decided at the two decimals that the paper
-        prints.
+        Columns `FITNESS_COLUMNS`, in the order of ``published``, run by run. ``difference`` is ours less the published
+        value, both by the formula of the paper's tables; ``below_published`` is decided at the two decimals that the
+        paper prints.
     """
     keys = ["group", "quantity"]
     parts = []
-    for run in runs:
-        cells = published.loc[published["case"] == run.case, [*keys, "fitness_percent"]]
+    for ours in scores:
+        cells = published.loc[published["case"] == ours.case, [*keys, "fitness_percent"]]
         cells = cells.rename(columns={"fitness_percent": "published"})
-        ours = run.fitness[[*keys, "fitness_percent", "range_fitness_percent"]]
-        part = cells.merge(ours, on=keys, how="left", validate="one_to_one")
+        found = ours.fitness[[*keys, "fitness_percent", "range_fitness_percent"]]
+        part = cells.merge(found, on=keys, how="left", validate="one_to_one")
         part["difference"] = part["range_fitness_percent"] - part["published"]
         part["below_published"] = part["range_fitness_percent"].round(2) < part["published"].round(2)
-        parts.append(
-            part.assign(case=run.case, variant=run.variant, seconds=run.seconds, process_seconds=run.process_seconds)
-        )
-    return pd.concat(parts, ignore_index=True)[list(COLUMNS)] if parts else pd.DataFrame(columns=list(COLUMNS))
+        parts.append(part)
+    return _stacked(parts, scores, FITNESS_COLUMNS)
 
 
-def fitness_markdown(title: str, comparison: pd.DataFrame, variants: Sequence[Variant]) -> str:
-    """One Markdown table per group of DOFs: the published row, then two rows per variant, one of each formula."""
-    below = int(comparison["below_published"].sum())
-    lines = [
-        f"# {title}",
-        "",
-        (
-            "Fitness in percent. *Range* is 100 (1 − RMSE / range), the formula of the published values; *printed* is "
-            "100 (1 − ‖x − x̃‖ / ‖x − x̄‖), the formula printed in the paper. In brackets: range less published. "
-            f"{BELOW} marks a cell below the published one: {below} of {len(comparison)}. "
-            "Seconds are those of the whole process."
-        ),
+def compare_parameters(published: pd.DataFrame, scores: Sequence[CaseScores]) -> pd.DataFrame:
+    """Every published parameter beside ours, one row per run.
+
+    Args:
+        published: Rows of `pinn_cli.report.published.parameters`.
+        scores: Of the same cases; those of other cases add no rows.
+
+    Returns:
+        Columns `PARAMETER_COLUMNS`, in the order of ``published``, run by run. ``true`` is the exact value that the
+        record was simulated with, of which the paper prints two decimals. ``larger_error`` (than the published one) is
+        decided at two decimals of a per cent; ``truth_inside`` says whether the 90 % interval holds the true value and
+        is empty where there is no interval; ``published_std`` is empty where the paper gives none. A parameter that a
+        run does not have leaves its cells empty.
+    """
+    names = {"estimate": "published", "error_percent": "published_error_percent", "std": "published_std"}
+    parts = []
+    for ours in scores:
+        cells = published.loc[published["case"] == ours.case, ["parameter", *names]].rename(columns=names)
+        found = ours.parameters[["parameter", "true", "estimate", "error_percent", "std", "lower_90", "upper_90"]]
+        part = cells.merge(found, on="parameter", how="left", validate="one_to_one")
+        part["larger_error"] = part["error_percent"].round(2) > part["published_error_percent"].round(2)
+        inside = part["true"].between(part["lower_90"], part["upper_90"]).astype(object)
+        part["truth_inside"] = inside.where(part[["true", "lower_90", "upper_90"]].notna().all(axis=1), None)
+        parts.append(part)
+    return _stacked(parts, scores, PARAMETER_COLUMNS)
+
+
+def _stacked(parts: list[pd.DataFrame], scores: Sequence[CaseScores], columns: tuple[str, ...]) -> pd.DataFrame:
+    """One below the other, each with the labels of its run."""
+    if not parts:
+        return pd.DataFrame(columns=list(columns))
+    labelled = [
+        part.assign(case=ours.case, variant=ours.variant, seconds=ours.seconds, process_seconds=ours.process_seconds)
+        for part, ours in zip(parts, scores, strict=True)
     ]
-    for group in dict.fromkeys(comparison["group"]):
-        lines += ["", f"## {GROUP_TITLES.get(group, group)}", ""]
-        lines += _group_table(comparison[comparison["group"] == group], variants)
-    return "\n".join(lines)
+    return pd.concat(labelled, ignore_index=True)[list(columns)]
 
 
-def _group_table(rows: pd.DataFrame, variants: Sequence[Variant]) -> list[str]:
-    quantities = [quantity for quantity in QUANTITIES if quantity in set(rows["quantity"])]
-    lines = [
-        markdown_row("case", "row", *(SYMBOLS[quantity] for quantity in quantities), "seconds"),
-        markdown_row("---", "---", *("---:" for _ in quantities), "---:"),
-    ]
-    for case in dict.fromkeys(rows["case"]):
-        cells = rows[rows["case"] == case].drop_duplicates("quantity").set_index("quantity")
-        published = (f"{cells['published'].get(quantity, np.nan):.2f}" for quantity in quantities)
-        lines.append(markdown_row(case, "published", *published, ""))
-        for variant in variants:
-            ours = rows[(rows["case"] == case) & (rows["variant"] == variant.name)].set_index("quantity")
-            if not ours.empty:
-                lines += _variant_rows(ours, variant, quantities)
-    return lines
+def compare_wrong_values(published: pd.DataFrame, scores: Sequence[CaseScores]) -> pd.DataFrame:
+    """Table 1: the wrong values, the true ones as published and as drawn here, and a column of estimates per run.
+
+    Args:
+        published: `pinn_cli.report.published.perturbed_parameters`.
+        scores: Of the case with these values.
+
+    Returns:
+        Columns ``parameter, prescribed, published, drawn, difference`` (drawn less published) and the names of the
+        variants, in the paper's order.
+    """
+    table = published.rename(columns={"true": "published"})[["parameter", "prescribed", "published"]]
+    table["drawn"] = _drawn_as_the_authors(table)
+    table["difference"] = table["drawn"] - table["published"]
+    for ours in scores:
+        table[ours.variant] = table["parameter"].map(ours.parameters.set_index("parameter")["estimate"])
+    return table
 
 
-def _variant_rows(ours: pd.DataFrame, variant: Variant, quantities: Sequence[str]) -> list[str]:
-    cells = ours.to_dict(orient="index")
-    ranged = [_compared(cells[quantity]) if quantity in cells else "" for quantity in quantities]
-    printed = [f"{ours['fitness_percent'].get(quantity, np.nan):.2f}" for quantity in quantities]
-    return [
-        markdown_row("", f"{variant.title}, range", *ranged, f"{ours['process_seconds'].iloc[0]:.1f}"),
-        markdown_row("", f"{variant.title}, printed", *printed, ""),
-    ]
+def _drawn_as_the_authors(table: pd.DataFrame) -> list[float]:
+    from pinn_cli.report.parameters import true_value
+    from pinn_cli.system.building import build_chain
+    from pinn_cli.system.connection.duffing import Duffing
+    from pinn_cli.system.model_error import PerturbedModelError
 
-
-def _compared(cell: Mapping[Hashable, Any]) -> str:
-    mark = f" {BELOW}" if cell["below_published"] else ""
-    return f"{cell['range_fitness_percent']:.2f} ({cell['difference']:+.2f}){mark}"
-
-
-def markdown_row(*cells: str) -> str:
-    """One row of a Markdown table; a number that is unknown shows as a dash."""
-    return "| " + " | ".join("-" if cell.strip() == "nan" else cell for cell in cells) + " |"
+    symbols = table["parameter"].str.rpartition("_")[0]
+    prescribed = {str(symbol): list(group) for symbol, group in table.groupby(symbols)["prescribed"]}
+    # The mass is not perturbed, so any will do.
+    nominal = build_chain(len(prescribed["k"]), Duffing(), m=1.0, **prescribed)
+    true, _ = PerturbedModelError(seed=AUTHORS_SEED, draws="authors").chains(nominal)
+    drawn = {name: value.numpy() for name, value in true.parameters.items()}
+    return [true_value(name, drawn) for name in table["parameter"]]

@@ -9,9 +9,9 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
+from pinn_cli.cli.prepare import compose_config
 from pinn_cli.report.run_record import package_versions
 from pinn_cli.runs.writing import write_json
 
@@ -29,10 +29,13 @@ def run_digest(overrides: Sequence[str]) -> str:
     Raises:
         hydra.errors.HydraException: The overrides do not compose.
     """
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        config = OmegaConf.to_yaml(compose("config", overrides=list(overrides)))
-    parts = (config, source_digest(), json.dumps(package_versions(), sort_keys=True))
+    parts = (_composed(tuple(overrides)), source_digest(), json.dumps(package_versions(), sort_keys=True))
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+@cache  # composing takes a tenth of a second
+def _composed(overrides: tuple[str, ...]) -> str:
+    return OmegaConf.to_yaml(compose_config(overrides))
 
 
 @cache

@@ -1,80 +1,82 @@
-"""The paper's Figures 1 to 14: three drawn, eleven from runs."""
+"""The paper's Figures 1 to 14: three schematics that are shipped, eleven that runs have drawn."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import shutil
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from pinn_cli.paper.chain_drawing import chain_figure
-from pinn_cli.paper.domain_drawing import domain_figure
-from pinn_cli.paper.figure_list import PAPER_FIGURES, PaperFigure
-from pinn_cli.paper.framework_drawing import framework_figure
-from pinn_cli.paper.plan import SMOOTHER
-from pinn_cli.paper.saved_run import read_posterior, read_response, read_true_parameters
-from pinn_cli.report.figures import style
-from pinn_cli.report.figures.error_map import error_map_figure
-from pinn_cli.report.figures.posterior_pairs import posterior_pairs_figure
-from pinn_cli.report.figures.response import response_figure
+from omegaconf import OmegaConf
+
+from pinn_cli.runs.writing import replacing
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Mapping
 
-    from matplotlib.figure import Figure
-
-    from pinn_cli.record.record import Response
+FORMATS = ("png", "svg", "pdf")  # those that a browser shows come first
 
 
-def draw_figures(runs: Mapping[str, Path], directory: Path, figures: Sequence[PaperFigure] = PAPER_FIGURES) -> set[int]:
-    """Draw and save figures as PNG and PDF, ``figure01`` and so on.
+@dataclass(frozen=True)
+class PaperFigure:
+    """One figure of the paper (an entry of ``figures.yaml``).
+
+    Attributes:
+        number: In the paper.
+        picture: Name of a file, without its ending: of a schematic or of a figure of the run.
+        title: A few words, for headings and alternative text.
+        caption: Sentences in our own words.
+        run: Name of the run that draws it; empty for schematics.
+    """
+
+    number: int
+    picture: str
+    title: str
+    caption: str
+    run: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"figure{self.number:02d}"
+
+
+@cache
+def paper_figures() -> tuple[PaperFigure, ...]:
+    """All of them, in the paper's order."""
+    listed: Any = OmegaConf.load(_shipped("figures.yaml"))
+    figures = []
+    for entry in listed.figures:
+        remark = listed.remarks.get(entry.picture, "")
+        figures.append(PaperFigure(**{**entry, "caption": f"{entry.caption} {remark}".strip()}))
+    return tuple(figures)
+
+
+def copy_figures(runs: Mapping[str, Path], directory: Path) -> dict[int, Path]:
+    """Copy the schematics and the figures of the runs, as ``figure01.svg``, ``figure01.pdf`` and so on.
 
     Args:
         runs: Directory of each run that is there, by name; figures of other runs are left out.
-        directory: Of the files; created where it is missing.
-        figures: Which.
+        directory: Of the copies; created where it is missing.
 
     Returns:
-        The numbers of those drawn.
+        Number of a figure to its copy that a browser shows.
     """
-    drawn = set()
-    for figure in figures:
+    copies: dict[int, Path] = {}
+    for figure in paper_figures():
         if figure.run and figure.run not in runs:
             continue
-        style.save(draw(figure, runs.get(figure.run)), directory, figure.name)
-        drawn.add(figure.number)
-    return drawn
+        source = runs[figure.run] / "figures" if figure.run else _shipped("schematics")
+        for ending in FORMATS:
+            picture = source / f"{figure.picture}.{ending}"
+            if picture.exists():
+                with replacing(directory / f"{figure.name}.{ending}") as beside:
+                    shutil.copyfile(picture, beside)
+                copies.setdefault(figure.number, directory / f"{figure.name}.{ending}")
+    return copies
 
 
-def draw(figure: PaperFigure, run: Path | None) -> Figure:
-    """Draw one figure from the directory of its run.
-
-    Raises:
-        OSError: A file of the run is missing.
-        ValueError: A figure of a run, and no run.
-    """
-    drawings = {"chain": chain_figure, "framework": framework_figure, "domains": domain_figure}
-    if figure.kind in drawings:
-        return drawings[figure.kind]()
-    if run is None:
-        raise ValueError(f"{figure.name} is drawn from a run, and none was given")
-    if figure.kind == "pairs":
-        samples, units = read_posterior(run / "posterior.nc")
-        return posterior_pairs_figure(samples, read_true_parameters(run / "parameters.csv"), units)
-    saved = read_response(run / "response.nc", (SMOOTHER.name,))
-    if figure.kind == "error_map":
-        return error_map_figure(saved.estimate, saved.record, saved.truth)
-    linear = equivalent_linear(figure.case) if figure.case.endswith("_linear") else None
-    smoothed = saved.baselines.get(SMOOTHER.name)
-    beside = None if smoothed is None else (SMOOTHER.title, smoothed)
-    return response_figure(saved.estimate, saved.record, saved.truth, linear, baseline=beside)
-
-
-def equivalent_linear(case: str) -> Response:
-    """The true response of the case's linearised chain: runs draw it but do not keep it, so it is simulated again."""
-    from hydra import compose, initialize_config_module
-
-    from pinn_cli.cli.config import RunConfig
-
-    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
-        config = RunConfig.read(compose("config", overrides=[f"experiment=paper/{case}"]))
-    true, _ = config.model_error.chains(config.chain)
-    return config.source.measure(true.linearised()).truth.response
+def _shipped(name: str) -> Path:
+    return Path(str(resources.files("pinn_cli.paper") / name))

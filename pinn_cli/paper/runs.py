@@ -3,23 +3,48 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from pinn_cli.paper.case_runs import CaseFailedError, CaseRun, overrides_of, run_case
+from pinn_cli.paper.cases import SMOOTHER, PlannedRun
 from pinn_cli.paper.digests import FINISHED, finished_run, mark_finished, run_digest
-from pinn_cli.paper.plan import SMOOTHER, PlannedRun
+from pinn_cli.settings.override_syntax import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from pinn_cli.paper.case_runs import Variant
+    Runner = Callable[[PlannedRun, Path], float]
 
-    Runner = Callable[[str, Variant, Path], CaseRun]
+
+class CaseFailedError(RuntimeError):
+    """A run that did not end well: the command and the end of what it wrote."""
+
+
+@dataclass(frozen=True)
+class CaseScores:
+    """What one estimator made of one case.
+
+    Attributes:
+        case: Of ``conf/experiment/paper``.
+        variant: Name of the variant, or of the smoother.
+        fitness: Its rows of ``fitness.csv``.
+        parameters: Its rows of ``parameters.csv``.
+        seconds: Total of ``run.json``; of the smoother's solution alone.
+        process_seconds: From starting the process to its end, imports and figures included; of the smoother as above.
+    """
+
+    case: str
+    variant: str
+    fitness: pd.DataFrame
+    parameters: pd.DataFrame
+    seconds: float
+    process_seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,22 +63,43 @@ class FinishedRun:
     record: dict[str, Any]
     process_seconds: float
 
-    def estimates(self) -> list[CaseRun]:
-        """Its rows by estimator: the network's, and the smoother's as a variant of its own, where it found something.
-
-        The smoother's seconds are those of its solution alone, as it has no process of its own.
-        """
-        seconds = self.record["seconds"]
+    def scores(self) -> list[CaseScores]:
+        """The network's, and the smoother's as a variant of its own, where it found something."""
         tables = [pd.read_csv(self.directory / name) for name in ("fitness.csv", "parameters.csv")]
-        kept = {"pinn": (self.planned.variant.name, float(seconds["total"]), self.process_seconds)}
+        seconds = self.record["seconds"]
         alone = float(seconds.get("baseline", 0.0))
-        kept[SMOOTHER.name] = (SMOOTHER.name, alone, alone)
+        estimators = {
+            "pinn": (self.planned.variant.name, float(seconds["total"]), self.process_seconds),
+            SMOOTHER.name: (SMOOTHER.name, alone, alone),
+        }
         found = []
-        for estimator, (variant, total, process) in kept.items():
+        for estimator, (variant, total, process) in estimators.items():
             fitness, parameters = (table[table["estimator"] == estimator] for table in tables)
             if len(fitness):
-                found.append(CaseRun(self.planned.case, variant, fitness, total, process, parameters))
+                found.append(CaseScores(self.planned.case, variant, fitness, parameters, total, process))
         return found
+
+
+def run_case(run: PlannedRun, directory: Path) -> float:
+    """Run ``pinn-run experiment=paper/<case>`` in ``directory``.
+
+    Returns:
+        Seconds of the whole process.
+
+    Raises:
+        CaseFailedError: If the process ends with another status than 0, or leaves no results.
+    """
+    results = directory / "run.json"
+    results.unlink(missing_ok=True)  # of an earlier run: it must not pass for this one's
+    place = f"hydra.run.dir={quoted(str(directory.resolve()))}"
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "pinn_cli.main", *run.overrides, place], capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0 or not results.exists():
+        tail = "\n".join((done.stderr or done.stdout).splitlines()[-10:])
+        raise CaseFailedError(f"{run.case}, {run.variant.title}: exit status {done.returncode}\n{tail}")
+    return time.perf_counter() - start
 
 
 def make_runs(
@@ -64,22 +110,20 @@ def make_runs(
     Args:
         planned: In the order in which they are made.
         directory: Of all runs; created where it is missing.
-        runner: Makes one run in a directory, and raises `CaseFailedError` where it does not end well.
+        runner: Makes one run in a directory and returns its seconds; raises `CaseFailedError` where it fails.
 
     Returns:
         The runs that are there, and what went wrong with the others.
     """
-    finished, failures = [], []
+    failures = []
     for number, run in enumerate(planned, start=1):
         progress = f"[{number}/{len(planned)}] {run.case}, {run.variant.title}"
         try:
-            entry = _make_run(run, directory / run.name, runner, progress)
+            _make_run(run, directory / run.name, runner, progress)
         except CaseFailedError as error:
             failures.append(str(error))
             print(f"failed: {error}", file=sys.stderr, flush=True)
-            continue
-        finished.append(entry)
-    return finished, failures
+    return read_runs(planned, directory), failures
 
 
 def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRun]:
@@ -87,28 +131,21 @@ def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRu
     found = []
     for run in planned:
         place = directory / run.name
-        known = finished_run(place, run_digest(overrides_of(run.case, run.variant)))
+        known = finished_run(place, run_digest(run.overrides))
         if known is not None:
-            found.append(_read_run(run, place, float(known["process_seconds"])))
+            record = json.loads((place / "run.json").read_text(encoding="utf-8"))
+            found.append(FinishedRun(run, place, record, float(known["process_seconds"])))
     return found
 
 
-def _read_run(run: PlannedRun, directory: Path, process_seconds: float) -> FinishedRun:
-    record = json.loads((directory / "run.json").read_text(encoding="utf-8"))
-    return FinishedRun(run, directory, record, process_seconds)
-
-
-def _make_run(run: PlannedRun, directory: Path, runner: Runner, progress: str) -> FinishedRun:
-    digest = run_digest(overrides_of(run.case, run.variant))
-    known = finished_run(directory, digest)
-    if known is None:
-        print(f"{progress}: running", flush=True)
-        # While it runs, nothing may say that it has finished.
-        (directory / FINISHED).unlink(missing_ok=True)
-        done = runner(run.case, run.variant, directory)
-        mark_finished(directory, digest, done.process_seconds)
-        known = {"process_seconds": done.process_seconds}
-        print(f"{progress}: {done.process_seconds:.1f} s", flush=True)
-    else:
+def _make_run(run: PlannedRun, directory: Path, runner: Runner, progress: str) -> None:
+    digest = run_digest(run.overrides)
+    if finished_run(directory, digest) is not None:
         print(f"{progress}: up to date", flush=True)
-    return _read_run(run, directory, float(known["process_seconds"]))
+        return
+    print(f"{progress}: running", flush=True)
+    # While it runs, nothing may say that it has finished.
+    (directory / FINISHED).unlink(missing_ok=True)
+    seconds = runner(run, directory)
+    mark_finished(directory, digest, seconds)
+    print(f"{progress}: {seconds:.1f} s", flush=True)

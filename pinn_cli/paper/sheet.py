@@ -10,7 +10,7 @@ from typing import Literal
 Mark = Literal["", "better", "worse"]
 Form = Literal["plain", "latex", "html"]
 
-BETTER_SIGN, WORSE_SIGN = "▲", "▼"
+SIGNS: dict[Mark, str] = {"": "", "better": "▲", "worse": "▼"}
 DASH = "-"
 
 _QUANTITIES = {
@@ -88,6 +88,11 @@ class Sheet:
         for row in self.rows:
             if len(row.heads) != len(self.heads) or len(row.cells) != len(self.columns):
                 raise ValueError(f"{self.name}: row {row.heads} does not fit the columns")
+
+    @property
+    def grouped(self) -> bool:
+        """Whether any group has a title."""
+        return any(title for title, _ in self.groups)
 
 
 def number(value: float, pattern: str, mark: Mark = "") -> Cell:

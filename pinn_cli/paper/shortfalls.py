@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from pinn_cli.paper.comparison import GROUP_TITLES
-from pinn_cli.paper.plan import SMOOTHER
-from pinn_cli.paper.study.noise_seeds import PINN
+from pinn_cli.paper.cases import SMOOTHER
+from pinn_cli.paper.fitness_sheet import GROUP_TITLES
+from pinn_cli.paper.robustness.realisation import PINN
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pinn_cli.paper.study.noise_seeds import SeedStudy
+    from pinn_cli.paper.robustness.noise_seeds import SeedScores
     from pinn_cli.paper.tables import PaperTable
 
 NEAR = 0.1  # of fitness in percent: as good as the smoother's, for telling noise from a fault
@@ -32,7 +32,7 @@ class Shortfall:
     reason: str
 
 
-def shortfalls(tables: Sequence[PaperTable], seeds: SeedStudy) -> list[Shortfall]:
+def shortfalls(tables: Sequence[PaperTable], seeds: SeedScores) -> list[Shortfall]:
     """Those of the default variants, in the tables' order; what other draws of the noise say is among the reasons."""
     found: list[Shortfall] = []
     for table in tables:
@@ -41,16 +41,6 @@ def shortfalls(tables: Sequence[PaperTable], seeds: SeedStudy) -> list[Shortfall
         elif "larger_error" in table.comparison:
             found += _of_parameters(table, seeds.parameter_summary)
     return found
-
-
-def counted(table: PaperTable, variant: str) -> tuple[int, int]:
-    """How many of a variant's values are worse than the published ones, and of how many."""
-    rows = table.comparison
-    if "variant" not in rows:
-        return 0, 0
-    worse = "below_published" if "below_published" in rows else "larger_error"
-    ours = rows[rows["variant"] == variant]
-    return int(ours[worse].sum()), len(ours)
 
 
 def _of_fitness(table: PaperTable, seeds: pd.DataFrame) -> list[Shortfall]:
@@ -111,7 +101,7 @@ def parameter_reason(row: dict[Any, Any]) -> str:
     """Why an error is larger, from the estimate's own uncertainty.
 
     Args:
-        row: Of `pinn_cli.paper.parameter_comparison.compare_parameters`.
+        row: Of `pinn_cli.paper.comparison.compare_parameters`.
     """
     if row["case"].endswith("_linear"):
         return (

@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pinn_cli.paper import sheet_files
-from pinn_cli.paper.comparison import compare_fitness
+from pinn_cli.paper.cases import SMOOTHER, TABLES
+from pinn_cli.paper.comparison import compare_fitness, compare_parameters, compare_wrong_values
 from pinn_cli.paper.fitness_sheet import fitness_sheet
-from pinn_cli.paper.parameter_comparison import compare_parameters
-from pinn_cli.paper.parameter_sheet import parameter_sheet, perturbed_comparison, perturbed_sheet
-from pinn_cli.paper.plan import SMOOTHER, case_tables
-from pinn_cli.paper.single_tables import FITNESS_TABLES, UNCERTAIN_AND_FIXED, perturbed_parameters_comparison
-from pinn_cli.report import published
+from pinn_cli.paper.parameter_sheet import parameter_sheet, wrong_values_sheet
 from pinn_cli.runs.writing import write_table, write_text
 
 if TYPE_CHECKING:
@@ -21,11 +18,15 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from pinn_cli.paper.case_runs import CaseRun
+    from pinn_cli.paper.cases import CaseTable
     from pinn_cli.paper.runs import FinishedRun
     from pinn_cli.paper.sheet import Sheet
 
-PERTURBED_CASE = "sr_6dof_perturbed"
+_KINDS = {
+    "fitness": (compare_fitness, fitness_sheet),
+    "parameters": (compare_parameters, parameter_sheet),
+    "wrong values": (compare_wrong_values, wrong_values_sheet),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,33 +43,26 @@ class PaperTable:
     comparison: pd.DataFrame
     default: str
 
-
-def paper_tables(runs: Sequence[FinishedRun]) -> list[PaperTable]:
-    """Tables 1 to 6; cells of runs that are not there are left out."""
-    estimates = [estimate for run in runs for estimate in run.estimates()]
-    return [_table1(estimates), *_case_tables(estimates)]
-
-
-def _table1(estimates: list[CaseRun]) -> PaperTable:
-    default = UNCERTAIN_AND_FIXED[0]
-    sources = (default, SMOOTHER)
-    names = [source.name for source in sources]
-    kept = [run for run in estimates if run.case == PERTURBED_CASE and run.variant in names]
-    comparison = perturbed_comparison(perturbed_parameters_comparison(), kept)
-    return PaperTable(perturbed_sheet(comparison, sources), comparison, default.name)
+    def worse(self, variant: str) -> tuple[int, int]:
+        """How many of a variant's values are worse than the published ones, and of how many."""
+        for column in ("below_published", "larger_error"):
+            if column in self.comparison:
+                ours = self.comparison.loc[self.comparison["variant"] == variant, column]
+                return int(ours.sum()), len(ours)
+        return 0, 0
 
 
-def _case_tables(estimates: list[CaseRun]) -> list[PaperTable]:
+def paper_tables(runs: Sequence[FinishedRun], tables: Sequence[CaseTable] = TABLES) -> list[PaperTable]:
+    """The tables in order; cells of runs that are not there are left out."""
+    scores = [found for run in runs for found in run.scores()]
     made = []
-    for table in case_tables():
-        of_fitness = table in FITNESS_TABLES
-        values = published.fitness() if of_fitness else published.parameters()
-        values = values[values["table"] == table.published]
-        sources = (*table.variants, SMOOTHER)
-        kept = [run for run in estimates if run.case in set(values["case"])]
-        comparison = (compare_fitness if of_fitness else compare_parameters)(values, kept)
-        sheet = (fitness_sheet if of_fitness else parameter_sheet)(table, values, comparison, sources)
-        made.append(PaperTable(sheet, comparison, table.variants[0].name))
+    for table in tables:
+        compare, lay_out = _KINDS[table.kind]
+        cases, variants = table.cases, {variant.name for variant in (*table.variants, SMOOTHER)}
+        kept = [one for one in scores if one.case in cases and one.variant in variants]
+        kept.sort(key=lambda one: cases.index(one.case))
+        comparison = compare(table.values, kept)
+        made.append(PaperTable(lay_out(table, comparison), comparison, table.variants[0].name))
     return made
 
 

@@ -9,16 +9,13 @@ import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from pinn_cli.paper.__main__ import main
-from pinn_cli.paper.case_runs import CaseFailedError
-from pinn_cli.paper.figure_list import PAPER_FIGURES
-from pinn_cli.paper.figures import draw, draw_figures, equivalent_linear
-from pinn_cli.paper.making import make_figures, make_paper
-from pinn_cli.paper.saved_run import read_posterior, read_response, read_true_parameters
+from pinn_cli.paper.commands import make_figures, make_paper, make_table
+from pinn_cli.paper.figures import copy_figures, paper_figures
+from pinn_cli.paper.runs import CaseFailedError
 from pinn_cli.paper.sheet import Row, Sheet, number, written
 from pinn_cli.paper.shortfalls import fitness_reason, parameter_reason
 
@@ -56,8 +53,8 @@ class Checked(HTMLParser):
 def test_report_is_well_formed_and_loads_nothing(paper):
     text = (paper / "report.html").read_text(encoding="utf-8")
     checked = Checked(text)
-    assert checked.count["img"] == len(PAPER_FIGURES) + 1 == 15
-    assert all(place.startswith("data:image/png;base64,") for place in checked.loaded)
+    assert checked.count["img"] == len(paper_figures()) + 1 == 15
+    assert [place.partition(";")[0] for place in checked.loaded] == ["data:image/svg+xml"] * 3 + ["data:image/png"] * 12
     assert len(checked.ids) == len(set(checked.ids))
     assert {link.removeprefix("#") for link in checked.links} <= set(checked.ids)
     assert "url(" not in text
@@ -122,21 +119,47 @@ def test_table6_has_no_smoother_where_it_found_nothing(paper):
     assert "Kalman smoother" not in text
 
 
-def test_every_figure_as_png_and_pdf(paper):
-    names = {f"figure{number:02d}.{suffix}" for number in range(1, 15) for suffix in ("png", "pdf")}
+def test_every_figure_as_a_picture_for_screens_and_one_for_print(paper):
+    names = {f"figure{number:02d}.{'svg' if number < 4 else 'png'}" for number in range(1, 15)}
+    names |= {f"figure{number:02d}.pdf" for number in range(1, 15)}
     assert {file.name for file in (paper / "figures").iterdir()} == names
-    for file in (paper / "figures").iterdir():
-        assert file.read_bytes().startswith(b"\x89PNG" if file.suffix == ".png" else b"%PDF")
+    starts = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
+    assert all(file.read_bytes().startswith(starts[file.suffix]) for file in (paper / "figures").iterdir())
 
 
-@pytest.mark.usefixtures("nothing_drawn")
+def test_figures_are_those_of_their_runs(paper):
+    run = paper / "runs" / "sr_20dof_snr50_uncertain" / "figures"
+    assert (paper / "figures" / "figure06.png").read_bytes() == (run / "error_map.png").read_bytes()
+
+
+@pytest.mark.usefixtures("quick_digests")
 def test_figures_alone_need_only_their_runs(tmp_path, runner):
     assert make_figures(tmp_path, runner) == 0
-    assert len(runner.calls) == len({figure.run for figure in PAPER_FIGURES if figure.run}) == 10
+    assert len(runner.calls) == len({figure.run for figure in paper_figures() if figure.run}) == 10
     assert not (tmp_path / "report.html").exists()
 
 
-@pytest.mark.usefixtures("nothing_drawn")
+@pytest.mark.usefixtures("quick_digests")
+@pytest.mark.parametrize(("table", "count"), [("table1", 1), ("table2", 12), ("table3", 6), ("table6", 6)])
+def test_a_table_alone_needs_only_its_runs(tmp_path, runner, capsys, table, count):
+    assert make_table(table, tmp_path, runner) == 0
+    assert len(runner.calls) == count
+    assert {file.name for file in (tmp_path / "tables").iterdir()} == {
+        f"{table}.{form}" for form in ("csv", "md", "tex")
+    }
+    assert (tmp_path / "tables" / f"{table}.md").read_text() in capsys.readouterr().out
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.usefixtures("quick_digests")
+def test_a_table_tells_of_the_case_that_failed(tmp_path, runner, capsys):
+    runner.failing = {"sp_5dof_linear": CaseFailedError("sp_5dof_linear, fixed parameters: exit status 1")}
+    assert make_table("table4", tmp_path, runner) == 1
+    assert set(pd.read_csv(tmp_path / "tables" / "table4.csv")["case"]) == {"sp_5dof_van_der_pol", "sp_5dof_perturbed"}
+    assert "sp_5dof_linear, fixed parameters: exit status 1" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("quick_digests")
 def test_a_failed_case_leaves_a_gap_that_the_report_tells(tmp_path, runner):
     runner.failing = {"sr_20dof_snr50": CaseFailedError("sr_20dof_snr50, fixed parameters: exit status 3")}
     assert make_paper(tmp_path, runner) == 1
@@ -146,7 +169,7 @@ def test_a_failed_case_leaves_a_gap_that_the_report_tells(tmp_path, runner):
     Checked(text)
 
 
-@pytest.mark.usefixtures("nothing_drawn")
+@pytest.mark.usefixtures("quick_digests")
 def test_values_that_are_worse_are_listed_with_a_reason(tmp_path, runner):
     runner.offset = -0.2
     make_paper(tmp_path, runner)
@@ -185,48 +208,15 @@ def test_symbols_and_escapes():
     assert number(math.nan, ".2f", "better").mark == ""
 
 
-def test_a_response_comes_back_as_it_was(paper, make_case):
-    saved = read_response(paper / "runs" / "sr_6dof_snr50_uncertain" / "response.nc")
-    case = make_case(ndof=3, samples=60)
-    np.testing.assert_array_equal(saved.estimate.response.velocity, case.estimate.response.velocity)
-    np.testing.assert_array_equal(saved.estimate.std.force, case.estimate.std.force)
-    np.testing.assert_array_equal(saved.record.acceleration, case.record.acceleration)
-    np.testing.assert_array_equal(saved.record.force, case.record.force)
-    np.testing.assert_array_equal(saved.record.observed, case.record.observed)
-    assert saved.truth is not None
-    np.testing.assert_array_equal(saved.truth.force, case.truth.response.force)
-    assert list(saved.baselines) == ["kalman_smoother"]
-
-
-def test_a_posterior_comes_back(paper):
-    run = paper / "runs" / "pe_2dof_duffing_marginal"
-    samples, units = read_posterior(run / "posterior.nc")
-    assert samples.names == ("c_1", "c_2", "k_1", "k_2", "kappa_1", "kappa_2")
-    assert samples.draws.shape == (4, 200, 6)
-    assert units["kappa"] == "N/m^3"
-    true = read_true_parameters(run / "parameters.csv")
-    assert true is not None
-    np.testing.assert_array_equal(true["kappa"], [100.0, 100.0])
-
-
-def test_a_figure_of_a_run_needs_one(tmp_path):
-    with pytest.raises(ValueError, match="figure04"):
-        draw(PAPER_FIGURES[3], None)
-    assert draw_figures({}, tmp_path, PAPER_FIGURES[3:]) == set()
-
-
-def test_the_equivalent_linear_chain_moves_differently():
-    linear = equivalent_linear("sp_5dof_linear")
-    assert linear.displacement.shape == (4096, 5)
-    assert np.isfinite(linear.displacement).all()
-    assert 0.01 < linear.displacement.std() < 1.0
+def test_a_figure_of_a_run_needs_it(tmp_path):
+    assert list(copy_figures({}, tmp_path)) == [1, 2, 3]
 
 
 def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pinn_cli.paper.making.make_runs", interrupted)
+    monkeypatch.setattr("pinn_cli.paper.commands.make_runs", interrupted)
     assert main(["figures", "--output", str(tmp_path)]) == 130
     assert "goes on" in capsys.readouterr().err
 
@@ -263,5 +253,5 @@ def test_a_browser_prints_the_report(paper, tmp_path):
     content = place.read_bytes()
     assert content.startswith(b"%PDF")
     pages = re.findall(rb"/MediaBox\s*\[\s*0\s+0\s+([\d.]+)\s+([\d.]+)\s*\]", content)
-    assert len(PAPER_FIGURES) < len(pages) < 60
+    assert len(paper_figures()) < len(pages) < 60
     assert all(float(width) > float(height) for width, height in pages)

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from types import SimpleNamespace
 
 import pytest
 
-from pinn_cli.paper import digests, runs
-from pinn_cli.paper.case_runs import CaseFailedError, overrides_of
-from pinn_cli.paper.plan import planned_runs
-from pinn_cli.paper.runs import make_runs
+from pinn_cli.paper import digests
+from pinn_cli.paper.cases import TABLES, PlannedRun, Variant, planned_runs
+from pinn_cli.paper.runs import CaseFailedError, make_runs, run_case
+from pinn_cli.runs.writing import write_json
+from pinn_cli.settings.override_syntax import quoted
 
 
 @pytest.fixture
 def planned():
-    return planned_runs()[:3]
+    return planned_runs(TABLES[1:])[:3]
 
 
 def test_every_case_once_per_variant():
     names = [run.name for run in planned_runs()]
     assert len(names) == len(set(names)) == 6 * 2 + 6 * 2 + 2 * 3
-    assert names[:2] == ["sr_6dof_snr50_uncertain", "sr_6dof_snr50_fixed"]
+    assert names[:3] == ["sr_6dof_perturbed_uncertain", "sr_6dof_snr50_uncertain", "sr_6dof_snr50_fixed"]
     assert {name.rpartition("_")[2] for name in names if name.startswith("pe_")} == {
         "marginal", "conditional", "laplace"
     }  # fmt: skip
@@ -44,7 +48,7 @@ def test_runs_that_are_up_to_date_are_not_made_again(tmp_path, runner, planned):
 def test_a_change_makes_every_run_again(tmp_path, runner, planned, monkeypatch, what):
     make_runs(planned, tmp_path, runner)
     if what == "configuration":
-        monkeypatch.setattr(runs, "overrides_of", lambda *given: [*overrides_of(*given), "seed=1"])
+        monkeypatch.setattr(PlannedRun, "overrides", ("seed=1",))
     elif what == "code":
         monkeypatch.setattr(digests, "source_digest", lambda: "another")
     else:
@@ -82,11 +86,43 @@ def test_a_failure_is_told_and_the_others_are_made(tmp_path, runner, planned, ca
 
 def test_the_smoother_is_a_variant_of_its_own(tmp_path, runner, planned):
     finished, _ = make_runs(planned[:1], tmp_path, runner)
-    ours, smoother = finished[0].estimates()
+    ours, smoother = finished[0].scores()
     assert (ours.variant, ours.seconds, ours.process_seconds) == ("uncertain", 4.0, 5.0)
     assert (smoother.variant, smoother.seconds) == ("kalman_smoother", 1.0)
     assert set(smoother.fitness["estimator"]) == {"kalman_smoother"}
     assert len(ours.fitness) == len(smoother.fitness) == 10
+
+
+def test_a_run_is_a_command_in_a_folder_of_any_name(tmp_path, monkeypatch):
+    commands = []
+    directory = tmp_path / "a folder, with = signs"
+
+    def call(command, **_):
+        commands.append(command)
+        write_json({}, directory / "run.json")
+        return SimpleNamespace(returncode=0, stdout="", stderr="")
+
+    monkeypatch.setattr(subprocess, "run", call)
+    assert run_case(planned_runs(TABLES[1:2])[1], directory) < 1.0
+    assert commands[0][:5] == [
+        sys.executable, "-m", "pinn_cli.main", "experiment=paper/sr_6dof_snr50", "scheme.parameter_uncertainty=0"
+    ]  # fmt: skip
+    assert commands[0][5] == f"hydra.run.dir='{directory}'"
+
+
+@pytest.mark.parametrize(("status", "tail"), [(0, ""), (3, "what went wrong")])
+def test_results_of_an_earlier_run_do_not_pass_for_this_one(tmp_path, monkeypatch, status, tail):
+    write_json({"seconds": {"total": 2.0}}, tmp_path / "run.json")
+    done = SimpleNamespace(returncode=status, stdout="", stderr=tail)
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: done)
+    with pytest.raises(CaseFailedError, match=rf"sr_6dof_snr50, plain: exit status {status}\n{tail}"):
+        run_case(PlannedRun("sr_6dof_snr50", Variant("plain", "plain")), tmp_path)
+
+
+def test_hydra_takes_any_folder_name():
+    parser = pytest.importorskip("hydra.core.override_parser.overrides_parser").OverridesParser.create()
+    for name in ("/a/b c", "/it's", "/x=1,2", "/back\\slash", "/a\\'b", "/end\\"):
+        assert parser.parse_override(f"hydra.run.dir={quoted(name)}").value() == name
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"digest": "d"}', '{"digest": "other", "process_seconds": 1.0}'])

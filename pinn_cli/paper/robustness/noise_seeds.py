@@ -7,45 +7,45 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from pinn_cli.paper.plan import cases_of
-from pinn_cli.paper.single_tables import FITNESS_TABLES
-from pinn_cli.paper.study.job import Job, JobResult, solve
-from pinn_cli.paper.study.results import Results, all_rows, make_results, read_results
+from pinn_cli.paper.cases import BESIDE, TABLES
+from pinn_cli.paper.robustness.realisation import Realisation, solve
+from pinn_cli.paper.robustness.scored import ScoredRealisations, read_scores, solve_missing
 from pinn_cli.report import published
 from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
+    from pinn_cli.paper.robustness.scored import Solver
+
 SEEDS = 10
-PINN = "pinn"
 KEYS = ["case", "estimator", "group", "quantity"]
+FITNESS_TABLES = tuple(table for table in TABLES if table.kind == "fitness")
 
 
-def seed_jobs() -> list[Job]:
+def seed_realisations() -> list[Realisation]:
     """Every case once with each seed; the force is the case's own, only the noise of the sensors is drawn anew."""
     return [
-        Job(f"{case}_seed{seed}", (f"experiment=paper/{case}", "baseline=kalman_smoother"), seed)
+        Realisation(f"{case}_seed{seed}", (f"experiment=paper/{case}", *BESIDE), seed)
         for table in FITNESS_TABLES
-        for case in cases_of(table)
+        for case in table.cases
         for seed in range(SEEDS)
     ]
 
 
 @dataclass(frozen=True, eq=False)
-class SeedStudy:
+class SeedScores:
     """Scores over the seeds.
 
     Attributes:
-        results: Of the jobs.
+        scored: The realisations.
         rows: One per case, seed, estimator, group and quantity (``seeds.csv``).
         parameters: One per case, seed, estimator and published parameter (``seeds_parameters.csv``).
         summary: Mean and standard deviation over the seeds, one row per `KEYS` (``summary.csv``).
         parameter_summary: The same of the parameters' errors (``summary_parameters.csv``).
     """
 
-    results: Results
+    scored: ScoredRealisations
     rows: pd.DataFrame
     parameters: pd.DataFrame
     summary: pd.DataFrame
@@ -56,32 +56,31 @@ class SeedStudy:
         """Whether there is nothing to show."""
         return self.rows.empty
 
+    @classmethod
+    def of(cls, scored: ScoredRealisations) -> SeedScores:
+        """Tables of the scores that are there."""
+        rows, parameters = (scored.rows(table) for table in ("fitness", "parameters"))
+        if rows.empty:
+            return cls(scored, rows, parameters, rows, parameters)
+        rows["error_percent"] = 100.0 - rows["fitness_percent"]
+        rows["range_error_percent"] = 100.0 - rows["range_fitness_percent"]
+        given = published.parameters()[["case", "parameter"]]
+        parameters = parameters.merge(given, on=["case", "parameter"]) if len(parameters) else parameters
+        return cls(scored, rows, parameters, _summary(rows), _parameter_summary(parameters))
 
-def make_seed_study(directory: Path, solver: Callable[[Job], JobResult] = solve) -> SeedStudy:
+
+def make_seed_scores(directory: Path, solver: Solver = solve) -> SeedScores:
     """Solve what is missing in ``<directory>/runs`` and write the tables into ``directory``."""
-    study = seed_study(make_results(seed_jobs(), directory / "runs", solver))
-    tables = (study.rows, study.parameters, study.summary, study.parameter_summary)
-    names = ("seeds", "seeds_parameters", "summary", "summary_parameters")
-    for table, name in zip(tables, names, strict=True):
+    seeds = SeedScores.of(solve_missing(seed_realisations(), directory / "runs", solver))
+    tables = {"seeds": seeds.rows, "seeds_parameters": seeds.parameters, "summary": seeds.summary}
+    for name, table in {**tables, "summary_parameters": seeds.parameter_summary}.items():
         write_table(table, directory / f"{name}.csv")
-    return study
+    return seeds
 
 
-def read_seed_study(directory: Path) -> SeedStudy:
+def read_seed_scores(directory: Path) -> SeedScores:
     """What is there and up to date, nothing solved."""
-    return seed_study(read_results(seed_jobs(), directory / "runs"))
-
-
-def seed_study(results: Results) -> SeedStudy:
-    """Tables of the results that are there."""
-    rows, parameters = (all_rows(results, table) for table in ("fitness", "parameters"))
-    if rows.empty:
-        return SeedStudy(results, rows, parameters, rows, parameters)
-    rows["error_percent"] = 100.0 - rows["fitness_percent"]
-    rows["range_error_percent"] = 100.0 - rows["range_fitness_percent"]
-    given = published.parameters()[["case", "parameter"]]
-    parameters = parameters.merge(given, on=["case", "parameter"]) if len(parameters) else parameters
-    return SeedStudy(results, rows, parameters, _summary(rows), _parameter_summary(parameters))
+    return SeedScores.of(read_scores(seed_realisations(), directory / "runs"))
 
 
 def _summary(rows: pd.DataFrame) -> pd.DataFrame:

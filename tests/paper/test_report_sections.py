@@ -1,11 +1,12 @@
-"""The studies in the report: there once their results are, and evidence for what stays behind."""
+"""Noise seeds and nonlinearity in the report: there once their results are, and evidence for what stays behind."""
 
 from __future__ import annotations
 
 import pandas as pd
+import pytest
 from fake_solver import FakeSolver
 
-from pinn_cli.paper.making import make_all, make_seeds
+from pinn_cli.paper.commands import make_all, make_seeds
 from pinn_cli.paper.shortfalls import _over_seeds
 
 
@@ -22,7 +23,7 @@ def test_other_draws_tell_luck_from_fault():
     assert "not reached" in _over_seeds(errors, {"case": "c"}, "mean", -0.5)
 
 
-def test_the_report_shows_both_studies(paper):
+def test_the_report_shows_both(paper):
     text = (paper / "report.html").read_text(encoding="utf-8")
     assert 'id="seeds_table2"' in text
     assert 'id="nonlinearity-figure"' in text
@@ -32,9 +33,10 @@ def test_the_report_shows_both_studies(paper):
     assert (paper / "nonlinearity" / "nonlinearity.pdf").exists()
 
 
-def test_a_study_alone_leaves_the_report_to_the_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("pinn_cli.paper.study.results._settings_digest", "".join)
-    monkeypatch.setattr("pinn_cli.paper.study.noise_seeds.SEEDS", 1)
+@pytest.mark.usefixtures("quick_digests")
+def test_seeds_alone_leave_the_report_to_the_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pinn_cli.paper.robustness.scored._settings_digest", "".join)
+    monkeypatch.setattr("pinn_cli.paper.robustness.noise_seeds.SEEDS", 1)
     solver = FakeSolver()
     solver.refused = {"sr_6dof_linear_seed0"}
     assert make_seeds(tmp_path, solver) == 1
@@ -46,7 +48,7 @@ def test_all_makes_the_three(tmp_path, monkeypatch):
     made = []
     for name, status in (("make_paper", 0), ("make_seeds", 1), ("make_nonlinearity", 0)):
         monkeypatch.setattr(
-            f"pinn_cli.paper.making.{name}", lambda output, n=name, s=status: made.append((n, output)) or s
+            f"pinn_cli.paper.commands.{name}", lambda output, n=name, s=status: made.append((n, output)) or s
         )
     assert make_all(tmp_path) == 1
     assert made == [(name, tmp_path) for name in ("make_paper", "make_seeds", "make_nonlinearity")]

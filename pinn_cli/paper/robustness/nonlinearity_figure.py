@@ -9,66 +9,61 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from pinn_cli.paper.plan import SMOOTHER
-from pinn_cli.paper.study.noise_seeds import PINN
+from pinn_cli.paper.cases import SMOOTHER
+from pinn_cli.paper.robustness.realisation import PINN
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.report.figures import style
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.colorbar import Colorbar
     from matplotlib.image import AxesImage
 
-TITLE = "Fitness against the strength of the nonlinearity"
-CAPTION = (
-    "Six DOFs, sensors on two, 50 dB, force and noise of {seeds} seeds. Above, fitness by the printed formula over all "
-    "DOFs, mean over the seeds, for every cubic stiffness κ and root mean square of the force: ours in large figures, "
-    "the Kalman smoother's in small ones below (a dash: no estimate); the colour is our error. Columns: a model that "
-    "is right, one that leaves the cubic spring out, and one whose parameters are 5 to 10 % off. Below, the same "
-    "errors of the displacement against how strong the nonlinearity is: the largest κ ⟨e²⟩ / k of a connection, e "
-    "being its elongation; chains with κ = 0 stand at the left edge. Where a first search from rest ends with a large "
-    "misfit, ours begins once more from the motion of the prescribed chain; the smoother begins at rest only."
-)
+    from pinn_cli.paper.robustness.nonlinearity import NonlinearityScores
+
 _TITLES = {"none": "right model", "linear": "linear model", "perturbed": "wrong values"}
 _SMALLEST, _LARGEST = 0.03, 100.0  # errors in percent, the ends of the colours
 _DARK = 3.0  # errors from here up stand on a dark ground
 
 
+def write_nonlinearity_figure(scores: NonlinearityScores, directory: Path) -> Path | None:
+    """Draw ``nonlinearity.png`` and ``.pdf``; the former's path, None where there is nothing to draw."""
+    return None if scores.empty else style.save(nonlinearity_figure(scores.summary), directory, "nonlinearity")[0]
+
+
 def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
-    """Draw the study.
+    """Draw the scores.
 
     Args:
-        summary: Of `pinn_cli.paper.study.nonlinearity.NonlinearityStudy`; cells that it lacks are left empty.
+        summary: Of `pinn_cli.paper.robustness.nonlinearity.NonlinearityScores`; cells that it lacks are left empty.
     """
     positive = summary.loc[summary["strength"] > 0.0, "strength"]
     edge = 0.3 * float(positive.min()) if len(positive) else 1e-6  # where kappa = 0 stands on a logarithmic axis
     models = [name for name in _TITLES if name in set(summary["model_error"])]
     with style.look():
         figure = Figure(figsize=(style.PAGE_WIDTH, 8.4))
-        grid = figure.add_gridspec(
-            4, len(models), left=0.11, right=0.9, top=0.955, bottom=0.065, wspace=0.07, hspace=0.13,
-            height_ratios=(1.0, 1.0, 1.0, 1.15),
-        )  # fmt: skip
+        maps = figure.add_gridspec(3, len(models), left=0.11, right=0.9, top=0.955, bottom=0.317, wspace=0.07,
+                                   hspace=0.13)  # fmt: skip
+        curves = figure.add_gridspec(1, len(models), left=0.11, right=0.9, top=0.247, bottom=0.057, wspace=0.07)
         for column, model in enumerate(models):
             of_model = summary[summary["model_error"] == model]
             for row, quantity in enumerate(RESPONSE_QUANTITIES):
-                axes = figure.add_subplot(grid[row, column])
+                axes = figure.add_subplot(maps[row, column])
                 image = _heat_map(axes, of_model[of_model["quantity"] == quantity])
                 _label_map(axes, quantity if column == 0 else "", last=row == len(RESPONSE_QUANTITIES) - 1)
                 if row == 0:
                     axes.set_title(_TITLES[model])
                 if row == 1 and column == len(models) - 1:
                     _colour_bar(figure, axes, image)
-            below = figure.add_subplot(grid[3, column])
-            _against_strength(below, of_model[of_model["quantity"] == "displacement"], edge, legend=column == 0)
-            # The maps' own labels need the room between them and the curves.
-            place = below.get_position()
-            below.set_position((place.x0, place.y0 - 0.008, place.width, place.height - 0.035))
+            axes = figure.add_subplot(curves[0, column])
+            _against_strength(axes, of_model[of_model["quantity"] == "displacement"], edge, legend=column == 0)
             if column == 0:
-                below.set_ylabel(r"error of $u$, 100 − fitness (%)")
+                axes.set_ylabel(r"error of $u$, 100 − fitness (%)")
             else:
-                below.tick_params(labelleft=False)
+                axes.tick_params(labelleft=False)
     return figure
 
 

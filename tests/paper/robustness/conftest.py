@@ -14,4 +14,4 @@ def solver() -> FakeSolver:
 @pytest.fixture(autouse=True)
 def quick_digests(monkeypatch: pytest.MonkeyPatch) -> None:
     """Composing a configuration takes a tenth of a second; true digests have tests of their own."""
-    monkeypatch.setattr("pinn_cli.paper.study.results._settings_digest", "".join)
+    monkeypatch.setattr("pinn_cli.paper.robustness.scored._settings_digest", "".join)

@@ -5,22 +5,20 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from pinn_cli.paper.comparison import GROUP_TITLES
-from pinn_cli.paper.fitness_sheet import case_title
-from pinn_cli.paper.plan import SMOOTHER, cases_of
+from pinn_cli.paper.cases import SMOOTHER
+from pinn_cli.paper.fitness_sheet import GROUP_TITLES, case_title
+from pinn_cli.paper.robustness.noise_seeds import FITNESS_TABLES, SEEDS
+from pinn_cli.paper.robustness.realisation import PINN
 from pinn_cli.paper.sheet import DASH, Cell, Mark, Row, Sheet
-from pinn_cli.paper.single_tables import FITNESS_TABLES
-from pinn_cli.paper.study.noise_seeds import PINN, SEEDS
 from pinn_cli.record.record import QUANTITIES
-from pinn_cli.report import published
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import pandas as pd
 
-    from pinn_cli.paper.single_tables import CaseTable
-    from pinn_cli.paper.study.noise_seeds import SeedStudy
+    from pinn_cli.paper.cases import CaseTable
+    from pinn_cli.paper.robustness.noise_seeds import SeedScores
 
 _TITLES = {PINN: "ours", SMOOTHER.name: SMOOTHER.title}
 NOTE = (
@@ -35,28 +33,28 @@ PARAMETER_NOTE = (
 )
 
 
-def seed_sheets(study: SeedStudy) -> list[Sheet]:
+def seed_sheets(seeds: SeedScores) -> list[Sheet]:
     """One for each of Tables 2 and 5 and one for the parameters; cases without a result are left out."""
-    if study.empty:
+    if seeds.empty:
         return []
-    sheets = [_fitness_sheet(table, study.summary) for table in FITNESS_TABLES]
-    return [*sheets, *([] if study.parameter_summary.empty else [_parameter_sheet(study.parameter_summary)])]
+    sheets = [_fitness_sheet(table, seeds.summary) for table in FITNESS_TABLES]
+    return [*sheets, *([] if seeds.parameter_summary.empty else [_parameter_sheet(seeds.parameter_summary)])]
 
 
 def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
-    given = published.fitness()
-    given = given[given["table"] == table.published]
+    given = table.values
     cells = set(zip(given["group"], given["quantity"], strict=True))
-    groups = list(dict.fromkeys(given["group"]))
-    columns = [(group, quantity) for group in groups for quantity in QUANTITIES if (group, quantity) in cells]
+    groups = {
+        group: [quantity for quantity in QUANTITIES if (group, quantity) in cells]
+        for group in dict.fromkeys(given["group"])
+    }
+    columns = [(group, quantity) for group, quantities in groups.items() for quantity in quantities]
     rows: list[Row] = []
     for case, values in given.groupby("case", sort=False):
         ours = summary[summary["case"] == case]
         if len(ours):
             rows += _case_rows(values, ours, columns)
-    spans = tuple(
-        (GROUP_TITLES.get(group, group), sum(1 for other, _ in columns if other == group)) for group in groups
-    )
+    spans = tuple((GROUP_TITLES.get(group, group), len(quantities)) for group, quantities in groups.items())
     return Sheet(
         f"seeds_{table.name}", f"{table.title}, over noise seeds", NOTE.format(seeds=_seeds(summary)),
         ("Case", "Estimate"), spans, tuple(quantity for _, quantity in columns), tuple(rows),
@@ -102,14 +100,11 @@ def spread_text(mean: float, std: float) -> str:
 
 
 def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
-    (table,) = (one for one in FITNESS_TABLES if one.published.startswith("spe"))
-    given = published.fitness()
-    titles = {case: case_title(given[given["case"] == case].iloc[0].to_dict()) for case in cases_of(table)}
     rows: list[Row] = []
-    for case, title in titles.items():
+    for case, values in FITNESS_TABLES[-1].values.groupby("case", sort=False):  # whose parameters are Tables 3 and 4
         ours = summary[summary["case"] == case]
         if len(ours):
-            rows += _parameter_rows(title, ours)
+            rows += _parameter_rows(case_title(values.iloc[0].to_dict()), ours)
     columns = ("k_2", "k_4", "kappa_2/mu_2", "kappa_4/mu_4", "Intervals (%)")
     return Sheet(
         "seeds_parameters", "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds",

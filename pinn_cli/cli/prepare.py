@@ -1,0 +1,70 @@
+"""From settings to a problem that is ready to be solved: what every command does before it estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hydra import compose, initialize_config_module
+
+from pinn_cli.runs.stages import Stages
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from omegaconf import DictConfig
+
+    from pinn_cli.cli.config import RunConfig
+    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.chain import Chain
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedProblem:
+    """What an estimator is given, and what it is scored against.
+
+    Attributes:
+        true: The system that a simulated record comes from.
+        prescribed: The model that the estimator is given.
+        record: What it may see.
+        truth: What it is scored against, and nothing else.
+        problem: What it solves.
+    """
+
+    true: Chain
+    prescribed: Chain
+    record: Record
+    truth: Truth
+    problem: Problem
+
+
+def prepare_problem(config: RunConfig, stages: Stages | None = None) -> PreparedProblem:
+    """Simulate or read the record and set up the problem.
+
+    Args:
+        config: Of the run.
+        stages: The seconds of ``system``, ``record`` and ``problem`` are added to it.
+
+    Raises:
+        InputError: A setting or a file that no run can use.
+    """
+    stages = stages or Stages()
+    with stages("system"):
+        true, prescribed = config.model_error.chains(config.chain)
+    with stages("record"):
+        measurements = config.source.measure(true)
+        record = config.observe(measurements.record)
+    with stages("problem"):
+        problem = config.scheme.problem(prescribed, record)
+    return PreparedProblem(true, prescribed, record, measurements.truth, problem)
+
+
+def compose_config(overrides: Sequence[str]) -> DictConfig:
+    """The configuration of ``pinn-run <overrides>``, without a process or a directory of its own.
+
+    Raises:
+        hydra.errors.HydraException: The overrides do not compose.
+    """
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        return compose("config", overrides=list(overrides))

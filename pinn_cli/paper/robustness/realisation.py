@@ -1,0 +1,135 @@
+"""One realisation of noise (and force) of a problem: network and smoother estimate it, and both are scored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
+from pinn_cli.report.beside import Beside, stacked
+from pinn_cli.report.fitness import fitness_table
+from pinn_cli.report.parameters import parameter_table
+from pinn_cli.runs.stages import Stages
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.estimate import RunContext
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+PINN = "pinn"
+
+
+@dataclass(frozen=True)
+class Realisation:
+    """A problem whose noise is drawn from one seed.
+
+    Attributes:
+        name: Of its file.
+        settings: As `pinn-run` takes them, without the seed.
+        seed: Of the noise, and of the force where `redraws_force`.
+        redraws_force: Whether the phases of the force are drawn anew with each seed.
+        columns: Name and value of what says in a table which realisation a row is of, beside the labels that all have.
+    """
+
+    name: str
+    settings: tuple[str, ...]
+    seed: int
+    redraws_force: bool = False
+    columns: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The settings and the seed. Seeds of single channels, such as the authors', would overrule it."""
+        force = (f"excitation.seed={self.seed}",) if self.redraws_force else ()
+        return (*self.settings, "noise.seeds=null", f"seed={self.seed}", *force)
+
+    def labels(self, strength: float) -> dict[str, float]:
+        """Its own columns, with `Scores.strength` where it has any."""
+        return {**dict(self.columns), "strength": strength} if self.columns else {}
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What was made of a realisation.
+
+    Attributes:
+        fitness: As ``fitness.csv`` of a run with a baseline, groups of several DOFs only.
+        parameters: As its ``parameters.csv``.
+        seconds: By stage: ``record`` (configuration and simulation), ``estimate``, ``baseline``, ``total``.
+        strength: The largest mean square nonlinear stiffness of a connection over its linear one, kappa rms(e)^2 / k
+            for an elongation e; NaN for chains without kappa.
+        failure: Why there is nothing of the network's, in one line; empty where there is.
+    """
+
+    fitness: pd.DataFrame
+    parameters: pd.DataFrame
+    seconds: Mapping[str, float]
+    strength: float
+    failure: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """What `from_json` reads."""
+        tables = {"fitness": self.fitness, "parameters": self.parameters}
+        rows = {name: table.astype(object).where(table.notna(), None) for name, table in tables.items()}
+        kept = {name: table.to_dict("records") for name, table in rows.items()}
+        return {**kept, "seconds": self.seconds, "strength": self.strength, "failure": self.failure}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Scores:
+        """The scores that `as_json` wrote.
+
+        Raises:
+            KeyError: Something is missing.
+        """
+        fitness, parameters = (pd.DataFrame(content[name]) for name in ("fitness", "parameters"))
+        strength = float("nan") if content["strength"] is None else float(content["strength"])
+        return cls(fitness, parameters, content["seconds"], strength, content["failure"])
+
+
+def solve(realisation: Realisation) -> Scores:
+    """Estimate a realisation in this process and score what was found.
+
+    A training that diverges is a result too: it has a `Scores.failure` and no rows.
+
+    Raises:
+        InputError: The settings are such that no run can use them.
+    """
+    stages = Stages()
+    with stages("record"):
+        config = RunConfig.read(compose_config(realisation.overrides))
+        prepared = prepare_problem(config)
+    strength = _nonlinear_strength(prepared)
+    try:
+        fitness, parameters = _scored(config, prepared, stages)
+    except DivergenceError as error:
+        return Scores(pd.DataFrame(), pd.DataFrame(), stages.seconds, strength, str(error).partition("\n")[0])
+    return Scores(fitness, parameters, stages.seconds, strength)
+
+
+def _scored(config: RunConfig, prepared: PreparedProblem, stages: Stages) -> tuple[pd.DataFrame, pd.DataFrame]:
+    record, truth, context = prepared.record, prepared.truth, RunContext(config.device, config.seed)
+    with stages("estimate"):
+        estimate = config.training.solve(prepared.problem, config.network, context)
+    with stages("baseline"):
+        smoothed = config.baseline.solve(prepared.problem, context)
+    run = config.description
+    labels = run.labels_of(PINN)
+    fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
+    parameters = parameter_table(estimate.parameters, truth.parameters, labels)
+    beside = Beside.of(run.baseline, run.labels_of(run.baseline), record, truth, smoothed)
+    if beside is not None:
+        fitness, parameters = stacked(fitness, beside.fitness), stacked(parameters, beside.parameters)
+    return fitness[~fitness["group"].str.startswith("dof_")].reset_index(drop=True), parameters
+
+
+def _nonlinear_strength(prepared: PreparedProblem) -> float:
+    """See `Scores.strength`; of the true chain and its true motion."""
+    true = prepared.truth.parameters
+    if true is None or "kappa" not in true:
+        return float("nan")
+    elongation = prepared.true.elongation(prepared.truth.response.displacement)
+    return float(np.max(true["kappa"] * np.mean(elongation**2, axis=0) / true["k"]))

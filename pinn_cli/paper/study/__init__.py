@@ -1,1 +1,0 @@
-"""Many estimates in one process: the paper's cases over noise seeds, and chains of growing nonlinearity."""
