@@ -2,53 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from math import comb
 from typing import Any
 
 import torch
 from torch import Tensor
 
-Activation = Callable[[Tensor, int], tuple[Tensor, ...]]
-"""From z and an order (0 to 3) to s(z) and its derivatives by z up to that order, each shaped like z."""
+Activation = Callable[[Tensor], Iterator[Tensor]]
+"""From z to s(z) and its first three derivatives by z, one after the other, each shaped like z."""
 
 
-def silu(z: Tensor, order: int) -> tuple[Tensor, ...]:
+def silu(z: Tensor) -> Iterator[Tensor]:
     """The sigmoid-weighted linear unit, z / (1 + exp(-z))."""
     s = torch.sigmoid(z)
     value = z * s
-    if order == 0:
-        return (value,)
+    yield value
     slope = torch.addcmul(s, s, s, value=-1.0)  # s'
-    first = torch.addcmul(s, z, slope)
-    if order == 1:
-        return value, first
+    yield torch.addcmul(s, z, slope)
     second = torch.sub(z, value, alpha=2.0).add_(2.0).mul_(slope)  # s' (2 + z - 2 s z)
-    if order == 2:
-        return value, first, second
+    yield second
     odd = 1.0 - 2.0 * s  # s'' = s' odd
-    return value, first, second, odd * (second + slope) - 2.0 * z * slope * slope
+    yield odd * (second + slope) - 2.0 * z * slope * slope
 
 
-def tanh(z: Tensor, order: int) -> tuple[Tensor, ...]:
+def tanh(z: Tensor) -> Iterator[Tensor]:
     """Hyperbolic tangent."""
     value = torch.tanh(z)
-    if order == 0:
-        return (value,)
+    yield value
     first = (value * value).neg_().add_(1.0)
-    if order == 1:
-        return value, first
+    yield first
     second = (value * first).mul_(-2.0)
-    return (value, first, second) if order == 2 else (value, first, second, -2.0 * (first * first + value * second))
+    yield second
+    yield -2.0 * (first * first + value * second)
 
 
-def sine(z: Tensor, order: int) -> tuple[Tensor, ...]:
+def sine(z: Tensor) -> Iterator[Tensor]:
     """Sine; its derivatives are as large as itself, which suits motions whose accelerations matter."""
     value = torch.sin(z)
-    if order == 0:
-        return (value,)
+    yield value
     first = torch.cos(z)
-    return (value, first, -value, -first)[: order + 1]
+    yield from (first, -value, -first)
 
 
 ACTIVATIONS: dict[str, Activation] = {"silu": silu, "tanh": tanh, "sine": sine}
@@ -81,9 +76,9 @@ class _Propagation(torch.autograd.Function):
     @staticmethod
     def forward(activation: Activation, *jet: Tensor) -> tuple[Tensor, ...]:
         value, slopes = _value_and_slopes(activation, jet)
-        rates = [_sum_of_products(slopes[: k + 1], jet[k + 1 : 0 : -1], [comb(k, i) for i in range(k + 1)])
+        rates = [_sum_of_products((slopes[i], jet[k + 1 - i], comb(k, i)) for i in range(k + 1))
                  for k in range(len(jet) - 1)]  # fmt: skip
-        return (value, *rates, *slopes)
+        return (value, *rates, *slopes)  # type: ignore[arg-type]
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
@@ -97,28 +92,24 @@ class _Propagation(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         slopes, order = _slopes(ctx), ctx.order
-        back = []
-        for j in range(order + 1):
-            pairs = [(slopes[k - j], given, comb(k, j)) for k, given in enumerate(gradients[: order + 1])
-                     if k >= j and given is not None]  # fmt: skip
-            back.append(_sum_of_products(*zip(*pairs, strict=True)) if pairs else None)
+        known = [(k, given) for k, given in enumerate(gradients[: order + 1]) if given is not None]
+        back = [_sum_of_products((slopes[k - j], given, comb(k, j)) for k, given in known if k >= j)
+                for j in range(order + 1)]  # fmt: skip
         return None, *back
 
     @staticmethod
     def jvp(ctx: Any, _: None, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:
         slopes, order = _slopes(ctx), ctx.order
-        out: list[Tensor | None] = []
-        for k in range(order + 1):
-            pairs = [(slopes[k - j], given, comb(k, j)) for j, given in enumerate(tangents[: k + 1])
-                     if given is not None]  # fmt: skip
-            out.append(_sum_of_products(*zip(*pairs, strict=True)) if pairs else None)
+        known = [(j, given) for j, given in enumerate(tangents) if given is not None]
+        out = [_sum_of_products((slopes[k - j], given, comb(k, j)) for j, given in known if j <= k)
+               for k in range(order + 1)]  # fmt: skip
         return (*out, *[None] * (order + 1))
 
 
 def _value_and_slopes(activation: Activation, jet: tuple[Tensor, ...]) -> tuple[Tensor, tuple[Tensor, ...]]:
     """s, and s' with its time derivatives, as many as the jet has entries."""
     z, *rates = jet
-    value, *slopes = activation(z, len(jet))
+    value, *slopes = islice(activation(z), len(jet) + 1)
     if rates:
         first = slopes[1] * rates[0]
         if len(rates) > 1:
@@ -134,8 +125,12 @@ def _slopes(ctx: Any) -> tuple[Tensor, ...]:
     return _value_and_slopes(ctx.activation, kept[:half])[1] if torch.is_grad_enabled() else kept[half:]
 
 
-def _sum_of_products(left: Sequence[Tensor], right: Sequence[Tensor], factors: Sequence[int]) -> Tensor:
-    total = left[0] * right[0] if factors[0] == 1 else factors[0] * left[0] * right[0]
-    for a, b, factor in zip(left[1:], right[1:], factors[1:], strict=True):
-        total = torch.addcmul(total, a, b, value=factor)
+def _sum_of_products(terms: Iterable[tuple[Tensor, Tensor, int]]) -> Tensor | None:
+    """Of two tensors and a factor each; None without any."""
+    total = None
+    for a, b, factor in terms:
+        if total is None:
+            total = a * b if factor == 1 else factor * a * b
+        else:
+            total = torch.addcmul(total, a, b, value=factor)
     return total

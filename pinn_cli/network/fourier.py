@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -56,10 +57,11 @@ class FourierNetwork(LinearReadout):
         return sample, mask, torch.arange(self.count, device=time.device)[None], tuple(features)
 
 
+@dataclass(frozen=True)
 class Fourier(NetworkDesign):
     """Fourier features up to a multiple of the record's band.
 
-    Args:
+    Attributes:
         band_margin: Highest feature frequency over the highest frequency that stands out of the noise in any channel;
             hidden DOFs and higher harmonics of a nonlinearity lie beyond what the sensors show.
         period_margin: Period over the record's length; above 1 so that nothing need be periodic.
@@ -72,25 +74,18 @@ class Fourier(NetworkDesign):
 
     name = "fourier"
 
-    def __init__(
-        self,
-        band_margin: float = 1.5,
-        period_margin: float = 1.25,
-        harmonics: int | None = None,
-        continuity: Continuity = "exact",
-    ) -> None:
-        positive_number("network.band_margin", band_margin)
-        if not is_finite_number(period_margin) or period_margin < 1:
-            raise InputError("network.period_margin", period_margin, "a number >= 1")
-        if harmonics is not None:
-            whole_number("network.harmonics", harmonics, least=1)
-        one_of("network.continuity", continuity, CONTINUITIES)
-        self.band_margin, self.period_margin, self.harmonics, self.continuity = (
-            band_margin,
-            period_margin,
-            harmonics,
-            continuity,
-        )
+    band_margin: float = 1.5
+    period_margin: float = 1.25
+    harmonics: int | None = None
+    continuity: Continuity = "exact"
+
+    def __post_init__(self) -> None:
+        positive_number("network.band_margin", self.band_margin)
+        if not is_finite_number(self.period_margin) or self.period_margin < 1:
+            raise InputError("network.period_margin", self.period_margin, "a number >= 1")
+        if self.harmonics is not None:
+            whole_number("network.harmonics", self.harmonics, least=1)
+        one_of("network.continuity", self.continuity, CONTINUITIES)
 
     def build(self, record: Record, dtype: torch.dtype = torch.float64) -> FourierNetwork:
         """See :meth:`NetworkDesign.build`."""

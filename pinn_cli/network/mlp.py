@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import get_args
 
@@ -11,12 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pinn_cli.network.activation import ACTIVATIONS, propagate
-from pinn_cli.network.base import Continuity, Network, NetworkDesign
+from pinn_cli.network.base import CONTINUITIES, Continuity, Network, NetworkDesign
 from pinn_cli.network.embedding import Embedding, EmbeddingName, embedding
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
-from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 
 # Readout weights of an embedded network, over one by the square root of the width. Hidden units that need move only a
@@ -155,10 +155,11 @@ class MlpNetwork(Network):
         return tuple(self.amplitude / self.span**q * derivative for q, derivative in enumerate(jet))
 
 
+@dataclass(frozen=True)
 class Mlp(NetworkDesign):
     """The paper's network, or a small one behind Fourier features, which trains better.
 
-    Args:
+    Attributes:
         depth: Hidden layers.
         width: Units in each; None: ``LEAST_WIDTH``, or ``UNITS_PER_DOF`` for each DOF where that is more.
         activation: ``silu`` (paper, sparse recovery), ``tanh`` (paper, elsewhere) or ``sine``.
@@ -172,22 +173,19 @@ class Mlp(NetworkDesign):
 
     name = "mlp"
 
-    def __init__(
-        self,
-        depth: int = 4,
-        width: int | None = 256,
-        activation: str = "silu",
-        continuity: Continuity = "penalised",
-        embedding: EmbeddingName = "none",
-    ) -> None:
-        self.depth = whole_number("network.depth", depth, least=1, most=MOST_LAYERS)
-        self.width = None if width is None else whole_number("network.width", width, least=1)
-        self.activation = one_of("network.activation", activation, tuple(ACTIVATIONS))
-        if continuity not in ("exact", "penalised"):
-            raise InputError("network.continuity", continuity, "exact or penalised")
-        self.continuity: Continuity = continuity
-        one_of("network.embedding", embedding, get_args(EmbeddingName))
-        self.embedding: EmbeddingName = embedding
+    depth: int = 4
+    width: int | None = 256
+    activation: str = "silu"
+    continuity: Continuity = "penalised"
+    embedding: EmbeddingName = "none"
+
+    def __post_init__(self) -> None:
+        whole_number("network.depth", self.depth, least=1, most=MOST_LAYERS)
+        if self.width is not None:
+            whole_number("network.width", self.width, least=1)
+        one_of("network.activation", self.activation, tuple(ACTIVATIONS))
+        one_of("network.continuity", self.continuity, CONTINUITIES)
+        one_of("network.embedding", self.embedding, get_args(EmbeddingName))
 
     def build(self, record: Record, dtype: torch.dtype = torch.float64, points: int | None = None) -> MlpNetwork:
         """See :meth:`NetworkDesign.build`; its weights are drawn from seed 0 until :meth:`MlpNetwork.reset`.
@@ -199,18 +197,12 @@ class Mlp(NetworkDesign):
                 :func:`pinn_cli.network.embedding.embedding`.
         """
         amplitudes = motion_amplitudes(record)
+        width = max(LEAST_WIDTH, UNITS_PER_DOF * record.ndof) if self.width is None else self.width
+        inputs = embedding(self.embedding, record, dtype, points)
         network = MlpNetwork(
-            record.ndof,
-            self.continuity,
-            self.depth,
-            max(LEAST_WIDTH, UNITS_PER_DOF * record.ndof) if self.width is None else self.width,
-            self.activation,
-            embedding(self.embedding, record, dtype, points),
-            float(record.time[0]),
-            record.duration,
-            (amplitudes["displacement"], amplitudes["velocity"]),
-            record_band(record) * record.duration,
-            dtype,
-        )
+            record.ndof, self.continuity, self.depth, width, self.activation, inputs, float(record.time[0]),
+            record.duration, (amplitudes["displacement"], amplitudes["velocity"]),
+            record_band(record) * record.duration, dtype,
+        )  # fmt: skip
         network.reset(0)
         return network

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -101,10 +102,11 @@ class SplineNetwork(LinearReadout):
         return monomials @ self.pieces[q:].to(tau.dtype) / self.spacing**q
 
 
+@dataclass(frozen=True)
 class Spline(NetworkDesign):
     """B-splines with as many knots as the record's own band asks for.
 
-    Args:
+    Attributes:
         degree: Polynomial degree; accelerations are splines of degree - 2. 5 leaves them smooth.
         knots_per_period: Knots in one period of the highest frequency that stands out of the noise in any channel;
             None: `KNOTS_PER_PERIOD`, or `REFINED_KNOTS_PER_PERIOD` where parameters are unknown.
@@ -118,30 +120,21 @@ class Spline(NetworkDesign):
 
     name = "spline"
 
-    def __init__(
-        self,
-        degree: int = 6,
-        knots_per_period: float | None = None,
-        intervals: int | None = None,
-        continuity: Continuity = "exact",
-        least_knots: float = KNOTS_PER_PERIOD,
-    ) -> None:
-        if not is_whole_number(degree) or not 3 <= degree <= 9:
-            raise InputError(
-                "network.degree", degree, "a whole number from 3 to 9", "accelerations need two derivatives"
-            )
-        if knots_per_period is not None:
-            positive_number("network.knots_per_period", knots_per_period)
-        if intervals is not None:
-            whole_number("network.intervals", intervals, least=4)
-        one_of("network.continuity", continuity, CONTINUITIES)
-        self.least_knots = least_knots
-        self.degree, self.knots_per_period, self.intervals, self.continuity = (
-            degree,
-            knots_per_period,
-            intervals,
-            continuity,
-        )
+    degree: int = 6
+    knots_per_period: float | None = None
+    intervals: int | None = None
+    continuity: Continuity = "exact"
+    least_knots: float = KNOTS_PER_PERIOD
+
+    def __post_init__(self) -> None:
+        if not is_whole_number(self.degree) or not 3 <= self.degree <= 9:
+            hint = "accelerations need two derivatives"
+            raise InputError("network.degree", self.degree, "a whole number from 3 to 9", hint)
+        if self.knots_per_period is not None:
+            positive_number("network.knots_per_period", self.knots_per_period)
+        if self.intervals is not None:
+            whole_number("network.intervals", self.intervals, least=4)
+        one_of("network.continuity", self.continuity, CONTINUITIES)
 
     def build(self, record: Record, dtype: torch.dtype = torch.float64) -> SplineNetwork:
         """See :meth:`NetworkDesign.build`."""
@@ -155,14 +148,13 @@ class Spline(NetworkDesign):
 
     def refined(self) -> Spline:
         """See :meth:`NetworkDesign.refined`."""
-        least = max(self.least_knots, REFINED_KNOTS_PER_PERIOD)
-        return Spline(self.degree, self.knots_per_period, self.intervals, self.continuity, least)
+        return replace(self, least_knots=max(self.least_knots, REFINED_KNOTS_PER_PERIOD))
 
     def finer(self, factor: float) -> Spline | None:
         """See :meth:`NetworkDesign.finer`."""
         if self.knots_per_period is not None or self.intervals is not None:
             return None
-        return Spline(self.degree, None, None, self.continuity, factor * self.least_knots)
+        return replace(self, least_knots=factor * self.least_knots)
 
     def _knots(self, record: Record) -> tuple[float, float, int]:
         """First and last knot, s, and the number of intervals.

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import islice
+
 import pytest
 import torch
 
@@ -20,7 +22,7 @@ def test_derivatives_are_those_of_autograd(name, dtype):
     for _ in range(3):
         expected.append(torch.autograd.grad(expected[-1].sum(), z, create_graph=True)[0])
     for order in range(4):
-        given = ACTIVATIONS[name](z, order)
+        given = list(islice(ACTIVATIONS[name](z), order + 1))
         assert len(given) == order + 1
         for mine, theirs in zip(given, expected[: order + 1], strict=True):
             assert mine.dtype == dtype

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 
-class InverseHessian:
-    """H, symmetric and positive definite, with H y = s after every update.
+def update(inverse: Tensor, s: Tensor, y: Tensor, curvature: float, gradient: Tensor) -> Tensor | None:
+    """Have H, symmetric and positive definite, learn from a step s and the gradient's change y along it: H y = s.
 
     The update is a member of Broyden's family (Al-Baali, Spedicato & Maggioni 2014, "Broyden's quasi-Newton methods for
     a nonlinear system of equations and unconstrained optimization"; in the form of Urban, Stefanou & Pons 2025,
@@ -17,52 +17,33 @@ class InverseHessian:
 
         H <- (H - H y y' H / y'Hy + phi v v') / tau + s s' / y's,   v = sqrt(y'Hy) (s / y's - H y / y'Hy).
 
-    tau shrinks the old H where it is too small; phi moves between BFGS (1) and DFP (0) and a little beyond.
+    tau shrinks the old H where it is too small; phi moves between BFGS (1) and DFP (0) and a little beyond. It reads H
+    once and writes it once: memory is what an update costs, 128 MB for 4000 weights.
 
     Args:
-        matrix: (n, n), changed in place: at thousands of weights it is the largest thing in memory by far.
+        inverse: H, (n, n), changed in place: at thousands of weights it is the largest thing in memory by far.
+        s: (n,), the step.
+        y: (n,), the gradient's change.
+        curvature: s' H^-1 s before the update. After a step of length alpha along -H g it is -alpha s'g.
+        gradient: (n,), at the end of the step.
+
+    Returns:
+        H times the gradient after the update; None, with H as it was, where the curvature y's is not positive.
     """
-
-    def __init__(self, matrix: Tensor) -> None:
-        self.matrix = matrix
-
-    @classmethod
-    def identity(cls, count: int, like: Tensor) -> InverseHessian:
-        """To begin with."""
-        return cls(torch.eye(count, dtype=like.dtype, device=like.device))
-
-    def __matmul__(self, vectors: Tensor) -> Tensor:
-        """H times (n,) or (n, columns)."""
-        return self.matrix @ vectors
-
-    def update(self, s: Tensor, y: Tensor, curvature: float, gradient: Tensor) -> Tensor | None:
-        """Learn from a step s and the gradient's change y along it, both (n,).
-
-        Reads H once and writes it once: memory is what an update costs, 128 MB for 4000 weights.
-
-        Args:
-            s: The step.
-            y: The gradient's change.
-            curvature: s' H^-1 s before the update. After a step of length alpha along -H g it is -alpha s'g.
-            gradient: (n,), at the end of the step.
-
-        Returns:
-            H times the gradient after the update; None, with H as it was, where the curvature y's is not positive.
-        """
-        ys = float(y @ s)
-        if not ys > torch.finfo(y.dtype).eps * float(s.norm() * y.norm()):
-            return None
-        hy, hg = (self.matrix @ torch.stack((y, gradient), dim=1)).unbind(1)
-        yhy = float(y @ hy)
-        if not (yhy > 0 and curvature > 0 and math.isfinite(yhy)):
-            return None
-        tau, phi = scaling(curvature / ys, yhy / ys, len(y))
-        on_ss = phi * yhy / (tau * ys**2) + 1.0 / ys
-        on_sy, on_yy = -phi / (tau * ys), (phi - 1.0) / (tau * yhy)
-        left = torch.stack((s, hy))
-        right = torch.stack((on_ss * s + on_sy * hy, on_sy * s + on_yy * hy))
-        self.matrix.addmm_(left.T, right, beta=1.0 / tau)
-        return hg / tau + left.T @ (right @ gradient)
+    ys = float(y @ s)
+    if not ys > torch.finfo(y.dtype).eps * float(s.norm() * y.norm()):
+        return None
+    hy, hg = (inverse @ torch.stack((y, gradient), dim=1)).unbind(1)
+    yhy = float(y @ hy)
+    if not (yhy > 0 and curvature > 0 and math.isfinite(yhy)):
+        return None
+    tau, phi = scaling(curvature / ys, yhy / ys, len(y))
+    on_ss = phi * yhy / (tau * ys**2) + 1.0 / ys
+    on_sy, on_yy = -phi / (tau * ys), (phi - 1.0) / (tau * yhy)
+    left = torch.stack((s, hy))
+    right = torch.stack((on_ss * s + on_sy * hy, on_sy * s + on_yy * hy))
+    inverse.addmm_(left.T, right, beta=1.0 / tau)
+    return hg / tau + left.T @ (right @ gradient)
 
 
 def scaling(b: float, h: float, count: int) -> tuple[float, float]:

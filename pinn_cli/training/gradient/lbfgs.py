@@ -74,7 +74,7 @@ class LbfgsSteps(Optimiser):
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
         start = objective.vector
-        if float(self._inward(start, evaluation).abs().amax()) <= self.tolerance:
+        if float(objective.projected_gradient(start, evaluation).abs().amax()) <= self.tolerance:
             return GRADIENT_VANISHED
         if evaluation.weights != self.weights:
             # Gradients of two losses say nothing about the curvature of either.
@@ -100,15 +100,10 @@ class LbfgsSteps(Optimiser):
         start, here = seen[0]
         there = here if torch.equal(point, start) else objective.move(inside)
         seen.append((inside, there))
-        gradient = self.unit * self._inward(point, there)
+        gradient = self.unit * objective.projected_gradient(point, there)
         for variable, part in zip(objective.variables, objective.split(gradient), strict=True):
             variable.grad = part.clone()
         return self.unit * there.loss.item()
-
-    def _inward(self, point: Tensor, there: Evaluation) -> Tensor:
-        """The gradient, 0 where bounds block the way down."""
-        lower, gradient = self.objective.lower, self.objective.gradient(there)
-        return gradient.masked_fill((point < lower) | ((point == lower) & (gradient > 0)), 0.0)
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Optimiser.state_dict`."""

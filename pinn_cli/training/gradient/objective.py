@@ -105,6 +105,11 @@ class Objective:
             evaluation.known_gradient = torch.cat([part.reshape(-1) for part in parts])
         return evaluation.known_gradient
 
+    def projected_gradient(self, point: Tensor, evaluation: Evaluation) -> Tensor:
+        """That gradient, 0 where a step downhill from the point (variables,) would leave the bounds at once."""
+        lower, gradient = self.lower, self.gradient(evaluation)
+        return gradient.masked_fill((point < lower) | ((point == lower) & (gradient > 0)), 0.0)
+
     @property
     def vector(self) -> Tensor:
         """(variables,), a copy."""

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
-from pinn_cli.training.gradient.inverse_hessian import InverseHessian
+from pinn_cli.training.gradient.inverse_hessian import update
 from pinn_cli.training.gradient.line_search import LineSearch, Trial
 from pinn_cli.training.gradient.objective import Evaluation, Objective
 from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER, Optimiser
@@ -69,14 +69,14 @@ class SsBroydenSteps(Optimiser):
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        self.inverse: InverseHessian | None = None
+        self.inverse: Tensor | None = None
         # Of the gradient at the end of the last step, so that the inverse Hessian need not be read again for it.
         self.product: tuple[Tensor, Tensor] | None = None
 
     def step(self, objective: Objective, evaluation: Evaluation) -> str:
         """See :meth:`Optimiser.step`."""
         line = _Line(objective, evaluation)
-        if float(line.blocked(line.gradient).abs().amax()) <= self.tolerance:
+        if float(line.projected.abs().amax()) <= self.tolerance:
             return GRADIENT_VANISHED
         found = line.search(*self._direction(line), first=self._first_step(line))
         if found is None and self.inverse is not None:
@@ -94,7 +94,7 @@ class SsBroydenSteps(Optimiser):
 
     def _direction(self, line: _Line) -> tuple[Tensor, Tensor]:
         """-H g, and g, both 0 in the variables that must not move."""
-        gradient = line.blocked(line.gradient)
+        gradient = line.projected
         while True:
             direction = torch.where(gradient == 0, gradient, -self._applied(gradient))
             further = line.at_bound & (direction < 0)
@@ -118,24 +118,23 @@ class SsBroydenSteps(Optimiser):
             ys = float(y @ s)
             if not ys > 0:
                 return
-            self.inverse = InverseHessian.identity(len(s), s)
             # The first guess has the scale of the curvature along the first step (Nocedal & Wright, eq. 6.20).
             scale = ys / float(y @ y)
-            self.inverse.matrix.mul_(scale)
+            self.inverse = torch.eye(len(s), dtype=s.dtype, device=s.device).mul_(scale)
             curvature = float(s @ s) / scale
         end = torch.where((point <= line.lower) & (end > 0), torch.zeros_like(end), end)
-        applied = self.inverse.update(s, y, curvature, end)
+        applied = update(self.inverse, s, y, curvature, end)
         self.product = None if applied is None else (end, applied)
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Optimiser.state_dict`."""
-        inverse = {} if self.inverse is None else {"inverse": self.inverse.matrix}
+        inverse = {} if self.inverse is None else {"inverse": self.inverse}
         product = {} if self.product is None else {"gradient": self.product[0], "applied": self.product[1]}
         return {**inverse, **product}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """See :meth:`Optimiser.load_state_dict`."""
-        self.inverse = InverseHessian(state["inverse"].clone()) if "inverse" in state else None
+        self.inverse = state["inverse"].clone() if "inverse" in state else None
         self.product = (state["gradient"].clone(), state["applied"].clone()) if "gradient" in state else None
 
 
@@ -145,12 +144,9 @@ class _Line:
     def __init__(self, objective: Objective, evaluation: Evaluation) -> None:
         self.objective, self.evaluation, self.gradient = objective, evaluation, objective.gradient(evaluation)
         self.start, self.lower = objective.vector, objective.lower
+        self.projected = objective.projected_gradient(self.start, evaluation)
         self.at_bound = self.start <= self.lower
         self.seen: dict[float, tuple[Tensor, Evaluation]] = {}
-
-    def blocked(self, gradient: Tensor) -> Tensor:
-        """0 where a step downhill would leave the bounds at once."""
-        return gradient.masked_fill(self.at_bound & (gradient > 0), 0.0)
 
     def search(self, direction: Tensor, gradient: Tensor, first: float) -> tuple[Trial, Tensor, Tensor] | None:
         """The accepted point, with direction and gradient; None where nothing lower lies on the line."""
