@@ -1,8 +1,12 @@
-"""What pyproject.toml cannot say: conf/ stays at the top level and is shipped as the package pinn_cli.conf."""
+"""What pyproject.toml cannot say: conf/ is shipped as pinn_cli.conf, and hydra_plugins is a namespace of Hydra's."""
 
-from setuptools import find_packages, setup
+from setuptools import find_namespace_packages, find_packages, setup
 
 setup(
-    packages=[*find_packages(include=["pinn_cli", "pinn_cli.*"]), "pinn_cli.conf"],
+    packages=[
+        *find_packages(include=["pinn_cli", "pinn_cli.*"]),
+        "pinn_cli.conf",
+        *find_namespace_packages(include=["hydra_plugins", "hydra_plugins.*"]),
+    ],
     package_dir={"pinn_cli.conf": "conf"},
 )

@@ -17,7 +17,7 @@ from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
 from pinn_cli.runs.stages import Stages
-from pinn_cli.runs.tracked import is_told
+from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Response
@@ -37,17 +37,17 @@ def run(composed: DictConfig) -> float | None:
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
         finished = resuming and is_finished(directory, composed, base)
-        config = None if finished and is_told(directory, composed) else RunConfig.read(composed, base)
+        config = None if finished and is_tracked(directory, composed) else RunConfig.read(composed, base)
     if config is None:
         if not in_sweep:
             print(f"finished before, nothing to do\n{directory}")
         return _judged(composed, directory)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.tracking.base import Job
+        from pinn_cli.tracking.base import TrackedRun
         from pinn_cli.tracking.follow import follow
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
-    job = Job(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
-    with follow(config.tracking, job, resuming) as tracked:
+    tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
+    with follow(config.tracking, tracked_run, resuming) as tracked:
         if finished:
             text = f"finished before; tracking={config.tracking.name} has it now"
         else:

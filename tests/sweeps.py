@@ -16,7 +16,7 @@ from pinn_cli.sweep.directories import job_name, swept_settings
 from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import Sweep
 
-BASIC = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"
+BASIC = "hydra_plugins.pinn_run.sweepers.BasicSweeper"
 SUBDIRECTORY = "${job_name:${hydra.overrides.task},x}"
 
 

@@ -10,7 +10,7 @@ from calls import PinnRun
 
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.record.size import MOST_STEPS, check_size
-from pinn_cli.runs.memory import ran_out
+from pinn_cli.runs.memory import is_out_of_memory
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -79,6 +79,6 @@ def test_memory_bounds_samples_dofs_and_repeats(monkeypatch) -> None:
 def test_what_libraries_say_when_memory_runs_out() -> None:
     with pytest.raises(RuntimeError) as raised:
         torch.empty(2**55)
-    assert ran_out(raised.value)
-    assert ran_out(MemoryError())
-    assert not ran_out(RuntimeError("shapes do not fit"))
+    assert is_out_of_memory(raised.value)
+    assert is_out_of_memory(MemoryError())
+    assert not is_out_of_memory(RuntimeError("shapes do not fit"))

@@ -36,7 +36,7 @@ from pinn_cli.cli.override_errors import explain
 from pinn_cli.runs import directories as run_directories
 from pinn_cli.runs.interruption import Interruption, watched
 from pinn_cli.runs.lock import held
-from pinn_cli.runs.memory import of_this_machine, ran_out
+from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
 from pinn_cli.runs.resume import StoredRun, check_sound, going_on, how_to_go_on
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep import collect, failure
@@ -49,7 +49,8 @@ log = logging.getLogger(__name__)
 Task = Callable[[DictConfig], float | None]
 
 STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_NOT_SOUND, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 4, 130, 141
-Told = InputError | DivergenceError | NotSoundError
+# Errors that a user can mend, or must know of: one line each.
+Reported = InputError | DivergenceError | NotSoundError
 HELP_WIDTH = 120
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
@@ -83,8 +84,8 @@ class Jobs:
         try:
             return self.task(config if self.stored is None else self.stored.configuration(config))
         except Exception as raised:
-            error = _told(raised)
-            if not isinstance(error, Told):
+            error = _explained(raised)
+            if not isinstance(error, Reported):
                 raise
             if isinstance(error, InputError):
                 self.unusable.append(directory)
@@ -97,20 +98,20 @@ class Jobs:
         try:
             return self.task(going_on(config))
         except Exception as error:
-            kept = failure.Failure.of(_told(error))
+            kept = failure.Failure.of(_explained(error))
             log.info("%s", kept.traceback if kept.status == failure.DEFECT else kept.reason)
             kept.write(directory)
             return None
 
-    def report(self, error: Told) -> None:
+    def report(self, error: Reported) -> None:
         """Print the error's one line and note the exit status that it asks for."""
         if self.full_error:
             traceback.print_exception(error)
         else:
-            self.tell(str(error))
+            self.print_line(str(error))
         self.status = max(self.status, failure.status_of(error))
 
-    def tell(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print one line on standard error."""
         print(f"pinn-run: {' '.join(text.split())}", file=sys.stderr)
 
@@ -141,7 +142,7 @@ def execute(task: Task) -> int:
             goes_on = f"to go on: the same command again; for what there is: {collect_command(sweep.directory)}"
         else:
             goes_on = how_to_go_on(jobs.directory) if jobs.directory else ""
-        jobs.tell(f"interrupted{f'; {goes_on}' if goes_on else ''}")
+        jobs.print_line(f"interrupted{f'; {goes_on}' if goes_on else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -149,7 +150,7 @@ def execute(task: Task) -> int:
     except Exception as error:
         _collect(jobs)
         if type(error).__name__ in LOST_WORKERS:
-            jobs.tell(
+            jobs.print_line(
                 "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
             )
             return STATUS_DEFECT
@@ -212,7 +213,7 @@ def _collect(jobs: Jobs) -> None:
     if all(job.exit_status == STATUS_INPUT for job in begun):
         jobs.unusable, jobs.status = [job.directory.absolute() for job in begun], STATUS_INPUT
         for reason in dict.fromkeys(job.reason for job in begun):
-            jobs.tell(reason)
+            jobs.print_line(reason)
         return
     collection = Collection.of(sweep, found)
     if not sweep.is_search:  # in which trials may fail
@@ -221,9 +222,9 @@ def _collect(jobs: Jobs) -> None:
     print(sweep.directory)
 
 
-def _told(error: Exception) -> Exception:
-    """The same error, or where memory ran out what a user is told."""
-    if not ran_out(error):
+def _explained(error: Exception) -> Exception:
+    """The same error, or where memory ran out one that says so in a user's words."""
+    if not is_out_of_memory(error):
         return error
     given = " ".join(HydraConfig.get().overrides.task) or "(none)"
     allowed = f"such that the run fits into memory; this machine has {of_this_machine() / 2**30:.3g} GiB"

@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import re
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from importlib.metadata import version
-from typing import NoReturn
-
-from hydra._internal.utils import get_args_parser
+from typing import Any, NoReturn
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.suggestion import suggestion
 
 _EXCLUSIVE = ("run", "multirun", "cfg", "info", "shell_completion")
+# Hydra's options, which it has no public list of: `pinn-run --hydra-help` prints them. Long name, short name, and how
+# argparse reads them; those without take no value.
+_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+_OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
+    ("--help", "-h"): {},
+    ("--hydra-help",): {},
+    ("--version",): {},
+    ("--cfg", "-c"): {"choices": ("job", "hydra", "all")},
+    ("--resolve",): {},
+    ("--package", "-p"): {"nargs": None},
+    ("--run", "-r"): {},
+    ("--multirun", "-m"): {},
+    ("--shell-completion", "-sc"): {},
+    ("--config-path", "-cp"): {"nargs": None},
+    ("--config-name", "-cn"): {"nargs": None},
+    ("--config-dir", "-cd"): {"nargs": None},
+    ("--experimental-rerun",): {"nargs": None},
+    ("--info", "-i"): {"const": "all", "nargs": "?", "choices": _INFO},
+}
 
 
 def read_options(arguments: list[str]) -> Namespace:
@@ -36,19 +53,26 @@ def read_options(arguments: list[str]) -> Namespace:
     if "--version" in given:
         print(f"pinn-run {version('pinn-cli')}")
         sys.exit(0)
-    parser = get_args_parser()
-
-    def refuse(message: str) -> NoReturn:
-        raise _refused(message, list(parser._option_string_actions))
-
-    parser.error = refuse  # type: ignore[method-assign]
-    options = parser.parse_intermixed_args(given)
+    options = _parser().parse_intermixed_args(given)
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")
     flags = [argument for argument in given if argument not in set(options.overrides)]
     arguments[1:] = [*flags, *(re.sub(r"^(?=[\w.]+=\{)", "++", override) for override in options.overrides)]
     return options
+
+
+class _Parser(ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise _refused(message, [name for names in _OPTIONS for name in names])
+
+
+def _parser() -> _Parser:
+    parser = _Parser(add_help=False)
+    parser.add_argument("overrides", nargs="*")
+    for names, settings in _OPTIONS.items():
+        parser.add_argument(*names, **(settings or {"action": "store_true"}))
+    return parser
 
 
 def _refused(message: str, known: list[str]) -> InputError:

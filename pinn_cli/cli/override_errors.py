@@ -18,19 +18,6 @@ from pinn_cli.settings.suggestion import suggestion
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# The extra of this package that brings a plugin: by the plugin's package, and by the options that it adds itself.
-_EXTRA_OF = {"hydra_submitit_launcher": "slurm", "hydra_ray_launcher": "ray"}
-_EXTRA_WITH = {"submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray", "ray_aws": "ray"}
-# What the sweeper of the extra `optuna` and Hydra say where it is not installed, and where no trial has a score: the
-# setting, its value, what is allowed and a hint.
-_NO_OPTUNA = ("hydra/sweeper", "search", "an installed sweeper", "pip install 'pinn-cli[optuna]'")
-_NO_SCORE = ("hydra/sweeper", "search", "given settings under which a trial ends with a score", "every trial failed")
-_OF_PLUGINS = {
-    "Unknown plugin class : 'hydra_plugins.hydra_optuna_sweeper.optuna_sweeper.OptunaSweeper'": _NO_OPTUNA,
-    "Record does not exist.": _NO_SCORE,
-    "No trials are completed yet.": _NO_SCORE,
-}
-
 
 def explain(
     error: BaseException, overrides: Sequence[str], config_dir: str | None, composing: bool
@@ -58,14 +45,8 @@ def explain(
             return _unknown_setting(str(key), overrides, config_dir)
         if key and isinstance(cause, OmegaConfBaseException):
             return _unresolved(str(key), cause, overrides)
-        plugin = re.match(r"Unknown plugin class : 'hydra_plugins\.(\w+)\.", str(cause))
-        if plugin and plugin[1] in _EXTRA_OF:
-            return _not_installed(_given("hydra/launcher", overrides), _EXTRA_OF[plugin[1]])
-    for cause in _chain(error):
-        if str(cause) in _OF_PLUGINS:
-            return InputError(*_OF_PLUGINS[str(cause)])
-    told = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
-    return _as_told(error, overrides) if told or (composing and type(error) is ValueError) else None
+    meant = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
+    return _in_its_words(error, overrides) if meant or (composing and type(error) is ValueError) else None
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:
@@ -80,17 +61,11 @@ def _unknown_option(error: MissingConfigException, config_dir: str | None) -> In
     group, _, option = (error.missing_cfg_file or "").rpartition("/")
     if not group:
         return InputError("--config-name", option, "the name of a config file", _first_line(error))
-    if group == "hydra/launcher" and option in _EXTRA_WITH:
-        return _not_installed(option, _EXTRA_WITH[option])
     # experiment=paper/x is told as group experiment/paper; a user types and reads it from the first folder on.
     root, _, folder = group.partition("/")
     options = sorted(option_names(root, config_dir))
     given = f"{folder}/{option}" if folder else option
     return InputError(root, given, f"one of {', '.join(options)}", suggestion(given, options))
-
-
-def _not_installed(launcher: str, extra: str) -> InputError:
-    return InputError("hydra/launcher", launcher, "an installed launcher", f"pip install 'pinn-cli[{extra}]'")
 
 
 def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> InputError:
@@ -124,7 +99,7 @@ def _unresolved(key: str, error: BaseException, overrides: Sequence[str]) -> Inp
     return InputError(key, _given(key, overrides), "of the type that Hydra expects", _first_line(error))
 
 
-def _as_told(error: BaseException, overrides: Sequence[str]) -> InputError:
+def _in_its_words(error: BaseException, overrides: Sequence[str]) -> InputError:
     """Whatever else: Hydra's own words, in one line."""
     text = _first_line(error)
     ambiguous = re.search(r"Ambiguous value for argument '([^=]+)=(.*)'", text)

@@ -67,7 +67,7 @@ class Checkpoints:
         self._random: dict[str, Any] = {}
         self._last = clock()
 
-    def begin_anew(self) -> None:
+    def start_over(self) -> None:
         """Forget what lies in the directory."""
         self.files.tidy()
         self.files.discard()

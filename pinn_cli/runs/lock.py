@@ -1,8 +1,8 @@
 """One process at a time in a run's directory, or wherever else: a second one waits until the first has ended.
 
-The operating system holds the lock for an open file (`flock`) and gives it back when the process ends, however it ends,
-so that nothing is left over from a kill. Between machines it holds where the file system's locks do: NFS, GPFS, Lustre
-mounted with `flock`. Where a file system has none, the run says so and goes on without.
+The operating system holds the lock for an open file and gives it back when the process ends, however it ends, so that
+nothing is left over from a kill. Between machines it holds where the file system's locks do: NFS, GPFS, Lustre mounted
+with `flock`. Where a file system has none, the run says so and goes on without.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ import json
 import logging
 import os
 import socket
-import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-if sys.platform != "win32":
-    import fcntl
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 log = logging.getLogger(__name__)
 
@@ -49,63 +48,44 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
         waiting: What the log is told where the process has to wait; empty: nothing.
         every_s: Seconds from one look to the next.
     """
-    descriptor = _acquire(file, waiting, every_s)
+    from filelock import FileLock  # not for --help
+
+    # No marker in place of a lock, which a kill would leave behind.
+    lock = FileLock(file, thread_local=False, fallback_to_soft=False)
     try:
+        _acquire(lock, waiting, every_s)
+    except OSError as error:
+        if error.errno not in _NONE:
+            raise
+        file.unlink(missing_ok=True)
+        log.warning("%s is on a file system without locks: have no two processes write there", file.parent)
+    try:
+        if lock.is_locked:
+            file.write_text(json.dumps(_this_process()), encoding="utf-8")
         yield
     finally:
-        if descriptor is not None:
+        if lock.is_locked:
             with suppress(OSError):  # while it is locked: whoever has opened it meanwhile finds out and opens a new one
                 file.unlink()
-            os.close(descriptor)
+            lock.release()
 
 
-def _acquire(file: Path, waiting: str, every_s: float) -> int | None:
-    """The locked file, or None where there are no locks."""
-    while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            taken = _try(descriptor)
-        except OSError as error:
-            os.close(descriptor)
-            if error.errno not in _NONE:
-                raise
-            file.unlink(missing_ok=True)
-            log.warning("%s is on a file system without locks: have no two processes write there", file.parent)
-            return None
-        if taken and _is_there(file, descriptor):
-            break
-        if not taken and waiting:
-            log.warning("%s: %s", waiting, _owner(descriptor))
-            waiting = ""
-        os.close(descriptor)
-        if not taken:
-            time.sleep(every_s)
-    os.ftruncate(descriptor, 0)
-    os.write(descriptor, json.dumps(_this_process()).encode())
-    return descriptor
+def _acquire(lock: BaseFileLock, waiting: str, every_s: float) -> None:
+    from filelock import Timeout
 
-
-def _try(descriptor: int) -> bool:
-    if sys.platform == "win32":
-        raise OSError(errno.ENOSYS, "no flock")
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        lock.acquire(blocking=False)
+    except Timeout:
+        if waiting:
+            log.warning("%s: %s", waiting, _owner(Path(lock.lock_file)))
+        lock.acquire(poll_interval=every_s)
 
 
-def _is_there(file: Path, descriptor: int) -> bool:
-    """Whether the file was not removed, by whoever held it, between its opening and its locking."""
-    try:
-        return os.path.samestat(file.stat(), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
-
-
-def _owner(descriptor: int) -> str:
+def _owner(file: Path) -> str:
     """As the owner wrote it: for a person to read, and nothing depends on it."""
-    return os.pread(descriptor, 4096, 0).decode(errors="replace") or "one that has just begun"
+    with suppress(OSError):  # it has left meanwhile
+        return file.read_text(encoding="utf-8", errors="replace") or "one that has just begun"
+    return "one that has just begun"
 
 
 def _this_process() -> dict[str, object]:

@@ -25,7 +25,7 @@ def of_this_machine() -> int:
         return _UNTOLD
 
 
-def ran_out(error: BaseException) -> bool:
+def is_out_of_memory(error: BaseException) -> bool:
     """Whether an exception says that there is no memory left: torch has none of its own for that on the CPU."""
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error) or "out of memory" in str(error)
 

@@ -21,7 +21,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
-from pinn_cli.runs.tracked import is_told
+from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError, NotSoundError
 from pinn_cli.settings.override_syntax import quoted, setting_of
 
@@ -111,8 +111,8 @@ class StoredRun:
     def finished(self) -> bool:
         """Whether there is nothing to do: it has all its results, and so has its tracker; another one was not given."""
         retracked = any(setting_of(override).partition(".")[0] == "tracking" for override in self.given)
-        told = not retracked and is_told(self.directory, self.config)
-        return told and is_finished(self.directory, self.config, self.cwd)
+        tracked = not retracked and is_tracked(self.directory, self.config)
+        return tracked and is_finished(self.directory, self.config, self.cwd)
 
     @property
     def strict(self) -> bool:

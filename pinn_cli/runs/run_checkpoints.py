@@ -45,5 +45,5 @@ def open_checkpoints(
                 allowed, hint = "a run whose checkpoint is its own", "remove checkpoint*.pt there to start over"
                 raise InputError("resume", resume, f"{allowed}, but {error}", hint) from error
             log.warning("the checkpoint in %s is of another run: training starts over; %s", directory, error)
-    checkpoints.begin_anew()
+    checkpoints.start_over()
     return checkpoints

@@ -1,1 +1,1 @@
-"""Searching settings with Hydra's Optuna sweeper: how one goes on after a kill, and a report of what it found."""
+"""Searching settings with Optuna: the loop of trials, how it goes on after a kill, and a report of what it found."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pinn_cli.report.figures import style
 from pinn_cli.runs.writing import write_table, write_text
 from pinn_cli.search.figure import search_figure
-from pinn_cli.search.study import load
+from pinn_cli.search.study import load_study
 from pinn_cli.search.table import LEADING, importance, overrides_of, trials_table
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def report_search(directory: Path) -> str:
     Returns:
         The best settings as a command, in a line or two for the terminal; empty where there is no search.
     """
-    study = load(directory)
+    study = load_study(directory)
     if study is None:
         return ""
     trials = trials_table(study, directory)

@@ -1,52 +1,43 @@
-"""The study of a search: the SQLite file in the sweep's directory that Optuna keeps its trials in."""
+"""The study of a search: the SQLite file in the sweep's directory that Optuna keeps the trials in that have ended."""
 
 from __future__ import annotations
 
 import logging
-import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from optuna.study import Study
+import optuna
+from optuna.study import Study
 
-# Optuna 2.10, all that the sweeper takes, is written for SQLAlchemy 1.4, which says so of every program that uses it.
-warnings.filterwarnings("ignore", message="Deprecated API features detected")
+from pinn_cli.settings.errors import InputError
 
 FILE, NAME = "search.db", "search"
 # Attribute of the study: the overrides that it was started with.
-MADE_OF = "overrides"
+OVERRIDES = "overrides"
 
 
-def address(directory: Path) -> str:
-    """Of the study's storage, as SQLAlchemy has it."""
-    return f"sqlite:///{directory / FILE}"
+def create_study(directory: Path) -> Study:
+    """The study in a sweep's directory, a new one where there is none."""
+    return optuna.create_study(study_name=NAME, storage=_address(directory), load_if_exists=True)
 
 
-def load(directory: Path) -> Study | None:
-    """The study in a sweep's directory; None where there is none."""
+def load_study(directory: Path) -> Study | None:
+    """The study in a sweep's directory; None where there is none.
+
+    Raises:
+        InputError: The file there is none that this release of Optuna reads.
+    """
+    optuna.logging.set_verbosity(logging.WARNING)
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of every table that Optuna makes
     if not (directory / FILE).is_file():
         return None
-    import optuna
-
-    optuna.logging.set_verbosity(logging.WARNING)
-    if NAME not in [summary.study_name for summary in optuna.get_all_study_summaries(address(directory))]:
+    try:
+        return optuna.load_study(study_name=NAME, storage=_address(directory))
+    except KeyError:  # cut off before it was made
         return None
-    return optuna.load_study(study_name=NAME, storage=address(directory))
+    except RuntimeError as error:
+        allowed = f"a directory whose {FILE} was written by this release of Optuna"
+        raise InputError("hydra.sweep.dir", directory, allowed, str(error).partition("\n")[0]) from error
 
 
-def take_up(study: Study) -> int:
-    """Put trials that were under way when the search was stopped back into its queue, with their settings.
-
-    Returns:
-        How many trials have ended.
-    """
-    from optuna.trial import TrialState
-
-    ended = 0
-    for trial in study.get_trials(deepcopy=False):
-        ended += trial.state.is_finished()
-        if trial.state == TrialState.RUNNING:
-            # Optuna has no public call for it: enqueue_trial would make another trial, and another draw after it.
-            study._storage.set_trial_state(trial._trial_id, TrialState.WAITING)
-    return ended
+def _address(directory: Path) -> str:
+    return f"sqlite:///{directory / FILE}"

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
 LEADING = ("trial", "state", "score", "seconds", "directory", "reason")
-_STATES = {"COMPLETE": "done", "FAIL": "failed", "RUNNING": "under way", "WAITING": "waiting", "PRUNED": "failed"}
 # Fewer trials than this say nothing about a setting.
 FEWEST = 5
 
 
 def overrides_of(trial: FrozenTrial) -> list[str]:
-    """The overrides of a trial's job, as the sweeper makes them."""
-    return [f"{name}={value}" for name, value in {**trial.params, **trial.user_attrs}.items()]
+    """The overrides of a trial's job."""
+    values = {**trial.params, **trial.user_attrs}
+    return [f"{name}={'null' if value is None else value}" for name, value in values.items()]
 
 
 def trials_table(study: Study, directory: Path) -> pd.DataFrame:
@@ -51,9 +51,9 @@ def _row(trial: FrozenTrial, job: Path | None, directory: Path) -> dict[str, Any
     ended = trial.state.name == "COMPLETE"
     return {
         "trial": trial.number,
-        "state": _STATES[trial.state.name],
+        "state": "done" if ended else "failed",
         "score": trial.value if ended else None,
-        "seconds": seconds if trial.state.is_finished() else None,
+        "seconds": seconds,
         "directory": None if job is None else job.relative_to(directory).as_posix(),
         "reason": None if ended else reason,
         **trial.params,

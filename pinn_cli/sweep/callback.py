@@ -1,4 +1,4 @@
-"""What Hydra tells of a sweep: where it lies, so that it can be shown and collected, and when a job of it begins."""
+"""What Hydra tells of a sweep: where it lies, so that it can be shown and collected."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, read_write
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.sweep.cores import at_once, pin
 from pinn_cli.sweep.jobs import Sweep
-from pinn_cli.sweep.launched import keep_plugins, put_in_place
 from pinn_cli.sweep.progress import Progress
 
 # The sweep that Hydra runs in this process, and what shows how far it is.
@@ -23,13 +21,8 @@ class SweepCallback(Callback):
     """Hydra builds it at every start, so nothing slow is imported above."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Note the sweep and show its progress; joblib's `n_jobs=-1` means as many as the cores can run at once."""
+        """Note the sweep and show its progress."""
         global _running  # noqa: PLW0603
-        for plugin in (config.hydra.launcher, config.hydra.sweeper):
-            put_in_place(str(plugin.get("_target_")))
-        if _is_joblib(config) and config.hydra.launcher.n_jobs == -1:
-            with read_write(config):
-                config.hydra.launcher.n_jobs = at_once(int(config.get("threads", 1)))
         with suppress(OmegaConfBaseException):  # where it is made of what only a job has, such as ${hydra.job.num}
             str(config.hydra.sweep.subdir)  # keeps the names of the swept settings for the jobs
         try:
@@ -39,16 +32,6 @@ class SweepCallback(Callback):
         progress = Progress(sweep)
         _running = sweep, progress
         progress.start()
-
-    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Give a worker of joblib its cores, and leave it what it knows of Hydra."""
-        if _is_joblib(config):
-            keep_plugins()
-            pin(int(config.hydra.launcher.n_jobs))
-
-
-def _is_joblib(config: DictConfig) -> bool:
-    return str(config.hydra.launcher.get("_target_")).endswith(".JoblibLauncher")
 
 
 def ended_sweep() -> Sweep | None:

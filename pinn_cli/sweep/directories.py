@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 import json
 import re
 from collections.abc import Collection, Iterable
@@ -18,6 +19,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.runs.identity import is_left_out
+from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 
 # File systems allow 255 bytes, of which Hydra, the tables and the figures want none; people want fewer.
@@ -29,6 +31,31 @@ _DIGEST = 8
 def parse(override: str) -> Override:
     """An override as typed (`seed=0,1`), read by Hydra's own grammar, which takes its time."""
     return OverridesParser.create().parse_override(override)
+
+
+def combinations(overrides: Iterable[str]) -> list[list[str]]:
+    """The jobs of a sweep: each setting's values with all others' values, the last one's next to each other.
+
+    Args:
+        overrides: As typed (`seed=0,1`); of those for one setting the last counts.
+
+    Returns:
+        The overrides of each job.
+
+    Raises:
+        InputError: A setting is given an interval, which has no list of values.
+    """
+    values: dict[str, list[str]] = {}
+    for override in map(parse, overrides):
+        name = override.get_key_element()
+        if not override.is_sweep_override():
+            values[name] = [f"{name}={override.get_value_element_as_str()}"]
+        elif override.is_discrete_sweep():
+            values[name] = [f"{name}={value}" for value in override.sweep_string_iterator()]
+        else:
+            given = str(override.input_line).partition("=")[2]
+            raise InputError(name, given, "a list of values, or a range", "hydra/sweeper=search draws from intervals")
+    return [list(job) for job in itertools.product(*values.values())]
 
 
 def swept_settings(overrides: Iterable[str], params: Iterable[str] = ()) -> list[str]:

@@ -1,22 +1,37 @@
-"""`hydra/launcher=joblib`: Hydra's plugin, but a worker that is killed takes only its own job along."""
+"""`hydra/launcher=joblib`: a process per job at a time, and one that is killed takes only its own job along."""
 
 from __future__ import annotations
 
 import sys
 import time
+import uuid
 from collections.abc import Sequence
+from typing import Any
 
+from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
-from hydra_plugins.hydra_joblib_launcher import joblib_launcher as plugin
+from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from pinn_cli.sweep.launched import Launched
+from pinn_cli.sweep.affinity import jobs_at_once, pin
+from pinn_cli.sweep.pending import PendingJob, Work, WorkLauncher, take_over
 
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
 
+# The sweep that this process, one of joblib's workers, has run jobs of.
+_of_sweep = ""
 
-class JoblibLauncher(plugin.JoblibLauncher):
-    """See the module."""
+
+class JoblibLauncher(WorkLauncher):
+    """See the module.
+
+    Args:
+        n_jobs: How many processes; -1: as many as the cores can run at once with the `threads` of a job.
+        settings: Of `joblib.Parallel`: `conf/hydra/launcher/joblib.yaml` lists them.
+    """
+
+    def __init__(self, n_jobs: int = -1, **settings: Any) -> None:
+        self.n_jobs, self.settings = n_jobs, settings
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run all jobs. When a worker is killed, joblib ends all: the others go on, then those that it may have been.
@@ -28,8 +43,10 @@ class JoblibLauncher(plugin.JoblibLauncher):
         Returns:
             What each job returned, in the same order; None for one that was lost.
         """
-        jobs = [Launched(self, list(overrides), initial_job_idx + n) for n, overrides in enumerate(job_overrides)]
-        suspects: list[Launched] = []
+        jobs = [
+            PendingJob(self.work, list(overrides), initial_job_idx + n) for n, overrides in enumerate(job_overrides)
+        ]
+        suspects: list[PendingJob] = []
         returns: dict[int, JobReturn] = {}
         while len(returns) + len(suspects) < len(jobs):
             left = [job for job in jobs if job not in suspects]
@@ -46,14 +63,28 @@ class JoblibLauncher(plugin.JoblibLauncher):
             returns |= self._run_alone(job)
         return [returns[number] for number in sorted(returns)]
 
-    def _run_alone(self, job: Launched) -> dict[int, JobReturn]:
+    def _run_alone(self, job: PendingJob) -> dict[int, JobReturn]:
         try:
             return self._run([job])
         except BrokenProcessPool:
             return {job.number: job.lost(_REASON)}
 
-    def _run(self, jobs: Sequence[Launched]) -> dict[int, JobReturn]:
-        if not jobs:
-            return {}
-        returned = super().launch([job.overrides for job in jobs], jobs[0].number)
+    def _run(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
+        processes, state, sweep = self._processes(), Singleton.get_state(), uuid.uuid4().hex
+        calls = (delayed(_run_job)(self.work, job.overrides, job.number, processes, state, sweep) for job in jobs)
+        # Hydra's state is the process's: threads would share it.
+        returned = Parallel(n_jobs=processes, **{**self.settings, "backend": "loky"})(calls) if jobs else []
         return dict(zip((job.number for job in jobs), returned, strict=True))
+
+    def _processes(self) -> int:
+        return jobs_at_once(int(self.work.config.get("threads", 1))) if self.n_jobs == -1 else self.n_jobs
+
+
+def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int, state: Any, sweep: str) -> JobReturn:
+    """In a worker. It takes over Hydra's state once, and not before each job: Hydra then looks for all its plugins."""
+    global _of_sweep  # noqa: PLW0603
+    if _of_sweep != sweep:
+        take_over(state)
+        _of_sweep = sweep
+    pin(processes)
+    return work.run(overrides, number, f"{work.config.hydra.job.name}_{number}")

@@ -12,20 +12,21 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.resume import RESULT
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
-from pinn_cli.sweep.directories import job_name, parse, swept_settings
+from pinn_cli.sweep.directories import combinations, job_name, parse, swept_settings
 from pinn_cli.sweep.failure import Failure
 
 STATUSES = FINISHED, FAILED, UNFINISHED, NOT_STARTED = "finished", "failed", "unfinished", "not started"
+# The sweep's configuration with its `hydra` node, in its directory.
+STORED = "multirun.yaml"
 OVERRIDES = Path(".hydra") / "overrides.yaml"
-# The package of Hydra's plugin.
-SEARCHER = "hydra_plugins.hydra_optuna_sweeper"
+# The sweepers of this package: see `hydra_plugins.pinn_run.sweepers`.
+GRID, SEARCH = "BasicSweeper", "SearchSweeper"
 # libyaml's parser, where PyYAML was built with it: a thousand files in a second less.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -87,10 +88,9 @@ class Sweep:
         """From the sweep's configuration as Hydra composed it, with its `hydra` node."""
         overrides = [str(override) for override in OmegaConf.select(config, "hydra.overrides.task") or ()]
         named = "job_name" in str(OmegaConf.to_container(config.hydra.sweep, resolve=False))
-        basic = str(config.hydra.sweeper.get("_target_")).endswith("BasicSweeper")
         params = config.hydra.sweeper.get("params") or {}
         arguments = [*(f"{name}={value}" for name, value in params.items()), *overrides]
-        jobs = BasicSweeper.split_arguments([*map(parse, arguments)], None)[0] if named and basic else []
+        jobs = combinations(arguments) if named and _sweeper(config) == GRID else []
         swept = swept_settings(arguments, map(str, params))
         expected = {job_name(job, swept): tuple(job) for job in jobs}
         return cls(directory, tuple(arguments), expected, is_search(config))
@@ -105,14 +105,14 @@ class Sweep:
         allowed = "the directory of a sweep"
         if not directory.is_dir():
             raise InputError("collect", directory, allowed, "there is no such directory")
-        stored = directory / "multirun.yaml"
+        stored = directory / STORED
         if not stored.is_file():
             hint = "this is a run's: its tables lie there already" if (directory / RESULT).is_file() else ""
-            raise InputError("collect", directory, allowed, hint or "it holds no multirun.yaml")
+            raise InputError("collect", directory, allowed, hint or f"it holds no {STORED}")
         try:
             return cls.of(OmegaConf.load(stored), directory)
         except (OSError, UnicodeError, yaml.YAMLError, OmegaConfBaseException, AttributeError) as error:
-            raise InputError("collect", directory, allowed, f"its multirun.yaml cannot be read: {error}") from error
+            raise InputError("collect", directory, allowed, f"its {STORED} cannot be read: {error}") from error
 
     @cached_property
     def fixed(self) -> set[str]:
@@ -137,7 +137,11 @@ class Sweep:
 
 def is_search(config: Any) -> bool:
     """Whether the sweep of a configuration, with its `hydra` node, is one whose jobs Optuna chooses by their scores."""
-    return str(config.hydra.sweeper.get("_target_")).startswith(SEARCHER)
+    return _sweeper(config) == SEARCH
+
+
+def _sweeper(config: Any) -> str:
+    return str(config.hydra.sweeper.get("_target_")).rpartition(".")[2]
 
 
 def job_directories(sweep: Path) -> Iterator[Path]:

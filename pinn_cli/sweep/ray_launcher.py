@@ -1,26 +1,35 @@
-"""`hydra/launcher=ray`: Hydra's plugin, but no job that is lost takes others along, and finished ones are not sent."""
+"""`hydra/launcher=ray_local` and `ray_cluster`: no lost job takes others along, and finished ones are not sent."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import ray
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
-from hydra_plugins.hydra_ray_launcher import ray_launcher as plugin
+from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep.launched import Launched, to_launch
+from pinn_cli.sweep.pending import PendingJob, Work, WorkLauncher, take_over, unfinished_jobs
 
 # The least that Ray takes, bytes: what jobs hand over is small, their results lie in files.
 _OBJECT_STORE = 75 * 2**20
 
 
-class RayLauncher(plugin.RayLauncher):
-    """See the module."""
+class RayLauncher(WorkLauncher):
+    """See the module.
+
+    Args:
+        ray: Its `init` is of `ray.init`, its `remote` of `ray.remote`: `conf/hydra/launcher/` lists the settings.
+    """
+
+    def __init__(self, ray: Any) -> None:
+        settings: Any = OmegaConf.to_container(ray, resolve=True)
+        self.init, self.remote = settings.get("init") or {}, settings.get("remote") or {}
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Have all jobs that are not finished run and wait for them.
@@ -32,43 +41,42 @@ class RayLauncher(plugin.RayLauncher):
         Returns:
             What each job returned, in the same order; None for one that was lost.
         """
-        jobs, returns = to_launch(self, job_overrides, initial_job_idx)
+        jobs, returns = unfinished_jobs(self.work, job_overrides, initial_job_idx)
         if jobs:
-            self._connect()
+            _connect(self.init)
             print(f"{len(jobs)} jobs on Ray", file=sys.stderr)
-        for job, run in [(job, self._send(job)) for job in jobs]:
-            returns[job.number] = _result(job, run)
+            send = (ray.remote(**self.remote) if self.remote else ray.remote)(_run_job).remote
+            work, state = ray.put(self.work), Singleton.get_state()
+            sent = [(job, send(work, job.overrides, job.number, state)) for job in jobs]
+            returns |= {job.number: _result(job, run) for job, run in sent}
         return [returns[number] for number in sorted(returns)]
 
-    def _connect(self) -> None:
-        from hydra_plugins.hydra_ray_launcher._launcher_util import start_ray
 
-        settings = _init(self.ray_cfg.init)
-        try:
-            start_ray(settings)
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            address = settings.get("address") or os.environ.get("RAY_ADDRESS")
-            hint = " ".join(str(error).split())
-            raise InputError("hydra.launcher.ray.init.address", address, "that of a Ray cluster", hint) from error
-
-    def _send(self, job: Launched) -> Any:
-        from hydra_plugins.hydra_ray_launcher._launcher_util import launch_job_on_ray
-
-        state = Singleton.get_state()
-        return launch_job_on_ray(self.hydra_context, self.ray_cfg.remote, job.config, self.task_function, state)
+def _run_job(work: Work, overrides: Sequence[str], number: int, state: Any) -> JobReturn:
+    take_over(state)
+    return work.run(overrides, number)
 
 
-def _init(settings: Any) -> Any:
-    """With what a Ray that is started here needs, and an existing one refuses."""
-    settings = settings.copy()
-    if settings.get("address") is None and "RAY_ADDRESS" not in os.environ and not settings.get("object_store_memory"):
-        settings.object_store_memory = _OBJECT_STORE
-    return settings
+def _connect(settings: Mapping[str, Any]) -> None:
+    """Start a Ray, or join one that runs.
+
+    Raises:
+        InputError: There is none at that address.
+    """
+    settings = dict(settings)
+    starts = settings.get("address") is None and "RAY_ADDRESS" not in os.environ
+    if starts and not settings.get("object_store_memory"):  # which a Ray that runs refuses
+        settings["object_store_memory"] = _OBJECT_STORE
+    try:
+        if not ray.is_initialized():
+            ray.init(**settings)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        address = settings.get("address") or os.environ.get("RAY_ADDRESS")
+        hint = " ".join(str(error).split())
+        raise InputError("hydra.launcher.ray.init.address", address, "that of a Ray cluster", hint) from error
 
 
-def _result(job: Launched, run: Any) -> JobReturn:
-    import ray
-
+def _result(job: PendingJob, run: Any) -> JobReturn:
     try:
         return ray.get(run)
     except ray.exceptions.RayError as error:

@@ -52,7 +52,7 @@ class QueueWatcher(AccountsWatcher):
         return {task: {"JobID": task, "State": states.get(task, FORGOTTEN)} for task in waited_for}
 
 
-def learn_states_somehow() -> None:
+def choose_watcher() -> None:
     """Have submitit ask `sacct`, or `squeue` if that does not answer."""
     if not isinstance(SlurmJob.watcher, AccountsWatcher):
         watcher = AccountsWatcher if _has_accounting() else QueueWatcher

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from pinn_cli.runs.tracked import Told
+from pinn_cli.runs.tracking_state import TrackingState
 from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking.outcome import Outcome
 
@@ -18,7 +18,7 @@ FINISHED, FAILED, INTERRUPTED = "finished", "failed", "interrupted"
 
 
 @dataclass(frozen=True)
-class Job:
+class TrackedRun:
     """The run that is tracked.
 
     Attributes:
@@ -72,12 +72,12 @@ class Tracking(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def open(self, job: Job, told: Told, known: bool) -> Tracker | None:
+    def open(self, run: TrackedRun, state: TrackingState, known: bool) -> Tracker | None:
         """Begin to track a run; None where nothing is tracked.
 
         Args:
-            job: The run.
-            told: Which tracked run it is, by its key, and how far.
+            run: The run.
+            state: Which tracked run it is, by its key, and how far.
             known: Whether there may be such a tracked run, to go on with: an earlier start may have been killed before
                 it was made, or on the way.
 

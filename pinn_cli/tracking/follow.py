@@ -15,9 +15,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from pinn_cli.runs.tracked import FILE, NONE, Told
+from pinn_cli.runs.tracking_state import FILE, NONE, TrackingState
 from pinn_cli.settings.errors import InputError
-from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, Job, Tracker, Tracking
+from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, TrackedRun, Tracker, Tracking
 from pinn_cli.tracking.outcome import Outcome, history
 
 log = logging.getLogger(__name__)
@@ -32,14 +32,18 @@ class Followed:
     Args:
         tracker: None where nothing is tracked.
         directory: Of the run.
-        told: Which tracked run it is, and how far.
+        state: Which tracked run it is, and how far.
         clock: In seconds.
     """
 
     def __init__(
-        self, tracker: Tracker | None, directory: Path, told: Told, clock: Callable[[], float] = time.monotonic
+        self,
+        tracker: Tracker | None,
+        directory: Path,
+        state: TrackingState,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.tracker, self.directory, self.told, self.clock = tracker, directory, told, clock
+        self.tracker, self.directory, self.state, self.clock = tracker, directory, state, clock
         self._waiting: list[dict[str, float]] = []
         self._flushed = clock()
         self._complained = False
@@ -47,7 +51,7 @@ class Followed:
 
     def row(self, row: Mapping[str, float]) -> None:
         """Note a row of the history; one that the tracker had before an interruption is passed over."""
-        last = self._waiting[-1]["iteration"] if self._waiting else self.told.logged
+        last = self._waiting[-1]["iteration"] if self._waiting else self.state.logged
         if self.tracker is None or row["iteration"] <= last:
             return
         self._waiting.append(dict(row))
@@ -85,8 +89,8 @@ class Followed:
             (self.directory / FILE).unlink(missing_ok=True)
 
     def _keep(self, **changes: float | bool) -> None:
-        self.told = replace(self.told, **changes)  # type: ignore[arg-type]
-        self.told.write(self.directory)
+        self.state = replace(self.state, **changes)  # type: ignore[arg-type]
+        self.state.write(self.directory)
 
     def _tried(self, call: Callable[[Tracker], None]) -> bool:
         if self.tracker is None:
@@ -95,28 +99,28 @@ class Followed:
             call(self.tracker)
         except Exception as error:
             if not self._complained:
-                log.warning("tracking=%s: %s; the run goes on", self.told.tracking, str(error).partition("\n")[0])
+                log.warning("tracking=%s: %s; the run goes on", self.state.tracking, str(error).partition("\n")[0])
             self._complained = True
             return False
         return True
 
 
 @contextmanager
-def follow(tracking: Tracking, job: Job, resuming: bool) -> Iterator[Followed]:
+def follow(tracking: Tracking, run: TrackedRun, resuming: bool) -> Iterator[Followed]:
     """Track what happens in the block, and how it ends.
 
     Args:
         tracking: Where.
-        job: The run.
+        run: The run.
         resuming: Whether it may go on with the tracked run that its directory names, if that is of the same settings.
 
     Raises:
         InputError: The tracker cannot be reached.
     """
-    before = Told.read(job.directory)
+    before = TrackingState.read(run.directory)
     before = before if before is not None and before.tracking == tracking.name else None
-    known = resuming and before is not None and before.configuration == job.configuration
-    followed = _opened(tracking, job, before if known else None)
+    known = resuming and before is not None and before.configuration == run.configuration
+    followed = _opened(tracking, run, before if known else None)
     if before is not None and not known:
         with suppress(Exception):
             tracking.abandon(before.key)
@@ -137,17 +141,18 @@ def follow(tracking: Tracking, job: Job, resuming: bool) -> Iterator[Followed]:
     followed.end(FINISHED)
 
 
-def _opened(tracking: Tracking, job: Job, before: Told | None) -> Followed:
+def _opened(tracking: Tracking, run: TrackedRun, before: TrackingState | None) -> Followed:
     """The tracked run that the directory names, or a new one, whose key is written down before it is made."""
-    told = Told(tracking.name, job.configuration, uuid.uuid4().hex) if before is None else replace(before, ended=False)
+    new = TrackingState(tracking.name, run.configuration, uuid.uuid4().hex)
+    state = new if before is None else replace(before, ended=False)
     if tracking.name != NONE:
-        told.write(job.directory)
+        state.write(run.directory)
     try:
-        tracker = tracking.open(job, told, before is not None)
+        tracker = tracking.open(run, state, before is not None)
     except InputError:
         if before is None and tracking.name != NONE:
-            (job.directory / FILE).unlink(missing_ok=True)
+            (run.directory / FILE).unlink(missing_ok=True)
         raise
     if tracker is not None and tracker.logged is not None:
-        told = replace(told, logged=tracker.logged)
-    return Followed(tracker, job.directory, told)
+        state = replace(state, logged=tracker.logged)
+    return Followed(tracker, run.directory, state)

@@ -12,10 +12,10 @@ from sqlite3 import connect
 from typing import TYPE_CHECKING, TypeVar
 
 from pinn_cli.runs.lock import locked
-from pinn_cli.runs.tracked import NOTHING, Told
+from pinn_cli.runs.tracking_state import NOTHING, TrackingState
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
-from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, Job, Tracker, Tracking, require
+from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, TrackedRun, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -71,18 +71,18 @@ class MlflowTracking(Tracking):
         beside = None if self.database is None else self.database.with_name(f"{self.database.stem}-artifacts")
         self.artifacts = beside if artifacts is None else start / artifacts
 
-    def open(self, job: Job, told: Told, known: bool) -> MlflowTracker:
+    def open(self, tracked: TrackedRun, state: TrackingState, known: bool) -> MlflowTracker:
         """See :meth:`Tracking.open`."""
         try:
             client, experiment = self._connected()
-            found = _patiently(lambda: _found(client, told.key)) if known else None
+            found = _patiently(lambda: _found(client, state.key)) if known else None
             if found is None:
-                run, params, logged = self._new(client, experiment, job, told.key), {}, NOTHING
+                run, params, logged = self._new(client, experiment, tracked, state.key), {}, NOTHING
             else:
                 run, params = found.info.run_id, found.data.params
                 logged = _last_row(client, run)
                 _patiently(lambda: client.update_run(run, status="RUNNING"))
-            _log_params(client, run, job.settings, params)
+            _log_params(client, run, tracked.settings, params)
             return MlflowTracker(client, run, self.files, logged)
         except Exception as error:
             hint = str(error).partition("\n")[0]
@@ -126,9 +126,9 @@ class MlflowTracking(Tracking):
 
         return _patiently(lambda: MlflowClient(tracking_uri=uri or self.uri))
 
-    def _new(self, client: MlflowClient, experiment: str, job: Job, key: str) -> str:
-        tags = {**{n: str(v) for n, v in job.labels.items()}, "directory": str(job.directory), KEY: key}
-        return str(_patiently(lambda: client.create_run(experiment, tags=tags, run_name=job.name)).info.run_id)
+    def _new(self, client: MlflowClient, experiment: str, tracked: TrackedRun, key: str) -> str:
+        tags = {**{n: str(v) for n, v in tracked.labels.items()}, "directory": str(tracked.directory), KEY: key}
+        return str(_patiently(lambda: client.create_run(experiment, tags=tags, run_name=tracked.name)).info.run_id)
 
     def _experiment(self, client: MlflowClient) -> str:
         found = _patiently(lambda: client.get_experiment_by_name(self.experiment))

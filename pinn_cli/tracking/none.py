@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pinn_cli.runs.tracked import NONE, Told
-from pinn_cli.tracking.base import Job, Tracking
+from pinn_cli.runs.tracking_state import NONE, TrackingState
+from pinn_cli.tracking.base import TrackedRun, Tracking
 
 
 class NoTracking(Tracking):
@@ -11,6 +11,6 @@ class NoTracking(Tracking):
 
     name = NONE
 
-    def open(self, job: Job, told: Told, known: bool) -> None:
+    def open(self, run: TrackedRun, state: TrackingState, known: bool) -> None:
         """Nothing to open."""
         return

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from pinn_cli.runs.lock import FILE as LOCK
-from pinn_cli.runs.tracked import FILE as TOLD
+from pinn_cli.runs.tracking_state import FILE as TOLD
 
 # Not copied: what only this program reads, and is large or gone when the run is, and what other trackers wrote.
 LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", TOLD, LOCK, "tensorboard", "chains")

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.runs.tracked import NOTHING, Told
+from pinn_cli.runs.tracking_state import NOTHING, TrackingState
 from pinn_cli.settings.errors import InputError
-from pinn_cli.tracking.base import Job, Tracker, Tracking, require
+from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -36,10 +36,10 @@ class TensorboardTracking(Tracking):
             raise InputError("tracking.directory", directory, "null or a folder")
         self.directory = None if directory is None else (base or Path()).absolute() / directory
 
-    def open(self, job: Job, told: Told, known: bool) -> TensorboardTracker:
+    def open(self, run: TrackedRun, state: TrackingState, known: bool) -> TensorboardTracker:
         """See :meth:`Tracking.open`."""
-        known = known and told.logged > NOTHING  # there may be less than the settings otherwise
-        place = job.directory / FOLDER if self.directory is None else self.directory / job.name
+        known = known and state.logged > NOTHING  # there may be less than the settings otherwise
+        place = run.directory / FOLDER if self.directory is None else self.directory / run.name
         try:
             place.mkdir(parents=True, exist_ok=True)
             from torch.utils.tensorboard import SummaryWriter
@@ -48,11 +48,11 @@ class TensorboardTracking(Tracking):
                 for events in place.glob("events.out.tfevents.*"):  # of a run that this one replaces
                     events.unlink()
             # A reader passes over what lies there of later rows: those that were written, but not noted, before a kill.
-            writer = SummaryWriter(log_dir=str(place), purge_step=int(told.logged) + 1 if known else None)
+            writer = SummaryWriter(log_dir=str(place), purge_step=int(state.logged) + 1 if known else None)
         except OSError as error:
             hint = f"{place}: {error.strerror}"
             raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
-        tracker = TensorboardTracker(writer, place, job)
+        tracker = TensorboardTracker(writer, place, run)
         if not known:
             tracker.settings()
         return tracker
@@ -61,12 +61,12 @@ class TensorboardTracking(Tracking):
 class TensorboardTracker(Tracker):
     """One folder of event files."""
 
-    def __init__(self, writer: SummaryWriter, place: Path, job: Job) -> None:
-        self.writer, self.place, self.job = writer, place, job
+    def __init__(self, writer: SummaryWriter, place: Path, run: TrackedRun) -> None:
+        self.writer, self.place, self.run = writer, place, run
 
     def settings(self) -> None:
         """Note them as text."""
-        table = ["| setting | value |", "| --- | --- |", *(f"| {n} | {v} |" for n, v in self.job.settings.items())]
+        table = ["| setting | value |", "| --- | --- |", *(f"| {n} | {v} |" for n, v in self.run.settings.items())]
         self.writer.add_text("settings", "\n".join(table))
         self.writer.flush()
 
@@ -86,7 +86,7 @@ class TensorboardTracker(Tracker):
 
         metrics = {f"results/{name}": value for name, value in outcome.metrics.items()}
         # SummaryWriter.add_hparams would make another run of them, beside this one.
-        for summary in hparams(dict(self.job.settings), metrics):
+        for summary in hparams(dict(self.run.settings), metrics):
             self.writer._get_file_writer().add_summary(summary)
         for name, value in metrics.items():
             self.writer.add_scalar(name, value, 0)

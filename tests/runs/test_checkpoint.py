@@ -128,7 +128,7 @@ HARM = {
 
 
 @pytest.mark.parametrize("harm", HARM.values(), ids=HARM.keys())
-def test_a_damaged_file_is_told_in_one_line_and_the_previous_is_used(harm, tmp_path, monkeypatch, caplog):
+def test_a_damaged_file_is_tracked_in_one_line_and_the_previous_is_used(harm, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     files = CheckpointFiles(tmp_path)
     good, last = sealed({"number": 1}), sealed({"number": 2})
@@ -182,7 +182,7 @@ def test_what_a_killed_process_left_half_written_is_removed(tmp_path):
     (tmp_path / "figures").mkdir()
     for name in (".checkpoint.123.partial.pt", ".fitness.7.partial.csv", "figures/.response.7.partial.png", "mine.txt"):
         (tmp_path / name).write_text("half")
-    checkpoints(tmp_path).begin_anew()
+    checkpoints(tmp_path).start_over()
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["figures", "mine.txt"]
 
 

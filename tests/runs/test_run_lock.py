@@ -9,11 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from calls import PinnRun
+from filelock import FileLock
 
 from pinn_cli.runs import lock as run_lock
 from pinn_cli.runs.lock import FILE, held
@@ -83,24 +83,22 @@ def test_many_come_in_one_by_one(tmp_path: Path, monkeypatch) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, caplog) -> None:
-    def refuse(descriptor: int) -> bool:
+def test_a_file_system_without_locks_is_tracked_of(tmp_path: Path, monkeypatch, caplog) -> None:
+    def refuse(lock: FileLock, **_: object) -> None:
         raise OSError(errno.ENOLCK, "no locks available")
 
-    monkeypatch.setattr(run_lock, "_try", refuse)
+    monkeypatch.setattr(FileLock, "acquire", refuse)
     with held(tmp_path):
         assert not list(tmp_path.iterdir())
     assert "file system without locks" in caplog.text
 
 
-def test_a_run_waits_for_the_one_in_its_directory(tmp_path: Path, monkeypatch, pinn_run: PinnRun) -> None:
-    directory = tmp_path / "run"
-    directory.mkdir()
+def test_a_run_waits_for_the_one_in_its_directory(other, tmp_path: Path, monkeypatch, pinn_run: PinnRun) -> None:
+    monkeypatch.setattr(run_lock, "EVERY_S", 0.02)
+    monkeypatch.setattr(run_lock, "_owner", lambda file: other.terminate())  # asked for once, when it has to wait
     seen: list[bool] = []
-    with ExitStack() as first:
-        first.enter_context(held(directory))
-        monkeypatch.setattr(run_lock.time, "sleep", lambda seconds: (seen.append(True), first.close()))
-        done = pinn_run("hydra.run.dir=run", task=lambda config: seen.append((directory / FILE).is_file()))
-    assert (done.status, seen) == (0, [True, True])
+    done = pinn_run(f"hydra.run.dir={tmp_path}", task=lambda config: seen.append((tmp_path / FILE).is_file()))
+    assert other.wait() == -signal.SIGTERM
+    assert (done.status, seen) == (0, [True])
     assert "waiting for another process to leave" in done.err
-    assert not (directory / FILE).exists()
+    assert not (tmp_path / FILE).exists()

@@ -14,7 +14,7 @@ import pytest
 from calls import SMALL
 from sweeps import start
 
-pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="the extra optuna is not installed")
+pytest.importorskip("optuna", reason="the extra optuna is not installed")
 pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
 
 TRIALS, KILLS = 6, 5

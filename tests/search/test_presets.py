@@ -21,10 +21,10 @@ def sweeper_of(preset: str) -> DictConfig:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_draw_is_a_configuration(composed: Compose, preset: str) -> None:
-    from hydra_plugins.hydra_optuna_sweeper._impl import create_params_from_overrides
+    from pinn_cli.search.space import read_space
 
     params = sweeper_of(preset).params
-    space, fixed = create_params_from_overrides([f"{name}={value}" for name, value in params.items()])
+    space, fixed = read_space([f"{name}={value}" for name, value in params.items()])
     assert not fixed
     assert set(space) == set(params)
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))

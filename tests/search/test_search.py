@@ -1,4 +1,4 @@
-"""Searches by Hydra's Optuna sweeper: what they write, failed trials, and going on after a stop."""
+"""Searches: what they write, failed trials, and going on after a stop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 
 from pinn_cli.settings.errors import DivergenceError
 
-pytest.importorskip("hydra_plugins.hydra_optuna_sweeper", reason="the extra optuna is not installed")
+pytest.importorskip("optuna", reason="the extra optuna is not installed")
 
 SPACE = ("network.knots_per_period=interval(2.0,8.0)", "network.degree=choice(3,4,6)")
 # A directory of its own for each job, whichever start of the search it belongs to.
@@ -132,11 +132,9 @@ def test_the_first_trial_is_as_configured(pinn_run: PinnRun, tmp_path: Path) -> 
     ],
 )
 def test_what_may_be_drawn(space: str, value: object, drawn: object) -> None:
-    from hydra_plugins.hydra_optuna_sweeper._impl import create_params_from_overrides
+    from pinn_cli.search.space import read_space, within
 
-    from pinn_cli.search.sampler import within
-
-    found = within(create_params_from_overrides([f"x={space}"])[0]["x"], value)
+    found = within(read_space([f"x={space}"])[0]["x"], value)
     assert found == drawn
     assert isinstance(found, bool) == isinstance(drawn, bool)
 
@@ -182,12 +180,6 @@ def test_a_search_without_any_score_says_so(pinn_run: PinnRun) -> None:
     outcome = pinn_run("--multirun", "hydra/sweeper=search", "validation=heldout", *overrides, task=score)
     assert outcome.status == 2
     assert outcome.err.splitlines()[-1].endswith("every trial failed")
-
-
-def test_the_sweepers_own_preset_is_kept_too(pinn_run: PinnRun, tmp_path: Path) -> None:
-    overrides = ["validation=heldout", *SPACE, "hydra.sweeper.n_trials=4", "hydra.sweep.dir=found"]
-    pinn_run("--multirun", "hydra/sweeper=optuna", *overrides, task=score)
-    assert len(read(tmp_path)) == 4
 
 
 def test_a_preset_of_real_runs(pinn_run: PinnRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

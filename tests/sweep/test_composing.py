@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 from hydra import initialize_config_module
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import HydraException
 from hydra.types import RunMode
@@ -21,8 +20,8 @@ def loaders(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Hydra's and ours, both new, with nothing composed yet."""
     monkeypatch.setattr(composing, "_composed", {})
     with initialize_config_module("conf", version_base="1.3"):
-        path = GlobalHydra.instance().config_loader().get_search_path()
-        yield ConfigLoaderImpl(path), JobLoader(path)
+        hydras = GlobalHydra.instance().config_loader()
+        yield hydras, JobLoader(hydras)
 
 
 def _both(loaders: Any, sweep: list[str], *jobs: list[str]) -> list[tuple[Any, Any]]:
@@ -61,8 +60,8 @@ SCHEMES = ("scheme=sparse_recovery", "scheme=bayesian")
 
 def test_only_what_is_not_a_number_is_composed_again(loaders: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     composed = []
-    load = ConfigLoaderImpl.load_sweep_config
-    monkeypatch.setattr(ConfigLoaderImpl, "load_sweep_config", lambda *given: composed.append(given[2]) or load(*given))
+    load = loaders[0].load_sweep_config
+    monkeypatch.setattr(loaders[0], "load_sweep_config", lambda *given: composed.append(given[1]) or load(*given))
     jobs = [[f"seed={seed}", f"noise.snr_db={db}", scheme] for seed in (0, 1) for db in (50, 20) for scheme in SCHEMES]
     master = loaders[0].load_configuration("config", [], run_mode=RunMode.MULTIRUN)
     for job in jobs:

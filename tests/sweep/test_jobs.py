@@ -32,7 +32,7 @@ def test_jobs_of_an_earlier_sweep_in_that_directory_follow(tmp_path: Path) -> No
 def test_a_sweeper_that_keeps_its_jobs_to_itself(tmp_path: Path) -> None:
     made_sweep(tmp_path, ["seed=0,1"], {"seed=1": "x\n3\n"})
     stored = tmp_path / "multirun.yaml"
-    stored.write_text(stored.read_text().replace("BasicSweeper", "OptunaSweeper"))
+    stored.write_text(stored.read_text().replace("BasicSweeper", "SearchSweeper"))
     assert [job.directory.name for job in Sweep.read(tmp_path).jobs()] == ["seed=1"]
 
 

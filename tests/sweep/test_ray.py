@@ -30,7 +30,7 @@ Start = Callable[..., "subprocess.Popen[bytes]"]
 @pytest.fixture
 def start(tmp_path: Path) -> Start:
     """Start a sweep in a namespace of its own; without one the test is skipped, with the reason."""
-    pytest.importorskip("hydra_plugins.hydra_ray_launcher", reason="not installed: pip install 'pinn-cli[ray]'")
+    pytest.importorskip("ray", reason="not installed: pip install 'pinn-cli[ray]'")
     for program in ("unshare", "ip"):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed, and without a network namespace Ray would listen everywhere")

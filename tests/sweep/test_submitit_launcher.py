@@ -16,7 +16,7 @@ from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 from omegaconf import DictConfig
 
-pytest.importorskip("hydra_plugins.hydra_submitit_launcher", reason="not installed: pip install 'pinn-cli[slurm]'")
+pytest.importorskip("submitit", reason="not installed: pip install 'pinn-cli[slurm]'")
 
 from submitit import SlurmJob as SubmititJob
 from submitit.core.utils import UncompletedJobError
@@ -24,8 +24,8 @@ from submitit.slurm.slurm import SlurmInfoWatcher
 
 from pinn_cli.main import run
 from pinn_cli.sweep import submitit_launcher
-from pinn_cli.sweep.cores import at_once
-from pinn_cli.sweep.slurm_states import QueueWatcher, learn_states_somehow
+from pinn_cli.sweep.affinity import jobs_at_once
+from pinn_cli.sweep.slurm_states import QueueWatcher, choose_watcher
 from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
@@ -47,8 +47,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> Steps:
 @pytest.fixture
 def worker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[DictConfig], list[Any]]]:
     """Runs a job as a task of SLURM does, with the handlers that submitit sets before."""
-    (of_plugin,) = submitit_launcher._Launcher.__bases__  # Hydra loads plugins anew: not the class of that name
-    monkeypatch.setattr(of_plugin, "__call__", lambda launcher, config: run(config))
+    monkeypatch.setattr(SlurmLauncher, "_run", lambda launcher, config: run(config))
     mine = {signal.SIGUSR2: lambda number, frame: sys.exit(REQUEUED), signal.SIGTERM: signal.SIG_IGN}
     before = {number: signal.signal(number, handler) for number, handler in mine.items()}
     yield lambda config: SlurmLauncher(jobs_per_task=1)([(config,)])
@@ -91,7 +90,7 @@ def test_a_training_that_is_warned_writes_a_checkpoint_and_goes_on(pinn_run: Pin
     ],
 )
 def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkeypatch) -> None:
-    monkeypatch.setattr(submitit_launcher, "at_once", lambda threads: 2 // threads)
+    monkeypatch.setattr(submitit_launcher, "jobs_at_once", lambda threads: 2 // threads)
     jobs = [SimpleNamespace(number=number) for number in range(5)]
     assert [[job.number for job in batch] for batch in launcher._batches(jobs)] == batches
 
@@ -183,7 +182,7 @@ def test_tasks_of_a_killed_launcher_are_waited_for(resume: tuple[str, ...], sent
 
     def queued(folder: str, task: str) -> SlurmJob:
         assert folder == "sweep/.submitit/%j"
-        calls = [([*SMALL, *resume, f"seed={seed}"], "hydra.sweep.dir", seed) for seed in jobs_of[task]]
+        calls = [([*SMALL, *resume, f"seed={seed}"], seed, {}) for seed in jobs_of[task]]
         job = SlurmJob("TIMEOUT")
         job.job_id, job.submission = task, lambda: SimpleNamespace(args=(calls,))
         job.paths.result_pickle = tmp_path / f"{task}_0_result.pkl"
@@ -210,7 +209,9 @@ def test_tasks_of_a_killed_launcher_are_waited_for(resume: tuple[str, ...], sent
 
 
 @pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])
-def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, pinn_run, tmp_path, monkeypatch) -> None:
+def test_a_slurm_that_is_not_there_or_refuses_is_tracked_in_one_line(
+    answer: str, pinn_run, tmp_path, monkeypatch
+) -> None:
     programs = tmp_path / "bin"
     programs.mkdir()
     for name in ("srun", "sbatch") if answer else ():
@@ -250,7 +251,7 @@ def test_states_of_tasks(accounts: bool, tmp_path: Path, monkeypatch) -> None:
         (tmp_path / name).write_text(f"#!/bin/sh\n{answer}\n")
         (tmp_path / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
-    learn_states_somehow()
+    choose_watcher()
     assert isinstance(SubmititJob.watcher, QueueWatcher) is not accounts
     tasks = [SubmititJob(tmp_path, task) for task in STATES]
     assert [task.done() for task in tasks] == [done for _, done in STATES.values()]
@@ -265,7 +266,7 @@ def test_an_option_of_sbatch_can_be_left_out(monkeypatch) -> None:
     given: dict[str, Any] = {}
     executor = SimpleNamespace(update_parameters=given.update)
     monkeypatch.setattr(submitit_launcher.submitit, "AutoExecutor", lambda **init: executor)
-    monkeypatch.setattr(submitit_launcher, "learn_states_somehow", lambda: None)
+    monkeypatch.setattr(submitit_launcher, "choose_watcher", lambda: None)
     SlurmLauncher(submitit_folder="x", additional_parameters={"requeue": False, "mail-type": "END"})._executor()
     assert given == {"slurm_additional_parameters": {"mail-type": "END"}}
 
@@ -277,6 +278,6 @@ def test_processes_of_this_machine(pinn_run: PinnRun, tmp_path: Path) -> None:
     assert done.status == 0, done.err
     assert "3 jobs: 3 finished" in done.out
     tasks = {file.parent.name for file in tmp_path.glob("sweep/.submitit/*/*_submitted.pkl")}
-    assert len(tasks) == min(3, at_once(1))
+    assert len(tasks) == min(3, jobs_at_once(1))
     assert pinn_run(*sweep).status == 0
     assert {file.parent.name for file in tmp_path.glob("sweep/.submitit/*/*_submitted.pkl")} == tasks

@@ -14,9 +14,9 @@ import pytest
 from calls import PinnRun
 from interrupted_runs import ADAM, Steps, assert_same_numbers, without_figures
 
-from pinn_cli.runs.tracked import FILE, Told
+from pinn_cli.runs.tracking_state import FILE, TrackingState
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.tracking.base import Job, Tracker, Tracking, require
+from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
 from pinn_cli.tracking.follow import Followed, follow
 from pinn_cli.tracking.none import NoTracking
 from pinn_cli.tracking.outcome import Outcome
@@ -52,11 +52,11 @@ class Noting(Tracking):
         self.keys: list[str] = []
         self.abandoned: list[str] = []
 
-    def open(self, job: Job, told: Told, known: bool) -> Notes:
-        assert Told.read(job.directory) == told, "a kill from here on would leave an orphan"
+    def open(self, job: TrackedRun, state: TrackingState, known: bool) -> Notes:
+        assert TrackingState.read(job.directory) == state, "a kill from here on would leave an orphan"
         self.opened.append(Notes())
         self.known.append(known)
-        self.keys.append(told.key)
+        self.keys.append(state.key)
         return self.opened[-1]
 
     def abandon(self, key: str) -> None:
@@ -64,12 +64,12 @@ class Noting(Tracking):
 
 
 @pytest.fixture
-def job(tmp_path: Path) -> Job:
-    return Job(tmp_path, "case/run", {"seed": "0"}, {"case": "case"}, "of these settings")
+def job(tmp_path: Path) -> TrackedRun:
+    return TrackedRun(tmp_path, "case/run", {"seed": "0"}, {"case": "case"}, "of these settings")
 
 
-def noted(job: Job, notes: Notes, clock: Callable[[], float]) -> Followed:
-    return Followed(notes, job.directory, Told("noting", job.configuration, "a1"), clock)
+def noted(job: TrackedRun, notes: Notes, clock: Callable[[], float]) -> Followed:
+    return Followed(notes, job.directory, TrackingState("noting", job.configuration, "a1"), clock)
 
 
 def row(iteration: int) -> dict[str, float]:
@@ -87,7 +87,7 @@ def row(iteration: int) -> dict[str, float]:
     ],
     ids=["done", "diverged", "a defect", "interrupted", "unusable"],
 )
-def test_how_it_ends(job: Job, error: BaseException | None, told: tuple[object, ...]) -> None:
+def test_how_it_ends(job: TrackedRun, error: BaseException | None, told: tuple[object, ...]) -> None:
     tracking = Noting()
     with contextlib.suppress(BaseException), follow(tracking, job, resuming=False) as tracked:
         tracked.row(row(1))
@@ -97,7 +97,7 @@ def test_how_it_ends(job: Job, error: BaseException | None, told: tuple[object, 
     assert (job.directory / FILE).exists() == (told != ("forget",))
 
 
-def test_a_run_that_goes_on_is_the_same_tracked_run_and_no_row_comes_twice(job: Job) -> None:
+def test_a_run_that_goes_on_is_the_same_tracked_run_and_no_row_comes_twice(job: TrackedRun) -> None:
     tracking = Noting()
     with contextlib.suppress(KeyboardInterrupt), follow(tracking, job, resuming=False) as tracked:
         for iteration in (1, 2, 3):
@@ -115,7 +115,7 @@ def test_a_run_that_goes_on_is_the_same_tracked_run_and_no_row_comes_twice(job: 
     assert tracking.opened[1].told[0] == ("rows", [4])
 
 
-def test_a_run_of_other_settings_is_another_tracked_run(job: Job) -> None:
+def test_a_run_of_other_settings_is_another_tracked_run(job: TrackedRun) -> None:
     tracking = Noting()
     with follow(tracking, job, resuming=True) as tracked:
         tracked.row(row(1))
@@ -126,7 +126,7 @@ def test_a_run_of_other_settings_is_another_tracked_run(job: Job) -> None:
     assert tracking.opened[1].told[0] == ("rows", [1])
 
 
-def test_a_run_that_goes_on_is_not_forgotten_for_unusable_input(job: Job) -> None:
+def test_a_run_that_goes_on_is_not_forgotten_for_unusable_input(job: TrackedRun) -> None:
     tracking = Noting()
     for _ in range(2):
         with contextlib.suppress(InputError), follow(tracking, job, resuming=True):
@@ -137,8 +137,8 @@ def test_a_run_that_goes_on_is_not_forgotten_for_unusable_input(job: Job) -> Non
     assert (job.directory / FILE).is_file()
 
 
-def test_a_tracker_of_another_kind_does_not_go_on_with_it(job: Job) -> None:
-    Told("mlflow", job.configuration, "a1", 5.0).write(job.directory)
+def test_a_tracker_of_another_kind_does_not_go_on_with_it(job: TrackedRun) -> None:
+    TrackingState("mlflow", job.configuration, "a1", 5.0).write(job.directory)
     tracking = Noting()
     with follow(tracking, job, resuming=True) as tracked:
         tracked.row(row(1))
@@ -160,7 +160,7 @@ GOOD = {"tracking": "noting", "configuration": "of these settings", "key": "a1",
         *(json.dumps(GOOD | bad) for bad in ({"logged": "x"}, {"key": "' or 1"})),
     ],
 )
-def test_a_damaged_file_is_no_run_to_go_on_with(job: Job, content: str) -> None:
+def test_a_damaged_file_is_no_run_to_go_on_with(job: TrackedRun, content: str) -> None:
     (job.directory / FILE).write_text(content)
     tracking = Noting()
     with follow(tracking, job, resuming=True):
@@ -168,8 +168,8 @@ def test_a_damaged_file_is_no_run_to_go_on_with(job: Job, content: str) -> None:
     assert tracking.known == [False]
 
 
-def test_a_tracker_that_breaks_is_told_of_once_and_gets_its_rows_when_it_is_back(
-    job: Job, caplog: pytest.LogCaptureFixture
+def test_a_tracker_that_breaks_is_tracked_of_once_and_gets_its_rows_when_it_is_back(
+    job: TrackedRun, caplog: pytest.LogCaptureFixture
 ) -> None:
     time = iter(range(0, 10_000, 100))
     notes = Notes(broken=True)
@@ -182,7 +182,7 @@ def test_a_tracker_that_breaks_is_told_of_once_and_gets_its_rows_when_it_is_back
     assert notes.told == [("rows", [1, 2, 3, 4])]
 
 
-def test_rows_come_in_batches(job: Job) -> None:
+def test_rows_come_in_batches(job: TrackedRun) -> None:
     now = [0.0]
     notes = Notes()
     tracked = noted(job, notes, lambda: now[0])
@@ -192,7 +192,7 @@ def test_rows_come_in_batches(job: Job) -> None:
     assert notes.told == [("rows", [1, 2, 3, 4, 5])]
 
 
-def test_nothing_is_tracked_by_none(job: Job) -> None:
+def test_nothing_is_tracked_by_none(job: TrackedRun) -> None:
     with follow(NoTracking(), job, resuming=True) as tracked:
         tracked.row(row(1))
         tracked.results()

@@ -14,10 +14,10 @@ import pytest
 from calls import SMALL, PinnRun
 from interrupted_runs import ADAM, Steps, in_a_child, without_figures
 
-from pinn_cli.runs.tracked import Told
+from pinn_cli.runs.tracking_state import TrackingState
 from pinn_cli.settings.errors import InputError
 from pinn_cli.tracking import mlflow as mlflow_tracking
-from pinn_cli.tracking.base import Job
+from pinn_cli.tracking.base import TrackedRun
 from pinn_cli.tracking.follow import follow
 from pinn_cli.tracking.mlflow import MlflowTracker, MlflowTracking
 
@@ -30,13 +30,13 @@ ONE_PROCESS = """
 import sys
 from pathlib import Path
 from pinn_cli.tracking import mlflow as mlflow_tracking
-from pinn_cli.tracking.base import Job
+from pinn_cli.tracking.base import TrackedRun
 from pinn_cli.tracking.follow import follow
 from pinn_cli.tracking.mlflow import MlflowTracking
 for number in range(3):
     place = Path(sys.argv[1], str(number))
     place.mkdir(parents=True)
-    job = Job(place, place.parent.name, {"seed": str(number)}, {"case": "many"}, "many")
+    job = TrackedRun(place, place.parent.name, {"seed": str(number)}, {"case": "many"}, "many")
     with follow(MlflowTracking("sqlite:///shared.db"), job, resuming=False) as tracked:
         for iteration in range(1, 40):
             tracked.row({"iteration": iteration, "loss_physics": 1.0 / iteration})
@@ -94,7 +94,7 @@ def test_a_killed_run_leaves_no_run_that_runs_for_ever(tmp_path: Path) -> None:
 
     directory, database = tmp_path / "run", tmp_path / "mlflow.db"
     directory.mkdir()
-    job = Job(directory, "run", {"seed": "0", "threads": "1"}, {"case": "killed"}, "of these settings")
+    job = TrackedRun(directory, "run", {"seed": "0", "threads": "1"}, {"case": "killed"}, "of these settings")
 
     def start(kill: str, rows: int, resuming: bool = True) -> None:
         if kill:
@@ -123,12 +123,12 @@ def test_a_killed_run_leaves_no_run_that_runs_for_ever(tmp_path: Path) -> None:
 def test_a_kill_while_the_tables_are_made_leaves_none(tmp_path: Path) -> None:
     (tmp_path / ".mlflow.db.new").write_bytes(b"half of them")
     tracking = MlflowTracking(f"sqlite:///{tmp_path / 'mlflow.db'}")
-    job = Job(tmp_path / "run", "run", {}, {}, "")
+    job = TrackedRun(tmp_path / "run", "run", {}, {}, "")
     job.directory.mkdir()
 
     def start() -> None:
         mlflow_tracking.replacing = killed  # the tables are there, but the file has not its name
-        tracking.open(job, Told("mlflow", "", "a1"), known=False)
+        tracking.open(job, TrackingState("mlflow", "", "a1"), known=False)
 
     assert in_a_child(start) == -signal.SIGKILL
     assert not (tmp_path / "mlflow.db").exists()
@@ -139,7 +139,9 @@ def test_a_kill_while_the_tables_are_made_leaves_none(tmp_path: Path) -> None:
     assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", "run"}
 
 
-def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_finished_run_is_tracked_afterwards(
+    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """One that was not tracked, or was killed between its last file and the tracker's last call; and only once."""
     without_figures(monkeypatch)
     assert pinn_run(*SMALL, "hydra.run.dir=run").status == 0
@@ -184,7 +186,7 @@ def test_several_processes_share_one_file(tmp_path: Path) -> None:
         assert steps_of(tmp_path / "shared.db", run, "loss_physics") == list(range(1, 40))
 
 
-def test_an_unusable_store_is_told_before_anything_runs(pinn_run: PinnRun, tmp_path: Path) -> None:
+def test_an_unusable_store_is_tracked_before_anything_runs(pinn_run: PinnRun, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     outcome = pinn_run(*SMALL, "tracking=mlflow", "tracking.uri=sqlite:///file/mlflow.db")
     assert outcome.status == 2

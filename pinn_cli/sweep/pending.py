@@ -1,12 +1,11 @@
-"""What launchers that send jobs elsewhere need to know of a job: its directory, its results, and that it was lost.
+"""The jobs of a sweep that a launcher has run elsewhere: what one is, how a worker runs it, and that it was lost.
 
-Hydra's plugins for SLURM and Ray raise at the first job that ends without a result, and the others are never collected.
-The launchers here, which are these plugins but for that, note the loss in the job's directory and go on.
+Launchers of other projects raise at the first job that ends without a result, and the others are never collected. Those
+here note the loss in the job's directory and go on.
 """
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,84 +14,108 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.plugins import Plugins
-from hydra.core.utils import JobReturn, JobStatus
+from hydra.core.singleton import Singleton
+from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
-from pinn_cli.runs.tracked import is_told
-from pinn_cli.sweep.basic_sweeper import composing_few
+from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.sweep.failure import DEFECT, Failure
 from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep
 
-# The plugins' launchers, and ours in their place, which are imported only if they are used.
-_IN_PLACE_OF = {
-    "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher": ("joblib_launcher", "JoblibLauncher"),
-    "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher": ("submitit_launcher", "SlurmLauncher"),
-    "hydra_plugins.hydra_submitit_launcher.submitit_launcher.LocalLauncher": ("submitit_launcher", "LocalLauncher"),
-    "hydra_plugins.hydra_ray_launcher.ray_launcher.RayLauncher": ("ray_launcher", "RayLauncher"),
-}
-_SWEEPER = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"
 
+@dataclass(frozen=True)
+class Work:
+    """What a worker, another process perhaps, needs to run any job of a sweep.
 
-def put_in_place(target: str) -> None:
-    """Have Hydra build our launcher or sweeper where a configuration names that of a plugin, if that is installed.
-
-    Hydra builds them only of plugins that it has found, by their name: it is told that the name is of our class.
+    Attributes:
+        hydra_context: Of the sweep, as are the next two.
+        task_function: What a job runs.
+        config: With its `hydra` node.
     """
-    known = Plugins.instance().class_name_to_class
-    if target in known and target in _IN_PLACE_OF:
-        module, name = _IN_PLACE_OF[target]
-        known[target] = getattr(importlib.import_module(f"pinn_cli.sweep.{module}"), name)
-    elif target == _SWEEPER:
-        known[target] = composing_few(known[target])
+
+    hydra_context: HydraContext
+    task_function: TaskFunction
+    config: DictConfig
+
+    def composed(self, overrides: Sequence[str], number: int, name: str = "") -> DictConfig:
+        """The configuration of a job, with its `hydra` node; `name` is its `hydra.job.id`."""
+        config = self.hydra_context.config_loader.load_sweep_config(self.config, list(overrides))
+        with open_dict(config.hydra.job):
+            config.hydra.job.id, config.hydra.job.num = name or f"job_id_for_{number}", number
+        return config
+
+    def run(self, overrides: Sequence[str], number: int, name: str = "") -> JobReturn:
+        """Run a job in this process."""
+        config = self.composed(overrides, number, name)
+        HydraConfig.instance().set_config(config)
+        return run_job(
+            hydra_context=self.hydra_context,
+            config=config,
+            task_function=self.task_function,
+            job_dir_key="hydra.sweep.dir",
+            job_subdir_key="hydra.sweep.subdir",
+        )
 
 
-def keep_plugins() -> None:
-    """Have Hydra not look for its plugins again in this process: joblib's workers do before every job, for 40 ms."""
-    found = Plugins.instance()
-    Plugins.instance = staticmethod(lambda *_: found)  # type: ignore[method-assign]
+def take_over(state: Any) -> None:
+    """Have Hydra be in this process, a worker's, as it was in the launcher's, whose `Singleton.get_state` this is."""
+    Singleton.set_state(state)
+    setup_globals()
 
 
-def to_launch(
-    launcher: Any, job_overrides: Sequence[Sequence[str]], first: int
-) -> tuple[list[Launched], dict[int, JobReturn]]:
+class WorkLauncher(Launcher):
+    """A launcher whose jobs run elsewhere.
+
+    Attributes:
+        work: Of the sweep, once it is set up.
+    """
+
+    work: Work
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """See :class:`hydra.plugins.launcher.Launcher`."""
+        self.work = Work(hydra_context, task_function, config)
+
+
+def unfinished_jobs(
+    work: Work, job_overrides: Sequence[Sequence[str]], first: int
+) -> tuple[list[PendingJob], dict[int, JobReturn]]:
     """The jobs of a sweep that are not finished, and by their numbers what those that are return.
 
     Args:
-        launcher: Set up by Hydra.
+        work: Of the sweep.
         job_overrides: Of each job.
         first: Number of the first.
     """
-    sweep = Sweep.of(launcher.config, Path(str(launcher.config.hydra.sweep.dir)))
+    sweep = Sweep.of(work.config, Path(str(work.config.hydra.sweep.dir)))
     found = {job.overrides for job in sweep.jobs() if job.status == FINISHED}
-    jobs = [Launched(launcher, list(overrides), first + n) for n, overrides in enumerate(job_overrides)]
+    jobs = [PendingJob(work, list(overrides), first + n) for n, overrides in enumerate(job_overrides)]
     finished = [job for job in jobs if tuple(job.overrides) in found and job.finished()]
     returns = {job.number: job.returned(finished=True) for job in finished}
     return [job for job in jobs if job.number not in returns], returns
 
 
 @dataclass(frozen=True)
-class Launched:
+class PendingJob:
     """A job, as the process that launches it sees it.
 
     Attributes:
-        launcher: Set up by Hydra.
+        work: Of its sweep.
         overrides: As Hydra hands them to the job.
         number: Counted from 0.
     """
 
-    launcher: Any
+    work: Work
     overrides: list[str]
     number: int
 
     @cached_property
     def config(self) -> DictConfig:
         """Composed as a worker will, with its `hydra` node."""
-        config = self.launcher.hydra_context.config_loader.load_sweep_config(self.launcher.config, self.overrides)
-        with open_dict(config.hydra.job):
-            config.hydra.job.id, config.hydra.job.num = f"job_id_for_{self.number}", self.number
-        return config
+        return self.work.composed(self.overrides, self.number)
 
     @cached_property
     def task(self) -> DictConfig:
@@ -115,7 +138,7 @@ class Launched:
     def finished(self) -> bool:
         """Whether it need not be sent anywhere, since all its results lie there and its tracker has them."""
         finished = self.goes_on() and is_finished(self.directory, self.task, Path.cwd())
-        return finished and is_told(self.directory, self.task)
+        return finished and is_tracked(self.directory, self.task)
 
     def begun_since(self, moment: float) -> bool:
         """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""

@@ -1,6 +1,6 @@
-"""What a run's directory says of its tracked run: which one it is, and whether it has been told everything.
+"""What a run's directory says of its tracked run: which one it is, and whether the tracker has everything.
 
-Nothing slow is imported here: it is asked of every finished job of a sweep.
+Nothing slow is imported here: it is asked of every finished run of a sweep.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NOTHING = -1.0
 
 
 @dataclass(frozen=True)
-class Told:
+class TrackingState:
     """The tracked run of a run.
 
     Attributes:
@@ -37,7 +37,7 @@ class Told:
     ended: bool = False
 
     @classmethod
-    def read(cls, directory: Path) -> Told | None:
+    def read(cls, directory: Path) -> TrackingState | None:
         """Of the run in a directory; None where nothing was tracked, or the file is damaged."""
         try:
             content = json.loads((directory / FILE).read_text(encoding="utf-8"))
@@ -54,7 +54,7 @@ class Told:
         write_json(asdict(self), directory / FILE)
 
 
-def is_told(directory: Path, config: DictConfig) -> bool:
+def is_tracked(directory: Path, config: DictConfig) -> bool:
     """Whether the tracker that a configuration asks for has everything of the finished run in a directory.
 
     Args:
@@ -62,8 +62,8 @@ def is_told(directory: Path, config: DictConfig) -> bool:
         config: Composed, without its `hydra` node.
     """
     name = tracking_of(config)
-    told = Told.read(directory)
-    return name == NONE or (told is not None and told.tracking == name and told.ended)
+    state = TrackingState.read(directory)
+    return name == NONE or (state is not None and state.tracking == name and state.ended)
 
 
 def tracking_of(config: DictConfig) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import product
 
-from pinn_cli.sweep.basic_sweeper import representatives
+from pinn_cli.sweep.grid import representatives
 
 
 def test_numbers_of_a_setting_are_alike_and_words_are_not() -> None:

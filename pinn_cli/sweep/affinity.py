@@ -1,4 +1,4 @@
-"""The cores of a job that runs beside others on one machine: each worker of joblib has its own share of them."""
+"""Which cores a worker of joblib runs on: each has its own share of them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def usable_cores() -> list[int]:
     return sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
 
 
-def at_once(threads: int) -> int:
+def jobs_at_once(threads: int) -> int:
     """How many jobs of that many threads the cores can run at once, at least one."""
     return max(1, len(usable_cores()) // max(1, threads))
 
 
-def workers(n_jobs: int) -> int:
+def worker_count(n_jobs: int) -> int:
     """How many processes joblib starts for its `n_jobs`; -1 is one per core, -2 one less."""
     return n_jobs if n_jobs > 0 else max(1, len(usable_cores()) + 1 + n_jobs)
 
@@ -44,7 +44,7 @@ def pin(n_jobs: int) -> list[int]:
     global _claim  # noqa: PLW0603
     if _claim is not None or not hasattr(os, "sched_setaffinity"):
         return usable_cores()
-    for share, cores in enumerate(shares(usable_cores(), workers(n_jobs))):
+    for share, cores in enumerate(shares(usable_cores(), worker_count(n_jobs))):
         claim = socket.socket(socket.AF_UNIX)
         try:
             claim.bind(f"\0pinn-run cores {os.getppid()} {share}")  # an abstract name, which dies with its owner

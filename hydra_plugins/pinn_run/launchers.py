@@ -1,0 +1,74 @@
+"""The launchers that `conf/hydra/launcher/` has the settings of: joblib, SLURM, processes of this machine, Ray."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from hydra.core.utils import JobReturn
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+from pinn_cli.settings.errors import InputError
+
+
+class DeferredLauncher(Launcher):
+    """The launcher of the same name in a module of `pinn_cli.sweep`, imported when a sweep begins.
+
+    Attributes:
+        module: Of `pinn_cli.sweep`.
+        extra: Of this package, which brings what that module imports.
+    """
+
+    module: ClassVar[str]
+    extra: ClassVar[str]
+
+    def __init__(self, **settings: Any) -> None:
+        self.settings = settings
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """See :class:`hydra.plugins.launcher.Launcher`.
+
+        Raises:
+            InputError: What it needs is not installed.
+        """
+        try:
+            module = importlib.import_module(f"pinn_cli.sweep.{self.module}")
+        except ModuleNotFoundError as error:
+            if str(error.name).startswith("pinn_cli"):
+                raise
+            chosen = config.hydra.runtime.choices["hydra/launcher"]
+            hint = f"pip install 'pinn-cli[{self.extra}]'"
+            raise InputError("hydra/launcher", chosen, "an installed launcher", hint) from error
+        self.launcher: Launcher = getattr(module, type(self).__name__)(**self.settings)
+        self.launcher.setup(hydra_context=hydra_context, task_function=task_function, config=config)
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """See :class:`hydra.plugins.launcher.Launcher`."""
+        return self.launcher.launch(job_overrides, initial_job_idx)
+
+
+class JoblibLauncher(DeferredLauncher):
+    """`hydra/launcher=joblib`."""
+
+    module, extra = "joblib_launcher", ""
+
+
+class SlurmLauncher(DeferredLauncher):
+    """`hydra/launcher=slurm`."""
+
+    module, extra = "submitit_launcher", "slurm"
+
+
+class LocalLauncher(DeferredLauncher):
+    """`hydra/launcher=workstation`."""
+
+    module, extra = "submitit_launcher", "slurm"
+
+
+class RayLauncher(DeferredLauncher):
+    """`hydra/launcher=ray_local` and `hydra/launcher=ray_cluster`."""
+
+    module, extra = "ray_launcher", "ray"

@@ -1,0 +1,72 @@
+"""`hydra/sweeper=basic` and `hydra/sweeper=search`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+from pinn_cli.settings.errors import InputError
+
+
+# In place of Hydra's, whose settings these are: a file `conf/hydra/sweeper/basic.yaml` would be checked against that, with
+# a warning. A mapping, since Hydra loads this module in a way that a dataclass is not made for.
+BASIC = {"_target_": "hydra_plugins.pinn_run.sweepers.BasicSweeper", "max_batch_size": None, "params": None}
+ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=BASIC, provider="pinn_run")
+
+
+class BasicSweeper(Sweeper):
+    """Every combination of what the settings may be.
+
+    Args:
+        max_batch_size: How many jobs the launcher gets at a time; None: all.
+        params: What settings may be, besides those on the command line.
+    """
+
+    def __init__(self, max_batch_size: int | None = None, params: Mapping[str, str] | None = None) -> None:
+        self.max_batch_size, self.params = max_batch_size, dict(params or {})
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """See :class:`hydra.plugins.sweeper.Sweeper`."""
+        from pinn_cli.sweep.grid import Grid
+
+        self.grid = Grid(hydra_context, task_function, config)
+
+    def sweep(self, arguments: list[str]) -> Any:
+        """See :class:`hydra.plugins.sweeper.Sweeper`."""
+        params = [f"{name}={choices}" for name, choices in self.params.items()]
+        return self.grid.run([*params, *arguments], self.max_batch_size)
+
+
+class SearchSweeper(Sweeper):
+    """Settings that score better than those tried before, as Optuna proposes them.
+
+    Args:
+        settings: See :class:`pinn_cli.search.sweeper.Search`.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        self.settings = settings
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """See :class:`hydra.plugins.sweeper.Sweeper`.
+
+        Raises:
+            InputError: Optuna is not installed, or a setting is none.
+        """
+        try:
+            from pinn_cli.search.sweeper import Search
+        except ModuleNotFoundError as error:
+            if error.name != "optuna":
+                raise
+            hint = "pip install 'pinn-cli[optuna]'"
+            raise InputError("hydra/sweeper", "search", "an installed sweeper", hint) from error
+        self.search = Search(hydra_context, task_function, config, **self.settings)
+
+    def sweep(self, arguments: list[str]) -> Any:
+        """See :class:`hydra.plugins.sweeper.Sweeper`."""
+        return self.search.run(arguments)

@@ -1,0 +1,70 @@
+"""`hydra/sweeper=basic`: a job for every combination of values, all checked before the first begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra.core.utils import JobReturn
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+
+from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.sweep.composing import JobLoader, is_number, job_launcher
+from pinn_cli.sweep.directories import combinations
+from pinn_cli.sweep.jobs import STORED
+
+
+class Grid:
+    """A sweep over every combination, on the launcher that its configuration names.
+
+    Args:
+        hydra_context: Of the sweep, as are the next two.
+        task_function: What a job runs.
+        config: With its `hydra` node.
+    """
+
+    def __init__(self, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        self.config, self.loader = config, JobLoader(hydra_context.config_loader)
+        self.launcher = job_launcher(hydra_context, task_function, config)
+
+    def run(self, overrides: Sequence[str], at_once: int | None) -> list[Sequence[JobReturn]]:
+        """Run all jobs.
+
+        Args:
+            overrides: Of the sweep, as typed.
+            at_once: How many jobs the launcher gets at a time; None: all.
+
+        Returns:
+            What the jobs returned, by what the launcher got at a time.
+
+        Raises:
+            Exception: Whatever Hydra says of overrides that cannot be composed.
+        """
+        jobs = combinations(overrides)
+        directory = Path(self.config.hydra.sweep.dir)
+        directory.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(self.config, directory / STORED)
+        returned = []
+        step = at_once or len(jobs)
+        for first in range(0, len(jobs), step):
+            batch = jobs[first : first + step]
+            for job in representatives(batch):
+                self.loader.load_sweep_config(self.config, list(job))
+            returned.append(self.launcher.launch(batch, initial_job_idx=first))
+            for result in returned[-1]:
+                _ = result.return_value  # raises what the job raised
+        return returned
+
+
+def representatives(jobs: Sequence[Sequence[str]]) -> list[Sequence[str]]:
+    """The first job with each override, the numbers that a setting is given being all alike.
+
+    They stand for all when a sweep is checked, one job after the other before any starts: composing tells that a
+    setting or an option is unknown, which the number that a setting is given cannot change.
+    """
+    chosen: dict[str, Sequence[str]] = {}
+    for job in jobs:
+        for override in job:
+            chosen.setdefault(setting_of(override) if is_number(override) else override, job)
+    return [list(job) for job in dict.fromkeys(tuple(job) for job in chosen.values())]

@@ -1,0 +1,68 @@
+"""Jobs that launchers send elsewhere, and what a user is told who has not what a launcher needs."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from calls import SMALL, PinnRun
+from hydra.core.utils import JobReturn
+
+from pinn_cli.sweep.joblib_launcher import JoblibLauncher
+from pinn_cli.sweep.pending import unfinished_jobs
+
+
+@pytest.mark.parametrize(
+    ("preset", "extra", "package"),
+    [("slurm", "slurm", "submitit"), ("workstation", "slurm", "submitit"), ("ray_local", "ray", "ray")],
+)
+def test_a_preset_whose_package_is_missing_names_the_extra(
+    preset: str, extra: str, package: str, pinn_run: PinnRun, monkeypatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    for module in ("submitit_launcher", "ray_launcher", "slurm_states"):
+        monkeypatch.delitem(sys.modules, f"pinn_cli.sweep.{module}", raising=False)
+    done = pinn_run("--multirun", f"hydra/launcher={preset}", *SMALL, "seed=0,1")
+    assert done.status == 2
+    assert done.err == (
+        f"pinn-run: hydra/launcher={preset}: must be an installed launcher; pip install 'pinn-cli[{extra}]'\n"
+    )
+    assert not list(Path().iterdir())
+
+
+def test_a_ray_cluster_that_is_not_there_is_tracked_in_one_line(pinn_run: PinnRun, monkeypatch):
+    ray = pytest.importorskip("ray", reason="not installed: pip install 'pinn-cli[ray]'")
+
+    def refuse(**settings: object) -> None:
+        raise ConnectionError("Could not find any running Ray instance.")
+
+    monkeypatch.setattr(ray, "init", refuse)
+    done = pinn_run("--multirun", "hydra/launcher=ray_cluster", *SMALL, "seed=0,1", "hydra.sweep.dir=sweep")
+    assert done.status == 2
+    assert done.err == (
+        "pinn-run: hydra.launcher.ray.init.address=auto: must be that of a Ray cluster; "
+        "Could not find any running Ray instance.\n"
+    )
+    assert not Path("sweep").exists()
+
+
+def test_a_finished_trial_of_a_search_returns_its_score(pinn_run: PinnRun, tmp_path: Path, monkeypatch) -> None:
+    """It is sent nowhere by the launchers of SLURM and Ray: without its score the search would take it for failed."""
+    sweep = ("--multirun", *SMALL, "scheme.unobserved_fraction=0.3", "hydra.sweep.dir=sweep", "seed=0,1")
+    sweep += ("validation=heldout", "validation.dofs=[1]")
+    done = pinn_run(*sweep)
+    assert done.status == 0, done.err
+    scores: list[JobReturn] = []
+
+    def launch(launcher, job_overrides, initial_job_idx):
+        left, found = unfinished_jobs(launcher.work, job_overrides, initial_job_idx)
+        assert not left
+        scores.extend(found.values())
+        return list(found.values())
+
+    monkeypatch.setattr(JoblibLauncher, "launch", launch)
+    assert pinn_run(*sweep, "hydra/launcher=joblib").status == 0
+    kept = [json.loads(file.read_text()) for file in sorted((tmp_path / "sweep").glob("seed=*/run.json"))]
+    assert [result.return_value for result in scores] == [run["validation"]["score"] for run in kept]
