@@ -12,9 +12,8 @@ from omegaconf import DictConfig
 
 from pinn_cli.settings.errors import InputError
 
-
-# In place of Hydra's, whose settings these are: a file `conf/hydra/sweeper/basic.yaml` would be checked against that, with
-# a warning. A mapping, since Hydra loads this module in a way that a dataclass is not made for.
+# In place of Hydra's, whose settings these are: a file conf/hydra/sweeper/basic.yaml would be checked against that one,
+# with a warning. A mapping, since Hydra loads this module in a way that a dataclass is not made for.
 BASIC = {"_target_": "hydra_plugins.pinn_run.sweepers.BasicSweeper", "max_batch_size": None, "params": None}
 ConfigStore.instance().store(group="hydra/sweeper", name="basic", node=BASIC, provider="pinn_run")
 

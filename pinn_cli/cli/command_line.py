@@ -15,15 +15,11 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import sys
-import textwrap
 import traceback
 from argparse import Namespace
 from collections.abc import Callable
-from contextlib import redirect_stdout
-from io import StringIO
 from pathlib import Path
 
 import hydra
@@ -31,6 +27,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
 from pinn_cli.runs import directories as run_directories
@@ -51,7 +48,6 @@ Task = Callable[[DictConfig], float | None]
 STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_NOT_SOUND, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 4, 130, 141
 # Errors that a user can mend, or must know of: one line each.
 Reported = InputError | DivergenceError | NotSoundError
-HELP_WIDTH = 120
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
@@ -132,7 +128,7 @@ def execute(task: Task) -> int:
         options = read_options(sys.argv)
         with watched():
             if options.help:
-                _print_help(jobs)
+                print(help_text(options.config_dir))
             elif not _has_collected(options) and not _has_finished(jobs, options):
                 _run_hydra(jobs)
                 _collect(jobs)
@@ -231,31 +227,11 @@ def _explained(error: Exception) -> Exception:
     return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)
 
 
-def scored(result: float | None) -> float | None:
-    """A job's score as a sweeper may see it: hydra-optuna-sweeper 1.3.0 takes None for a failure and dies of NaN."""
-    return result if isinstance(result, float) and math.isfinite(result) else None
-
-
-def _print_help(jobs: Jobs) -> None:
-    """Hydra's help, which has every option of a group in one line, with long lines folded."""
-    text = StringIO()
-    try:
-        with redirect_stdout(text):
-            _run_hydra(jobs)
-    finally:  # Hydra exits once it has printed its help
-        for line in text.getvalue().splitlines():
-            folded = textwrap.wrap(line, HELP_WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
-            print("\n".join(folded) if len(line) > HELP_WIDTH else line)
-
-
 def _run_hydra(jobs: Jobs) -> None:
-    def run_job(config: DictConfig) -> float | None:
-        return scored(jobs(config))
-
     given = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
     try:
-        hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name="config")(run_job)()
+        hydra.main(version_base="1.3", config_path="pkg://pinn_cli.conf", config_name="config")(jobs)()
     finally:
         del os.environ["HYDRA_FULL_ERROR"]
         os.environ.update({} if given is None else {"HYDRA_FULL_ERROR": given})

@@ -9,7 +9,7 @@ from typing import Any
 
 from hydra import compose, initialize_config_module
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 
@@ -21,6 +21,12 @@ def option_names(group: str, config_dir: str | None = None) -> Iterator[str]:
                 yield file.relative_to(place / group).with_suffix("").as_posix()
 
 
+def group_names(config_dir: str | None = None) -> list[str]:
+    """Every group that is not one of Hydra's, in alphabetical order."""
+    folders = {folder.name for place in _places(config_dir) for folder in place.iterdir() if folder.is_dir()}
+    return sorted(name for name in folders if name != "hydra" and next(option_names(name, config_dir), None))
+
+
 def options_with(setting: str, config_dir: str | None = None) -> list[str]:
     """The choices that have a setting: `data.path` is a setting of `data=csv`."""
     group, _, key = setting.partition(".")
@@ -28,7 +34,7 @@ def options_with(setting: str, config_dir: str | None = None) -> list[str]:
     for place in _places(config_dir):
         for option in option_names(group) if key and group != "experiment" else ():
             file = place / group / f"{option}.yaml"
-            if file.is_file() and key in _names(OmegaConf.load(file)):
+            if file.is_file() and key in _names(_plain(OmegaConf.load(file))):
                 found.append(f"{group}={option}")
     return found
 
@@ -41,7 +47,7 @@ def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> li
             config = compose("config", overrides=[*overrides, *searchpath])
         except (HydraException, OmegaConfBaseException, ValueError):
             config = compose("config", overrides=searchpath)
-    return [*_names(config), "experiment"]
+    return [*_names(_plain(config)), "experiment"]
 
 
 def _places(config_dir: str | None) -> list[Path]:
@@ -49,12 +55,14 @@ def _places(config_dir: str | None) -> list[Path]:
     return [shipped, *([Path(config_dir)] if config_dir else [])]
 
 
+def _plain(config: Any) -> Any:
+    return OmegaConf.to_container(config, resolve=False)
+
+
 def _names(node: Any, prefix: str = "") -> Iterator[str]:
-    for key in node:
-        if str(key).startswith("_"):
-            continue
-        name = f"{prefix}{key}"
-        yield name
-        child = node._get_node(key)
-        if isinstance(child, DictConfig) and not child._is_none():
-            yield from _names(child, f"{name}.")
+    """Of the settings in a mapping and in those within it."""
+    for key, value in node.items():
+        if not str(key).startswith("_"):
+            yield f"{prefix}{key}"
+            if isinstance(value, dict):
+                yield from _names(value, f"{prefix}{key}.")

@@ -12,6 +12,7 @@ import pytest
 from calls import PinnRun
 from omegaconf import DictConfig
 
+from pinn_cli.cli.options import _OPTIONS
 from pinn_cli.settings.errors import DivergenceError, InputError
 
 
@@ -176,6 +177,12 @@ def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
     ):
         assert part in text
     assert max(map(len, text.splitlines())) <= 130
+
+
+def test_the_options_are_those_of_hydra(pinn_run: PinnRun) -> None:
+    """Hydra has no public list of them; its help does."""
+    flags = [line.partition(" : ")[0] for line in pinn_run("--hydra-help").out.splitlines() if line.startswith("--")]
+    assert sorted(",".join(names) for names in _OPTIONS) == sorted(flags)
 
 
 def test_config_dir_adds_configs(pinn_run: PinnRun, tmp_path: Path) -> None:

@@ -1,0 +1,62 @@
+"""What `pinn-run --help` prints: Hydra would go through all its configs for the same, which takes half a second."""
+
+from __future__ import annotations
+
+import textwrap
+
+from pinn_cli.cli.config_names import group_names, option_names
+
+WIDTH = 120
+
+_BEFORE = """\
+pinn-run: the response of a structural chain where there is no sensor, its parameters, and how far to trust both
+
+usage: pinn-run [GROUP=OPTION ...] [SETTING=VALUE ...]
+
+Examples
+  pinn-run                                             6-DOF Duffing chain, sensors on DOFs 1 and 2, SNR 50 dB
+  pinn-run system.ndof=20 noise.snr_db=20              a longer chain, more noise
+  pinn-run experiment=paper/sr_6dof_perturbed          a row of the paper's tables
+  pinn-run data=csv data.path=rig.csv system.ndof=3 system.m=5    your own record; `pinn-run data=csv --cfg job` lists
+    its settings
+  pinn-run baseline=kalman_smoother                    the same problem by a Kalman smoother, in the same tables
+  pinn-run --multirun noise.snr_db=50,20,10 'seed=range(10)'    a sweep; the same command again goes on with it
+  pinn-run --multirun hydra/launcher=joblib 'seed=range(10)'    on all cores; pinn-run collect=SWEEP: what there is so
+    far
+  pinn-run --multirun experiment=search/spline         settings by a score without truth (docs/how-to/search.md)
+  pinn-run tracking=mlflow                             a record of all runs to browse; or tensorboard
+    (docs/how-to/tracking.md)
+  pinn-run resume=outputs/CASE/DATE_TIME               go on with a run that was interrupted or killed
+
+Groups and their options
+"""
+
+_AFTER = """
+Settings (`pinn-run --cfg job` prints them with every value; each is explained in its file under conf/)
+  case seed device threads resume figures
+  system.{ndof,m,c,k,kappa,mu}                         a number, or one per connection: system.k=[10,10,8]
+  simulation.{duration,samples,hold,method} noise.{snr_db,seeds} excitation.{band,rms,dofs,seed}
+  scheme.{unobserved_fraction,unobserved,parameter_uncertainty} validation.dofs
+
+Options
+  --cfg job            print the settings that a command would run with
+  --multirun, -m       run every combination of comma-separated values
+  --config-dir DIR     add configs of your own: DIR/experiment/my_rig.yaml is then experiment=my_rig
+  --version            print the version
+  --hydra-help         the options of Hydra, which reads the configuration
+
+Results are written to outputs/CASE/DATE_TIME, a sweep's to outputs/sweeps/SETTINGS_DIGEST; the last line printed is
+    that path.
+"""
+
+
+def help_text(config_dir: str | None = None) -> str:
+    """The help, its long lines folded.
+
+    Args:
+        config_dir: A folder of more configs, whose options are listed too.
+    """
+    groups = [f"{group}: {', '.join(option_names(group, config_dir))}" for group in group_names(config_dir)]
+    lines = [*_BEFORE.splitlines(), *groups, *_AFTER.splitlines()]
+    return "\n".join(textwrap.fill(line, WIDTH, subsequent_indent=" " * 4, break_on_hyphens=False)
+                     if len(line) > WIDTH else line for line in lines)  # fmt: skip
