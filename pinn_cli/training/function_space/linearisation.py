@@ -114,7 +114,7 @@ class Linearisation:
         # The residuals of a regularised least-squares problem are its multipliers, and their product its least loss.
         return Step(weights, -(self.by_parameter.T @ multiplier), multiplier, float(target @ multiplier), factor)
 
-    def kept(self, factor: Tensor, seed: int) -> Tensor:
+    def free_shares(self, factor: Tensor, seed: int) -> Tensor:
         """(M,) diagonal of the inverse of a step's system: how much of each residual the fit leaves free, from 0 to 1.
 
         N minus the effective number of unknowns gamma of a group (MacKay 1992) is the sum over its residuals. By

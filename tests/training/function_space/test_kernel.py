@@ -143,15 +143,15 @@ def test_a_step_solves_the_damped_least_squares():
     torch.testing.assert_close(found, expected, rtol=1e-2, atol=1e-4)
 
 
-def test_what_is_kept_of_the_residuals_is_the_inverses_diagonal():
+def test_the_free_shares_are_the_inverses_diagonal():
     dense = Dense()
     factor = dense.linear.step(
         dense.layers(torch.zeros(dense.jacobian().shape[1])), torch.zeros(4).double(), 2.0, 0.0
     ).factor
     inverse = torch.cholesky_inverse(factor).diagonal()
-    kept = dense.linear.kept(factor, seed=0)
-    assert float(kept.sum()) == pytest.approx(float(inverse.sum()), rel=0.1)
-    torch.testing.assert_close(kept, dense.linear.kept(factor, seed=0))
+    shares = dense.linear.free_shares(factor, seed=0)
+    assert float(shares.sum()) == pytest.approx(float(inverse.sum()), rel=0.1)
+    torch.testing.assert_close(shares, dense.linear.free_shares(factor, seed=0))
 
 
 def test_the_variance_of_parameters_integrates_the_weights_out():
