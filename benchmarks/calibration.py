@@ -36,7 +36,7 @@ METHODS = ("laplace", "conditional_laplace", "marginal", "conditional")
 
 def draws(method: str, found: ParameterLikelihoods, problem: Problem, run: RunContext) -> PosteriorSamples:
     """A posterior found in one of the `METHODS`."""
-    assert problem.priors is not None
+    assert problem.priors
     ways = {"marginal": Marginal, "conditional": Conditional}
     way = ways.get(method, Laplace)()
     first = found.conditional if method == "conditional_laplace" else found.marginal

@@ -195,36 +195,3 @@ def estimated_response(
         acceleration = acceleration + (force - before_and_after) / parameters["m"] * forced
     motion = (x.detach().cpu().double().numpy() for x in (displacement, velocity, acceleration, force))
     return Response(record.time, *motion)
-
-
-@dataclass(frozen=True, eq=False)
-class Tangent:
-    """The connections' internal force and its derivatives, each (..., n).
-
-    Attributes:
-        force: r, N.
-        stiffness, damping: dr/de, dr/d(de/dt).
-        by_parameter: Parameter name to dr/d(parameter); without the mass, on which r does not depend.
-    """
-
-    force: Tensor
-    stiffness: Tensor
-    damping: Tensor
-    by_parameter: dict[str, Tensor]
-
-
-def tangent(chain: Chain, parameters: Mapping[str, Tensor], u: Tensor, v: Tensor) -> Tangent:
-    """Linearise the connections about displacements u and velocities v (..., n).
-
-    The internal force is elementwise in time and connection, so one reverse pass through its sum gives every
-    derivative.
-    """
-    e, de = (chain.elongation(x).detach().requires_grad_() for x in (u, v))
-    local = {name: value.detach().expand_as(e).clone().requires_grad_() for name, value in parameters.items()}
-    with torch.enable_grad():
-        force = chain.connection_force(e, de, local)
-        names = [name for name in local if name != "m"]
-        inputs = (e, de, *(local[name] for name in names))
-        gradients = torch.autograd.grad(force.sum(), inputs, allow_unused=True)
-    filled = [torch.zeros_like(e) if g is None else g for g in gradients]
-    return Tangent(force.detach(), filled[0], filled[1], dict(zip(names, filled[2:], strict=True)))

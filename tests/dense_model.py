@@ -52,7 +52,7 @@ class DenseModel:
     def parameters(self, theta: Sequence[float]) -> dict[str, np.ndarray]:
         out = {kind: value.copy() for kind, value in self.values.items()}
         for parameter, value in zip(self.problem.uncertain, theta, strict=True):
-            out[parameter.kind][parameter.dof] = value
+            out[parameter.kind][parameter.index] = value
         return out
 
     def chi_square(self, weights: np.ndarray, theta: Sequence[float]) -> tuple[float, np.ndarray, np.ndarray]:
@@ -82,7 +82,8 @@ class DenseModel:
         by = {"m": a, "c": de, "k": e, "kappa": e**3}
         own = {"m": weighted}
         by_theta = [
-            float(np.sum(own.get(q.kind, by_carried)[:, q.dof] * by[q.kind][:, q.dof])) for q in self.problem.uncertain
+            float(np.sum(own.get(q.kind, by_carried)[:, q.index] * by[q.kind][:, q.index]))
+            for q in self.problem.uncertain
         ]
         return total, by_weights, np.array(by_theta)
 

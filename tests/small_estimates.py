@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import QUANTITIES, Record, Response, Truth
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 
@@ -32,10 +33,31 @@ def _response(time: np.ndarray, ndof: int) -> Response:
     return Response(time, *motion, force)
 
 
+def parameter_estimate(
+    name: str,
+    prescribed: float,
+    estimate: float,
+    std: float,
+    lower_90: float,
+    upper_90: float,
+    prior_std: float = float("nan"),
+    unknown: bool = False,
+) -> ParameterEstimate:
+    kind, _, number = name.rpartition("_")
+    parameter = Parameter(kind, int(number) - 1, prescribed, prior_std, unknown=unknown)
+    return ParameterEstimate(parameter, estimate, std, lower_90, upper_90)
+
+
+def other_estimate(given: ParameterEstimate, **changes: object) -> ParameterEstimate:
+    """With other values of what was found, and of what was believed of the parameter."""
+    believed = {name: changes.pop(name) for name in ("kind", "prescribed", "prior_std", "unknown") if name in changes}
+    return replace(given, parameter=replace(given.parameter, **believed), **changes)
+
+
 def _parameters(ndof: int) -> list[ParameterEstimate]:
     nominal = {"c": 1.0, "k": 15.0, "kappa": 100.0}
     return [
-        ParameterEstimate(f"{symbol}_{i}", value, 1.01 * value, 0.02 * value, 0.98 * value, 1.04 * value)
+        parameter_estimate(f"{symbol}_{i}", value, 1.01 * value, 0.02 * value, 0.98 * value, 1.04 * value)
         for symbol, value in nominal.items()
         for i in range(1, ndof + 1)
     ]

@@ -16,7 +16,6 @@ from pinn_cli.physics import (
     observation_masks,
     observation_residuals,
     physics_residual,
-    tangent,
     targets,
 )
 from pinn_cli.record.simulation import simulate
@@ -137,7 +136,7 @@ def test_the_tangent_is_the_slope_that_finite_differences_see(nonlinearity):
     chain = small_chain(nonlinearity, ndof=4)
     generator = torch.Generator().manual_seed(0)
     u, v = (torch.randn(5, 4, generator=generator, dtype=torch.float64) for _ in range(2))
-    slope = tangent(chain, chain.parameters, u, v)
+    slope = chain.linearise(u, v, chain.parameters)
     e, de = chain.elongation(u), chain.elongation(v)
 
     def by(vary):

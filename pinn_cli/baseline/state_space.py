@@ -20,11 +20,12 @@ import torch
 
 from pinn_cli.baseline.discretisation import flow, interpolated_force, propagators
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
-from pinn_cli.physics import Tangent, tangent
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import substeps_needed
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.structure import Linearisation
 from pinn_cli.training.scales import scales
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record
@@ -97,7 +98,9 @@ class StateSpace:
         self.hidden = np.flatnonzero(~record.sensors("force") & ~record.unforced)
         self.size = 2 * (self.n + len(self.hidden))
         self.prescribed = problem.chain.parameters_like(np.empty(0))
-        self.elongation = problem.chain.elongation(np.eye(self.n))  # row i: what a unit displacement of DOF i does
+        self.vector = ParameterVector(self.prescribed, problem.uncertain)
+        self.participation = problem.chain.participation(problem.uncertain)
+        self.pull = problem.chain.incidence.matrix.toarray().T  # row i: what a unit displacement of DOF i stretches
         self.force_scale, self.velocity_scale = scales(problem)
         self.corner = 2.0 * np.pi * record_band(record)
         self.force = interpolated_force(record, substeps_needed(problem.chain, self.step))
@@ -109,11 +112,8 @@ class StateSpace:
         return Trajectory(np.zeros((len(self.problem.record.time), self.size)), np.zeros(len(self.problem.uncertain)))
 
     def parameters(self, trajectory: Trajectory) -> dict[str, np.ndarray]:
-        """Every parameter of the chain, each (n,)."""
-        values = {name: value.copy() for name, value in self.prescribed.items()}
-        for p, x in zip(self.problem.uncertain, trajectory.parameters, strict=True):
-            values[p.kind][p.dof] += p.prior_std * x
-        return values
+        """Every parameter of the structure by kind."""
+        return self.vector.values(self.vector.each("prior_std") * trajectory.parameters)
 
     def acceleration(self, trajectory: Trajectory) -> np.ndarray:
         """(N, n), at the samples, under the measured and the hidden force."""
@@ -196,7 +196,7 @@ class StateSpace:
         noise[m + 2 * n :, m + 2 * n :] = stationary - carried @ stationary @ carried.T
         initial, initial_covariance = np.zeros((s, 1 + p + 2 * n)), np.zeros((s, s))
         initial[2 * n :, 0] = -linearised.trajectory.states[0, 2 * n :]
-        shape = np.linalg.inv(self.elongation).T  # from elongations to displacements
+        shape = np.linalg.inv(self.stretch).T  # from elongations to displacements
         initial[: 2 * n, 1 + p :] = np.kron(np.eye(2), shape) * self.initial_std
         initial_covariance[2 * n :, 2 * n :] = stationary
         coefficient = np.pad(linearised.coefficient, ((0, 0), (0, 0), (0, 2 * n)))
@@ -211,7 +211,14 @@ class StateSpace:
         """(p + 2 n,), where parameters and start are, from their prior means, in prior standard deviations."""
         u, v, _, _ = self.split(trajectory.states[0])
         return np.concatenate(
-            (trajectory.parameters, np.concatenate((u @ self.elongation, v @ self.elongation)) / self.initial_std)
+            (trajectory.parameters, np.concatenate((u @ self.stretch, v @ self.stretch)) / self.initial_std)
+        )
+
+    @cached_property
+    def stretch(self) -> np.ndarray:
+        """(n, n), from coordinates to as many elongations; where a structure has more, the coordinates themselves."""
+        return (
+            self.pull if self.pull.shape[1] == self.n and np.linalg.matrix_rank(self.pull) == self.n else np.eye(self.n)
         )
 
     @cached_property
@@ -232,23 +239,18 @@ class StateSpace:
         """Of the accelerations at the samples: (N, n, s) by state and (N, n, p) by uncertain parameter."""
         u, v, _, _ = self.split(trajectory.states)
         tensors = {name: torch.as_tensor(value) for name, value in parameters.items()}
-        slope = tangent(self.problem.chain, tensors, torch.as_tensor(u), torch.as_tensor(v))
-        mass, pull = parameters["m"][:, None], self.elongation
+        slope = self.problem.chain.linearise(torch.as_tensor(u), torch.as_tensor(v), tensors)
+        mass, pull = parameters["m"][:, None], self.pull
         by_state = np.zeros((len(u), self.n, self.size))
         by_state[:, :, : self.n] = -(pull * slope.stiffness.numpy()[:, None]) @ pull.T / mass
         by_state[:, :, self.n : 2 * self.n] = -(pull * slope.damping.numpy()[:, None]) @ pull.T / mass
         by_state[:, self.hidden, 2 * self.n + np.arange(len(self.hidden))] = 1.0 / parameters["m"][self.hidden]
         return by_state, self._by_parameter(slope, parameters["m"], self.acceleration(trajectory))
 
-    def _by_parameter(self, slope: Tangent, mass: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        columns = np.zeros((*acceleration.shape, len(self.problem.uncertain)))
-        for j, p in enumerate(self.problem.uncertain):
-            if p.kind == "m":
-                columns[:, p.dof, j] = -p.prior_std * acceleration[:, p.dof] / mass[p.dof]
-            else:
-                force = p.prior_std * slope.by_parameter[p.kind][:, p.dof].numpy()
-                columns[:, :, j] = -force[:, None] * self.elongation[:, p.dof] / mass
-        return columns
+    def _by_parameter(self, slope: Linearisation, mass: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        own = slope.by_parameters(self.problem.uncertain, torch.as_tensor(acceleration)).numpy()
+        force = self.vector.each("prior_std") * own
+        return -force[:, None] * self.participation / mass[:, None]
 
     def _fastest(self, by_state: np.ndarray) -> float:
         """A bound on the eigenvalues of the linearised motion, 1/s (Gershgorin, on M^-1 K and on M^-1 C)."""

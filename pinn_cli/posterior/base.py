@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from pinn_cli.posterior.samples import PosteriorSamples
-from pinn_cli.scheme.priors import Prior
-from pinn_cli.scheme.unknowns import Place
+from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ class Posterior(ABC):
         self,
         marginal: ParameterLikelihood,
         conditional: ParameterLikelihood,
-        priors: Mapping[Place, Prior],
+        priors: Sequence[Prior],
         run: RunContext,
     ) -> PosteriorSamples:
         """Draws of the parameters and of the force's noise.
@@ -37,7 +36,7 @@ class Posterior(ABC):
         Args:
             marginal: The likelihood with the network's weights integrated out.
             conditional: That with the network's states held as they were trained.
-            priors: At least those of the parameters that the likelihoods name.
+            priors: Of the likelihoods' parameters, in their order.
             run: Seed, directory and whether to draw a progress bar.
 
         Raises:

@@ -14,7 +14,7 @@ from pinn_cli.posterior.drawn import samples_of
 from pinn_cli.posterior.nuts import STATISTICS, ChainDraws, NutsSettings, sample_chain
 from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.posterior.target import Target
-from pinn_cli.scheme.priors import Prior
+from pinn_cli.system.priors import Prior
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.likelihood import ParameterLikelihood
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.posterior.target import Target, measured_forces
-from pinn_cli.scheme.priors import Prior
+from pinn_cli.system.priors import Prior
 
 
 def samples_of(

@@ -28,7 +28,7 @@ def find_posterior(
     Raises:
         DivergenceError: See :meth:`Posterior.find`.
     """
-    if problem.priors is None or estimate.likelihoods is None:
+    if not problem.priors or estimate.likelihoods is None:
         return None
     from pinn_cli.posterior.diagnostics import diagnose, verdict
 

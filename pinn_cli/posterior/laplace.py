@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,10 +11,9 @@ import numpy as np
 from pinn_cli.posterior.base import Posterior
 from pinn_cli.posterior.drawn import samples_of
 from pinn_cli.posterior.samples import PosteriorSamples
-from pinn_cli.posterior.target import Target, priors_of
-from pinn_cli.scheme.priors import Prior
-from pinn_cli.scheme.unknowns import Place
+from pinn_cli.posterior.target import Target
 from pinn_cli.settings.legal_values import whole_number
+from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
@@ -43,12 +42,12 @@ class Laplace(Posterior):
         self,
         marginal: ParameterLikelihood,
         conditional: ParameterLikelihood,
-        priors: Mapping[Place, Prior],
+        priors: Sequence[Prior],
         run: RunContext,
     ) -> PosteriorSamples:
         """See :meth:`Posterior.find`; one chain."""
         started = time.perf_counter()
-        target = Target(marginal, priors_of(marginal.names, priors))
+        target = Target(marginal, priors)
         q = np.random.default_rng([run.seed, 1]).standard_normal((1, self.draws, target.size))
         seconds = np.array([time.perf_counter() - started])
         return samples_of(self.name, target, target.unwhitened(q), run.seed, {}, 0, seconds)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pinn_cli.posterior.base import Posterior
 from pinn_cli.posterior.samples import PosteriorSamples
-from pinn_cli.scheme.priors import Prior
-from pinn_cli.scheme.unknowns import Place
 from pinn_cli.settings.legal_values import fraction, whole_number
+from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
@@ -49,15 +48,14 @@ class Sampled(Posterior):
         self,
         marginal: ParameterLikelihood,
         conditional: ParameterLikelihood,
-        priors: Mapping[Place, Prior],
+        priors: Sequence[Prior],
         run: RunContext,
     ) -> PosteriorSamples:
         """See :meth:`Posterior.find`."""
         # Pyro takes a third of a second to import, which a run that samples nothing need not wait for.
         from pinn_cli.posterior.chains import sample_posterior
         from pinn_cli.posterior.nuts import NutsSettings
-        from pinn_cli.posterior.target import priors_of
 
         likelihood = self.likelihood(marginal, conditional)
         settings = NutsSettings(self.warmup, self.draws, self.target_accept)
-        return sample_posterior(self.name, likelihood, priors_of(likelihood.names, priors), self.chains, settings, run)
+        return sample_posterior(self.name, likelihood, priors, self.chains, settings, run)

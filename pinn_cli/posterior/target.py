@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from pinn_cli.posterior.mode import FLAT, find_mode
 from pinn_cli.posterior.positivity import Softplus
 from pinn_cli.posterior.whitening import Whitening
-from pinn_cli.scheme.priors import Prior, stacked
-from pinn_cli.scheme.unknowns import Place
+from pinn_cli.system.priors import Prior, stacked
 from pinn_cli.training.likelihood import ParameterLikelihood
 
 # Standard deviation of the prior of s. The noise's scale has Jeffreys' prior, flat in its logarithm, over a range that
@@ -110,12 +109,6 @@ class Target:
 def measured_forces(likelihood: ParameterLikelihood) -> np.ndarray:
     """DOFs (F,) with a force sensor, counted from 0."""
     return np.flatnonzero(np.isfinite(likelihood.sigma_force))
-
-
-def priors_of(names: Sequence[str], priors: Mapping[Place, Prior]) -> list[Prior]:
-    """The priors of parameters given by name, ``k_2``."""
-    places = [(kind, int(connection) - 1) for kind, _, connection in (name.rpartition("_") for name in names)]
-    return [priors[place] for place in places]
 
 
 def _width(curvature: np.ndarray, prior_std: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,38 +13,33 @@ from pinn_cli.training.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pinn_cli.posterior.samples import PosteriorSamples
+    from pinn_cli.system.parameters import Parameter
 
 DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
 
 
-def parameter_estimates(samples: PosteriorSamples, start: Mapping[str, float]) -> list[ParameterEstimate]:
+def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> list[ParameterEstimate]:
     """The posterior mean, standard deviation and central 90 % interval of every parameter, all of them unknown.
 
     Args:
         samples: p parameters, all chains together.
-        start: Name to the value from which its search started.
-
-    Raises:
-        KeyError: A parameter without a start.
+        parameters: Those p.
     """
     draws = _pooled(samples)
     lower, upper = np.quantile(draws, CENTRAL_90, axis=0)
     mean, std, prior_std = draws.mean(axis=0), draws.std(axis=0, ddof=1), samples.prior.std(axis=0, ddof=1)
     return [
         ParameterEstimate(
-            name,
-            prescribed=float(start[name]),
-            estimate=float(mean[i]),
-            std=float(std[i]),
-            lower_90=float(lower[i]),
-            upper_90=float(upper[i]),
-            prior_std=float(prior_std[i]),
-            unknown=True,
+            replace(parameter, prior_std=float(prior_std[i]), unknown=True),
+            float(mean[i]),
+            float(std[i]),
+            float(lower[i]),
+            float(upper[i]),
         )
-        for i, name in enumerate(samples.names)
+        for i, parameter in enumerate(parameters)
     ]
 
 

@@ -120,8 +120,7 @@ def _with_posterior(estimate: Estimate, posterior: PosteriorFindings | None) -> 
     """The estimate with the parameters' means and intervals from their posterior, where there is one."""
     if posterior is None:
         return estimate
-    start = {parameter.name: parameter.prescribed for parameter in estimate.parameters}
-    parameters = parameter_estimates(posterior.samples, start)
+    parameters = parameter_estimates(posterior.samples, [found.parameter for found in estimate.parameters])
     return replace(estimate, parameters=parameters, correlation=posterior_correlation(posterior.samples))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,15 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.prior_settings import checked_priors, read_priors, with_defaults
-from pinn_cli.scheme.priors import Prior
-from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
+from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import Start, parameter_starts
-from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, unknown_places
+from pinn_cli.scheme.unknowns import POSITIVE, at_starts, checked_positive, unknown_parameters
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.priors import Prior
 
 log = logging.getLogger(__name__)
 
@@ -72,40 +74,45 @@ class Bayesian(Scheme):
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         _check_sensors(record)
-        every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != "m"]
-        places = unknown_places(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
-        check_given(prescribed, places)
-        starts = parameter_starts(prescribed, record, places, _given(prescribed, record, places), most=1)[0]
-        scales = {place: start.scale for place, start in starts.items()}
-        told = read_priors(self.priors, prescribed)
-        priors = with_defaults(told, scales, self.positive)
-        unknown = tuple(_unknown(place, priors[place], starts[place], place in told) for place in places)
-        chain = forgetful(prescribed, unknown)
-        chosen = {place: priors[place] for place in places}
-        return Problem(chain, record, unknown, self.acceleration_through, chosen, self.initial_motion)
+        every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
+        chosen = unknown_parameters(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
+        check_given(prescribed, chosen)
+        starts = parameter_starts(prescribed, record, chosen, _given(record, chosen), most=1)[0]
+        scales = {parameter: start.scale for parameter, start in starts.items()}
+        own = read_priors(self.priors, prescribed)
+        priors = with_defaults(own, scales, self.positive)
+        unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in chosen)
+        chain = at_starts(prescribed, unknown)
+        return Problem(chain, record, unknown, self.acceleration_through, self.initial_motion)
 
 
-def _given(prescribed: Chain, record: Record, places: Collection[Place]) -> dict[Place, float]:
+def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
     """What the user says of a measured structure's unknown parameters; of a simulated one it would be the truth."""
-    own = {(kind, dof): float(prescribed.parameters[kind][dof]) for kind, dof in places}
-    return {} if record.simulated else {place: value for place, value in own.items() if math.isfinite(value)}
+    return {} if record.simulated else {p: p.prescribed for p in unknown if math.isfinite(p.prescribed)}
 
 
-def _unknown(place: Place, prior: Prior, start: Start, told: bool) -> UncertainParameter:
+def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: bool) -> Parameter:
     """A parameter under a Gaussian that is wider than its prior: Gauss-Newton is to find what the record says.
 
     Args:
-        place: Which.
+        parameter: Which.
         prior: Of it.
         start: What the record says of it.
-        told: Whether the prior is the user's own; then it begins at its mean.
+        chosen_by_user: Whether the prior is; then the parameter begins at its mean.
     """
-    kind, dof = place
     centre, width = prior.mean, prior.std
     chosen = np.isfinite(centre) and np.isfinite(width) and width > 0
     scale = max(start.scale, abs(centre), width) if chosen else start.scale
-    first = centre if told and chosen and centre != 0 else start.value
-    return UncertainParameter(kind, dof, float(first), WIDTH * scale, scale, True, prior.positive)
+    first = centre if chosen_by_user and chosen and centre != 0 else start.value
+    return replace(
+        parameter,
+        prescribed=float(first),
+        prior_std=WIDTH * scale,
+        scale=scale,
+        unknown=True,
+        positive=prior.positive,
+        prior=prior,
+    )
 
 
 def _check_sensors(record: Record) -> None:

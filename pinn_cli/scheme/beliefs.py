@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
-from pinn_cli.scheme.problem import UncertainParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_finite_number
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import MASS, Parameter
 
 # Of a standard deviation over the value: beyond it nothing is believed, and sums lose their last digits.
 LARGEST_UNCERTAINTY = 1000
@@ -26,19 +27,16 @@ def checked_uncertainty(value: Any) -> float:
     return float(value)
 
 
-def believed_parameters(
-    chain: Chain, uncertainty: float, but: Collection[tuple[str, int]] = ()
-) -> tuple[UncertainParameter, ...]:
+def believed_parameters(chain: Chain, uncertainty: float, but: Collection[Parameter] = ()) -> tuple[Parameter, ...]:
     """Every parameter of a chain but its masses, with a relative prior standard deviation.
 
     Args:
         chain: The prescribed model.
         uncertainty: The standard deviation over the value; 0 leaves every parameter fixed.
-        but: (kind, connection from 0) of parameters that are left out.
+        but: Parameters that are left out.
     """
     return tuple(
-        UncertainParameter(kind, dof, float(value), uncertainty * abs(float(value)))
-        for kind, values in chain.parameters.items()
-        for dof, value in enumerate(values)
-        if kind != "m" and (kind, dof) not in but and uncertainty * float(value) != 0
+        replace(parameter, prior_std=uncertainty * abs(parameter.prescribed))
+        for parameter in chain.every_parameter()
+        if parameter.kind != MASS and parameter not in but and uncertainty * parameter.prescribed != 0
     )

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
-from pinn_cli.scheme.unknowns import Place, all_names
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import Parameter
 
 
-def check_given(prescribed: Chain, unknown: Collection[Place] = ()) -> None:
+def check_given(prescribed: Chain, unknown: Collection[Parameter] = ()) -> None:
     """See that every parameter has a value or is unknown.
 
     Args:
         prescribed: As the user configured it; NaN where there is no value.
-        unknown: (kind, connection from 0) of what is to be estimated from the record.
+        unknown: What is to be estimated from the record.
 
     Raises:
         InputError: Naming ``system.<kind>`` of what is neither given nor unknown.
     """
     missing: dict[str, list[str]] = {}
-    for name, place in all_names(prescribed).items():
-        kind, dof = place
-        if place not in unknown and bool(prescribed.parameters[kind][dof].isnan()):
-            missing.setdefault(kind, []).append(name)
+    for parameter in prescribed.every_parameter():
+        if parameter not in unknown and math.isnan(parameter.prescribed):
+            missing.setdefault(parameter.kind, []).append(parameter.name)
     if not missing:
         return
     settings = ", ".join(f"system.{kind}" for kind in missing)

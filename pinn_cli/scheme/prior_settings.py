@@ -7,21 +7,22 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
-from pinn_cli.scheme.unknowns import Place, places_of
+from pinn_cli.scheme.unknowns import parameters_called
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import construct
 from pinn_cli.settings.legal_values import finite_number, positive_number
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
 
 SETTING = "scheme.priors"
 # Standard deviation of the priors that nobody chose, over the scale of the parameter's start.
 WIDE = 10.0
 
 
-def read_priors(given: Mapping[str, Any] | None, chain: Chain) -> dict[Place, Prior]:
-    """The priors that the user chose, by place; parameters that the user says nothing about are left out.
+def read_priors(given: Mapping[str, Any] | None, chain: Chain) -> dict[Parameter, Prior]:
+    """The priors that the user chose; parameters that the user says nothing about are left out.
 
     Args:
         given: Kind of parameter, name or pattern (``k``, ``k_2``, ``*_2``) to a mapping of ``kind`` and that kind's
@@ -34,7 +35,7 @@ def read_priors(given: Mapping[str, Any] | None, chain: Chain) -> dict[Place, Pr
     """
     priors = {}
     for key, prior in checked_priors(given).items():
-        priors.update(dict.fromkeys(places_of(key, chain, f"{SETTING}.{key}"), prior))
+        priors.update(dict.fromkeys(parameters_called(key, chain, f"{SETTING}.{key}"), prior))
     return priors
 
 
@@ -46,8 +47,8 @@ def checked_priors(given: Mapping[str, Any] | None) -> dict[str, Prior]:
 
 
 def with_defaults(
-    priors: Mapping[Place, Prior], scales: Mapping[Place, float], positive: Sequence[str]
-) -> dict[Place, Prior]:
+    priors: Mapping[Parameter, Prior], scales: Mapping[Parameter, float], positive: Sequence[str]
+) -> dict[Parameter, Prior]:
     """A prior for every unknown parameter: where none was chosen a wide one, on the scale of its start.
 
     Args:
@@ -55,8 +56,8 @@ def with_defaults(
         scales: Of every unknown parameter.
         positive: Kinds of parameters that cannot be negative: HalfNormal, otherwise Normal around zero.
     """
-    wide = {p: HalfNormal(WIDE * s) if p[0] in positive else Normal(0.0, WIDE * s) for p, s in scales.items()}
-    return {place: priors.get(place, wide[place]) for place in scales}
+    wide = {p: HalfNormal(WIDE * s) if p.kind in positive else Normal(0.0, WIDE * s) for p, s in scales.items()}
+    return {parameter: priors.get(parameter, wide[parameter]) for parameter in scales}
 
 
 def _prior(setting: str, node: Any) -> Prior:

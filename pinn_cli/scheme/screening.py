@@ -53,18 +53,21 @@ class Candidate:
     misfit: float
 
 
-def screened(record: Record, known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]) -> list[Candidate]:
+def screened(
+    record: Record, stretch: np.ndarray, known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]
+) -> list[Candidate]:
     """Candidates, the best first; none where a force is unknown or nothing is.
 
     Args:
         record: What was measured.
+        stretch: (n, n), row i: which displacements stretch connection i.
         known: ``m``, ``c``, ``k`` to (n,), NaN where unknown.
         guess: ``m``, ``k`` to (n,), where the unknown ones may be: their ratios count, and one start is the guess.
     """
     spectra = CrossSpectra.of(record)
     if spectra is None or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
         return []
-    model = LinearFit(spectra, known)
+    model = LinearFit(spectra, stretch, known)
     starts = _starts(model, record, guess)
     found: list[tuple[float, np.ndarray]] = []
     for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
@@ -82,15 +85,14 @@ class LinearFit:
 
     Args:
         spectra: Of the record.
-        known: See :func:`screened`.
+        stretch, known: See :func:`screened`.
     """
 
-    def __init__(self, spectra: CrossSpectra, known: Mapping[str, np.ndarray]) -> None:
+    def __init__(self, spectra: CrossSpectra, stretch: np.ndarray, known: Mapping[str, np.ndarray]) -> None:
         self.spectra, self.known = spectra, known
         self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
         self.damped = len(self.free["c"]) > 0
-        n = len(known["m"])
-        self.stretch = np.eye(n) - np.eye(n, k=-1)  # row i: elongation of connection i
+        self.stretch = stretch
         self.smooth(WIDTHS[0])
 
     def smooth(self, width: float) -> None:

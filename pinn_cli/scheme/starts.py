@@ -17,10 +17,10 @@ from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.screening import DAMPING, screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
-from pinn_cli.scheme.unknowns import Place
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
-from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
+from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 
 AUTO, GIVEN = "auto", "given"
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
@@ -50,48 +50,55 @@ def checked_starts(starts: Any) -> int | None:
 
 
 def parameter_starts(
-    prescribed: Chain, record: Record, places: Collection[Place], given: Mapping[Place, float], most: int | None
-) -> list[dict[Place, Start]]:
+    prescribed: Chain,
+    record: Record,
+    unknown: Collection[Parameter],
+    given: Mapping[Parameter, float],
+    most: int | None,
+) -> list[dict[Parameter, Start]]:
     """Starts of the unknown parameters, the most promising first.
 
     Args:
         prescribed: The model; NaN where a measured structure has no value.
         record: What was measured.
-        places: The unknown parameters.
+        unknown: The unknown parameters.
         given: What the user says of them. Of masses and springs their ratios count, and one start is what was given; a
             damper or a nonlinear parameter starts there.
         most: Starts at most; None: those that compete; 0: one, at what was given, whatever the record says.
     """
-    known, guess = _known(prescribed, places), _guess(prescribed, record, places, given)
-    candidates = [c for c in screened(record, known, guess) if c.misfit < HOPELESS] if most != 0 else []
+    known, guess = _known(prescribed, unknown), _guess(prescribed, record, unknown, given)
+    candidates = (
+        [c for c in screened(record, prescribed.incidence.matrix.toarray(), known, guess) if c.misfit < HOPELESS]
+        if most != 0
+        else []
+    )
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     linear = [candidate.parameters for candidate in candidates[:most]]
-    return [_starts(prescribed, record, places, given, values) for values in linear or [_unscreened(known, guess)]]
+    return [_starts(prescribed, record, unknown, given, values) for values in linear or [_unscreened(known, guess)]]
 
 
-def _known(prescribed: Chain, places: Collection[Place]) -> dict[str, np.ndarray]:
+def _known(prescribed: Chain, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
     """``m``, ``c``, ``k`` to (n,), NaN where unknown."""
-    known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_PARAMETERS}
-    for kind, dof in places:
-        if kind in known:
-            known[kind][dof] = np.nan
+    known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
+    for parameter in unknown:
+        if parameter.kind in known:
+            known[parameter.kind][parameter.index] = np.nan
     return known
 
 
 def _guess(
-    prescribed: Chain, record: Record, places: Collection[Place], given: Mapping[Place, float]
+    prescribed: Chain, record: Record, unknown: Collection[Parameter], given: Mapping[Parameter, float]
 ) -> dict[str, np.ndarray]:
     """Masses and stiffnesses (n,) that have the right ratios as far as anybody has said something about them."""
     scales = parameter_scales(prescribed, record)
     out = {}
     for kind in ("m", "k"):
-        values = np.full(record.ndof, np.nan)
-        for (said, dof), value in given.items():
-            if said == kind and value > 0:
-                values[dof] = value
-        fixed = prescribed.parameters[kind].detach().cpu().double().numpy()
-        values = np.where([(kind, dof) in places for dof in range(record.ndof)], values, fixed)
+        values = prescribed.parameters[kind].detach().cpu().double().numpy().copy()
+        for parameter in unknown:
+            if parameter.kind == kind:
+                said = given.get(parameter, np.nan)
+                values[parameter.index] = said if said > 0 else np.nan
         positive = values[np.isfinite(values) & (values > 0)]
         out[kind] = np.where(values > 0, values, np.median(positive) if positive.size else scales[kind])
     return out
@@ -105,27 +112,27 @@ def _unscreened(known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]
 def _starts(
     prescribed: Chain,
     record: Record,
-    places: Collection[Place],
-    given: Mapping[Place, float],
+    unknown: Collection[Parameter],
+    given: Mapping[Parameter, float],
     linear: Mapping[str, np.ndarray],
-) -> dict[Place, Start]:
+) -> dict[Parameter, Start]:
     scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
     out = {}
     # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
     typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
     damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.maximum(np.abs(linear["k"]), typical["k"]))
-    for kind, dof in places:
-        place = (kind, dof)
-        if kind in ("m", "k"):
-            value = float(linear[kind][dof])
-            out[place] = Start(value, max(abs(value), typical[kind]))
+    for parameter in unknown:
+        kind, index = parameter.kind, parameter.index
+        if kind in (MASS, "k"):
+            value = float(linear[kind][index])
+            out[parameter] = Start(value, max(abs(value), typical[kind]))
         elif kind == "c":
-            value = given.get(place, float(linear["c"][dof]))
-            out[place] = Start(value, max(abs(value), float(damping[dof])))
+            value = given.get(parameter, float(linear["c"][index]))
+            out[parameter] = Start(value, max(abs(value), float(damping[index])))
         else:
-            value = given.get(place, starting_value(kind, scales[kind]))
+            value = given.get(parameter, starting_value(kind, scales[kind]))
             # A cubic spring as strong as the linear one beside it, at the motion that there is.
-            stiffness = max(float(abs(linear["k"][dof])), typical["k"])
+            stiffness = max(float(abs(linear["k"][index])), typical["k"])
             scale = stiffness / size**2 if kind == "kappa" else scales[kind]
-            out[place] = Start(value, max(abs(value), scale))
+            out[parameter] = Start(value, max(abs(value), scale))
     return out

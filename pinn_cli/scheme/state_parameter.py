@@ -12,12 +12,13 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.problem import THROUGH, Problem, UncertainParameter
+from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
-from pinn_cli.scheme.unknowns import POSITIVE, Place, checked_positive, forgetful, initial_values, unknown_places
+from pinn_cli.scheme.unknowns import POSITIVE, at_starts, checked_positive, initial_values, unknown_parameters
 from pinn_cli.settings.legal_values import one_of, positive_number
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import Parameter
 
 
 class StateParameter(Scheme):
@@ -75,15 +76,15 @@ class StateParameter(Scheme):
 
     def problem(self, prescribed: Chain, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
-        places = unknown_places(prescribed, record, self.unknown)
-        check_given(prescribed, places)
-        believed = believed_parameters(prescribed, self.parameter_uncertainty, but=places)
+        chosen = unknown_parameters(prescribed, record, self.unknown)
+        check_given(prescribed, chosen)
+        believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         problems: list[Problem] = []
-        for start in parameter_starts(prescribed, record, places, self._given(prescribed, record, places), self.starts):
-            unknown = [self._unknown(place, start[place]) for place in places]
-            uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.dof)))
-            chain, through = forgetful(prescribed, unknown), self.acceleration_through
+        for start in parameter_starts(prescribed, record, chosen, self._given(prescribed, record, chosen), self.starts):
+            unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
+            uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
+            chain, through = at_starts(prescribed, unknown), self.acceleration_through
             problems.append(Problem(chain, record, uncertain, through, initial_motion=self.initial_motion))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
@@ -93,15 +94,19 @@ class StateParameter(Scheme):
         again.unknown = [parameter.name for parameter in problem.uncertain if parameter.unknown]
         return again.problem(prescribed, record)
 
-    def _given(self, prescribed: Chain, record: Record, places: Collection[Place]) -> dict[Place, float]:
+    def _given(self, prescribed: Chain, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
         """What the user says about the unknown parameters."""
         given = initial_values(prescribed, self.initial, self.positive)
         if not record.simulated:
-            own = {place: float(prescribed.parameters[place[0]][place[1]]) for place in places}
-            given = {place: value for place, value in own.items() if math.isfinite(value)} | given
-        return {place: value for place, value in given.items() if place in places}
+            given = {p: p.prescribed for p in unknown if math.isfinite(p.prescribed)} | given
+        return {parameter: value for parameter, value in given.items() if parameter in unknown}
 
-    def _unknown(self, place: Place, start: Start) -> UncertainParameter:
-        kind, dof = place
-        width = self.prior_width * start.scale
-        return UncertainParameter(kind, dof, start.value, width, start.scale, True, kind in self.positive)
+    def _unknown(self, parameter: Parameter, start: Start) -> Parameter:
+        return replace(
+            parameter,
+            prescribed=start.value,
+            prior_std=self.prior_width * start.scale,
+            scale=start.scale,
+            unknown=True,
+            positive=parameter.kind in self.positive,
+        )

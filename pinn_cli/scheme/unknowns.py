@@ -7,24 +7,21 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.problem import UncertainParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number
-from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
-
-# (kind, connection counted from 0)
-Place = tuple[str, int]
+from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 
 # Kinds that cannot be negative unless the user says otherwise.
 POSITIVE = ("m", "c", "k", "kappa", "mu")
 
 
-def all_names(chain: Chain) -> dict[str, Place]:
-    """``k_2`` to ("k", 1), for every parameter of the chain, in its order."""
-    return {f"{kind}_{dof + 1}": (kind, dof) for kind in chain.parameters for dof in range(chain.ndof)}
+def all_names(chain: Chain) -> dict[str, Parameter]:
+    """``k_2`` to the parameter of that name, for every one of the chain, in its order."""
+    return {parameter.name: parameter for parameter in chain.every_parameter()}
 
 
-def unknown_places(chain: Chain, record: Record, unknown: str | Sequence[str] | None) -> list[Place]:
+def unknown_parameters(chain: Chain, record: Record, unknown: str | Sequence[str] | None) -> list[Parameter]:
     """The unknown parameters, in the chain's order.
 
     Args:
@@ -38,8 +35,8 @@ def unknown_places(chain: Chain, record: Record, unknown: str | Sequence[str] | 
     """
     names = all_names(chain)
     if unknown is None:
-        kinds = {"k", *chain.parameters} - {"m", "c"}
-        chosen = {name for name, (kind, dof) in names.items() if kind in kinds and not record.observed[dof]}
+        kinds = {"k", *chain.parameters} - {MASS, "c"}
+        chosen = {name for name, p in names.items() if p.kind in kinds and not record.observed[p.index]}
         if not chosen:
             raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
     else:
@@ -47,13 +44,13 @@ def unknown_places(chain: Chain, record: Record, unknown: str | Sequence[str] | 
         chosen = {name for pattern in patterns for name in _matching(pattern, chain, names, "scheme.unknown")}
         if not chosen:
             raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
-    places = [place for name, place in names.items() if name in chosen]
-    for place in places:
-        _check_touched(place, record)
-    return places
+    found = [parameter for name, parameter in names.items() if name in chosen]
+    for parameter in found:
+        _check_touched(parameter, chain, record)
+    return found
 
 
-def _matching(pattern: Any, chain: Chain, names: Mapping[str, Place], setting: str) -> list[str]:
+def _matching(pattern: Any, chain: Chain, names: Mapping[str, Parameter], setting: str) -> list[str]:
     found = [name for name in names if isinstance(pattern, str) and fnmatchcase(name, pattern)]
     if not found:
         kinds = ", ".join(chain.parameters)
@@ -62,23 +59,23 @@ def _matching(pattern: Any, chain: Chain, names: Mapping[str, Place], setting: s
     return found
 
 
-def _check_touched(place: Place, record: Record) -> None:
+def _check_touched(parameter: Parameter, chain: Chain, record: Record) -> None:
     """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
-    kind, dof = place
-    ends = [dof] if kind == "m" else [dof - 1, dof]
     enforced = record.unforced | record.sensors("force")
-    if not any(enforced[end] for end in ends if end >= 0):
+    if not enforced[chain.ends(parameter)].any():
         raise InputError(
             "scheme.unknown",
-            f"{kind}_{dof + 1}",
+            parameter.name,
             "parameters that an equation of motion contains",
             "the forces on the DOFs at its ends are unknown, so nothing says what it is",
         )
-    jumps = record.intersample == "zero_order_hold" and record.sensors("force")[dof]
-    if kind == "m" and jumps and record.sensors("acceleration")[dof]:
+    if parameter.kind != MASS:
+        return
+    jumps = record.intersample == "zero_order_hold" and record.sensors("force")[parameter.index]
+    if jumps and record.sensors("acceleration")[parameter.index]:
         raise InputError(
             "scheme.unknown",
-            f"m_{dof + 1}",
+            parameter.name,
             "another parameter, or a record whose force is not held between samples",
             "a held force makes that DOF's measured acceleration jump by an amount that needs its mass",
         )
@@ -86,8 +83,8 @@ def _check_touched(place: Place, record: Record) -> None:
 
 def initial_values(
     chain: Chain, given: Mapping[str, float | None] | None, positive: Sequence[str]
-) -> dict[Place, float]:
-    """Where unknown parameters start, by place, for those that the user says something about.
+) -> dict[Parameter, float]:
+    """Where unknown parameters start, for those that the user says something about.
 
     Args:
         chain: The prescribed model.
@@ -104,15 +101,16 @@ def initial_values(
         setting = f"scheme.initial.{key}"
         if not is_finite_number(value):
             raise InputError(setting, value, "a finite number, or null: from the record")
-        for kind, dof in places_of(key, chain, setting):
-            if (kind in positive and value < 0) or (kind == "m" and value == 0):
+        for parameter in parameters_called(key, chain, setting):
+            kind = parameter.kind
+            if (kind in positive and value < 0) or (kind == MASS and value == 0):
                 why = f"scheme.positive=[{', '.join(positive)}] keeps {kind} from falling below zero"
-                raise InputError(setting, value, "> 0" if kind == "m" else ">= 0", why)
-            out[kind, dof] = float(value)
+                raise InputError(setting, value, "> 0" if kind == MASS else ">= 0", why)
+            out[parameter] = float(value)
     return out
 
 
-def places_of(key: str, chain: Chain, setting: str) -> list[Place]:
+def parameters_called(key: str, chain: Chain, setting: str) -> list[Parameter]:
     """The parameters that a kind (``k``: all connections), a name or a pattern means, in the chain's order.
 
     None, for a kind that this chain lacks and another nonlinearity has.
@@ -120,7 +118,7 @@ def places_of(key: str, chain: Chain, setting: str) -> list[Place]:
     Raises:
         InputError: Naming ``setting``: there is no such parameter.
     """
-    if key in (*LINEAR_PARAMETERS, "kappa", "mu") and key not in chain.parameters:
+    if key in (*LINEAR_UNITS, "kappa", "mu") and key not in chain.parameters:
         return []
     names = all_names(chain)
     pattern = f"{key}_*" if key in chain.parameters else key
@@ -140,9 +138,9 @@ def checked_positive(positive: Any) -> tuple[str, ...]:
     return tuple(kinds)
 
 
-def forgetful(prescribed: Chain, unknown: Iterable[UncertainParameter]) -> Chain:
+def at_starts(prescribed: Chain, unknown: Iterable[Parameter]) -> Chain:
     """The prescribed chain with unknown parameters where they start: of a simulated record they were the truth."""
     values = {kind: given.clone() for kind, given in prescribed.parameters.items()}
     for parameter in unknown:
-        values[parameter.kind][parameter.dof] = parameter.prescribed
+        values[parameter.kind][parameter.index] = parameter.prescribed
     return prescribed.with_parameters(**values)

@@ -10,7 +10,8 @@ import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
-from pinn_cli.system.chain import LINEAR_PARAMETERS, Chain
+from pinn_cli.system.chain import Chain, chain_of
+from pinn_cli.system.parameters import LINEAR_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,9 +34,9 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
         InputError: Naming ``system.<parameter>``: ndof is no positive integer; a parameter is missing, unknown, of the
             wrong length, not finite or of a sign that makes no sense.
     """
-    for name in (*LINEAR_PARAMETERS, *nonlinearity.parameters):
+    for name in (*LINEAR_UNITS, *nonlinearity.parameters):
         if parameters.get(name) is None:
-            names = ", ".join((*LINEAR_PARAMETERS, *nonlinearity.parameters))
+            names = ", ".join((*LINEAR_UNITS, *nonlinearity.parameters))
             raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {names}")
     chain = build_partial_chain(ndof, nonlinearity, **parameters)
     for name, value in parameters.items():
@@ -53,13 +54,13 @@ def build_partial_chain(
     what is to be estimated is missing.
     """
     ndof = whole_number("system.ndof", ndof, least=1, most=MOST_DOFS)
-    names = (*LINEAR_PARAMETERS, *nonlinearity.parameters)
+    names = (*LINEAR_UNITS, *nonlinearity.parameters)
     for name, value in parameters.items():
         if name not in names:
             raise InputError(f"system.{name}", value, f"left out: a {nonlinearity.name} chain has {', '.join(names)}")
     values = {name: _per_connection(name, parameters.get(name), ndof) for name in names}
     _check_signs(values, nonlinearity)
-    return Chain({name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}, nonlinearity)
+    return chain_of({name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}, nonlinearity)
 
 
 def _per_connection(name: str, value: Any, ndof: int) -> list[float]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
@@ -17,7 +17,7 @@ NOTICEABLE = 0.01
 
 
 def bounded_estimates(
-    uncertain: Sequence[UncertainParameter],
+    uncertain: Sequence[Parameter],
     unit: np.ndarray,
     mode: np.ndarray,
     posterior: TruncatedGaussian,
@@ -43,8 +43,7 @@ def bounded_estimates(
     std, (lower, upper) = unit * found.std, unit * found.quantiles
     return [
         ParameterEstimate(
-            p.name, p.prescribed, p.value(distance[i]), float(std[i]), p.value(lower[i]), p.value(upper[i]),
-            p.prior_std, p.unknown, bool(held[i]),
+            p, p.value(distance[i]), float(std[i]), p.value(lower[i]), p.value(upper[i]), bool(held[i])
         )
         for i, p in enumerate(uncertain)
     ]  # fmt: skip

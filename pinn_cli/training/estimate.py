@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import Response
+from pinn_cli.system.parameters import Parameter
 
 if TYPE_CHECKING:
     from pinn_cli.runs.checkpoint import Checkpoints
@@ -30,26 +31,45 @@ class ParameterEstimate:
     """One system parameter after training.
 
     Attributes:
-        name: Kind and connection, counted from 1: ``k_2``, ``kappa_4``.
-        prescribed: The value that the estimator was given: believed, or where an unknown one started (`start`).
-        estimate: The value that it found.
+        parameter: Which, and what was believed of it.
+        estimate: The value that was found.
         std: Posterior standard deviation, NaN where the training gives none.
         lower_90, upper_90: The central 90 % interval.
-        prior_std: Prior standard deviation, NaN where there was none.
-        unknown: Whether it was identified from the record alone; otherwise it was prescribed and merely uncertain.
         held: Whether its most probable value is the bound that it cannot pass; the estimate may lie above, being a
             mean.
     """
 
-    name: str
-    prescribed: float
+    parameter: Parameter
     estimate: float
-    std: float
-    lower_90: float
-    upper_90: float
-    prior_std: float = math.nan
-    unknown: bool = False
+    std: float = math.nan
+    lower_90: float = math.nan
+    upper_90: float = math.nan
     held: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the parameter, ``k_2``."""
+        return self.parameter.name
+
+    @property
+    def kind(self) -> str:
+        """Of the parameter, ``k``."""
+        return self.parameter.kind
+
+    @property
+    def unknown(self) -> bool:
+        """Whether it was identified from the record alone; otherwise it was prescribed and merely uncertain."""
+        return self.parameter.unknown
+
+    @property
+    def prescribed(self) -> float:
+        """The value that the estimator was given: believed, or where an unknown one started (:attr:`start`)."""
+        return self.parameter.prescribed
+
+    @property
+    def prior_std(self) -> float:
+        """Prior standard deviation, NaN where there was none."""
+        return self.parameter.prior_std
 
     @property
     def start(self) -> float:

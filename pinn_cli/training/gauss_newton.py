@@ -79,7 +79,7 @@ class GaussNewton(Training):
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
-        if problem.priors is not None and self.weights:
+        if problem.priors and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
         design = design.refined() if problem.identifies else design
         network = design.build(problem.record)
@@ -98,7 +98,7 @@ class GaussNewton(Training):
         equations = found.evidence.equations
         equations.network.readout.data = equations.readout(found.trained.solution.point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
-        if problem.priors is None:
+        if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))
 
@@ -108,7 +108,7 @@ class GaussNewton(Training):
 
     def _over_all_weights(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """Of a network whose features are learned too, in the space of its residuals."""
-        if problem.priors is not None:
+        if problem.priors:
             hint = "an MLP gives no likelihood of its parameters"
             raise InputError("network", design.name, "spline or fourier with scheme=bayesian", hint)
         self._left_alone(design, "has no linear readout", weights={}, pooled=False)

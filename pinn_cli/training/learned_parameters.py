@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.training.estimate import ParameterEstimate
 
 
@@ -19,30 +20,25 @@ class LearnedParameters(nn.Module):
             of 0.01 is about one per cent, whatever the unit.
     """
 
-    prescribed: Tensor
     unit: Tensor
     prior_std: Tensor
     lower: Tensor
     unknown: Tensor
-    kind: Tensor
-    dof: Tensor
 
     def __init__(self, problem: Problem, dtype: torch.dtype) -> None:
         super().__init__()
         self.uncertain = problem.uncertain
-        self.names = tuple(problem.chain.parameters)
-        prescribed = torch.stack([values.detach() for values in problem.chain.parameters.values()])
+        self.nominal = {name: values.detach().to(dtype) for name, values in problem.chain.parameters.items()}
+        for name, values in self.nominal.items():
+            self.register_buffer(f"nominal_{name}", values)
         unit, spread, lower = (
             torch.tensor([getattr(p, name) for p in self.uncertain], dtype=torch.float64)
-            for name in ("unit", "prior_std", "lower")
+            for name in ("step", "prior_std", "lower")
         )
-        self.register_buffer("prescribed", prescribed.to(dtype))
         self.register_buffer("unit", unit.to(dtype))
         self.register_buffer("prior_std", spread.to(dtype))
         self.register_buffer("lower", (lower / unit).to(dtype))
         self.register_buffer("unknown", torch.tensor([p.unknown for p in self.uncertain], dtype=torch.bool))
-        self.register_buffer("kind", torch.tensor([self.names.index(p.kind) for p in self.uncertain], dtype=torch.long))
-        self.register_buffer("dof", torch.tensor([p.dof for p in self.uncertain], dtype=torch.long))
         self.moved = nn.Parameter(torch.zeros(self.count, dtype=dtype))
 
     @property
@@ -51,9 +47,9 @@ class LearnedParameters(nn.Module):
         return len(self.uncertain)
 
     def forward(self) -> dict[str, Tensor]:
-        """Every parameter by name, each (n,)."""
-        values = self.prescribed.index_put((self.kind, self.dof), self.unit * self.moved, accumulate=True)
-        return dict(zip(self.names, values.unbind(), strict=True))
+        """Every parameter by kind."""
+        nominal = {name: self.get_buffer(f"nominal_{name}") for name in self.nominal}
+        return ParameterVector(nominal, self.uncertain).values(self.unit * self.moved)
 
     @torch.no_grad()
     def respect_bounds(self) -> None:
@@ -74,6 +70,6 @@ class LearnedParameters(nn.Module):
         held = (self.moved <= self.lower).cpu().tolist()
         nothing = (math.nan, math.nan, math.nan)
         return [
-            ParameterEstimate(p.name, p.prescribed, p.value(p.lower if h else d), *nothing, p.prior_std, p.unknown, h)
+            ParameterEstimate(p, p.value(p.lower if h else d), *nothing, h)
             for p, d, h in zip(self.uncertain, distance, held, strict=True)
         ]

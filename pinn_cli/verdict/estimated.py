@@ -40,5 +40,5 @@ def _chain(problem: Problem, values: Mapping[str, float]) -> Chain:
     tensors = {kind: given.detach().cpu().double().clone() for kind, given in problem.chain.parameters.items()}
     for parameter in problem.uncertain:
         if parameter.name in values:
-            tensors[parameter.kind][parameter.dof] = values[parameter.name]
+            tensors[parameter.kind][parameter.index] = values[parameter.name]
     return problem.chain.with_parameters(**tensors)

@@ -40,7 +40,7 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
         excused: Names of channels whose fault is known already.
     """
     record = problem.record
-    free = [(p.kind, p.dof) for p in problem.uncertain if p.unknown and p.kind == "k"]
+    free = [(p.kind, p.index) for p in problem.uncertain if p.unknown and p.kind == "k"]
     if not free or not is_linear(problem.chain) or not np.isfinite(record.force).all():
         return []
     as_given = _misfit(refitted(problem.chain, record, free, excused, levels=True), record, excused)

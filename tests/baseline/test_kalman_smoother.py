@@ -17,9 +17,10 @@ from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Estimate, RunContext
 
 
@@ -68,7 +69,7 @@ def test_parameters_that_are_wrong_are_put_right_with_honest_intervals() -> None
     by_name = {p.name: p for p in estimate.parameters}
     assert list(by_name) == [p.name for p in problem.uncertain]
     assert all(by_name[f"k_{i}"].estimate == pytest.approx(15.0, rel=0.01) for i in (1, 2, 3))
-    truths = np.array([float(true.parameters[p.kind][p.dof]) for p in problem.uncertain])
+    truths = np.array([float(true.parameters[p.kind][p.index]) for p in problem.uncertain])
     scores = [(p.estimate - value) / p.std for p, value in zip(estimate.parameters, truths, strict=True)]
     assert np.sqrt(np.mean(np.square(scores))) < 2.0
     assert all(p.lower_90 < p.estimate < p.upper_90 for p in estimate.parameters)
@@ -83,7 +84,7 @@ def test_masses_can_be_unknown() -> None:
     true = small_chain("linear")
     measurements = measured(true, snr_db=50.0, duration=24.0, samples=513)
     wrong = true.with_parameters(m=true.parameters["m"] * 1.1)
-    uncertain = (UncertainParameter("m", 1, 11.0, 2.0),)
+    uncertain = (Parameter("m", 1, 11.0, 2.0),)
     mass = true.parameters["m"].clone()
     mass[1] = 11.0
     problem = Problem(wrong.with_parameters(m=mass), accelerations(measurements.record), uncertain)

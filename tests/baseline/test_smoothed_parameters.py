@@ -9,11 +9,11 @@ import pytest
 from scipy.stats import norm, truncnorm
 
 from pinn_cli.baseline.smoothed_estimate import _parameters
-from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.system.parameters import Parameter
 
 UNCERTAIN = (
-    UncertainParameter("k", 0, 10.0, 20.0, unknown=True, positive=True),
-    UncertainParameter("kappa", 0, 5.0, 3.0, unknown=True),
+    Parameter("k", 0, 10.0, 20.0, unknown=True, positive=True),
+    Parameter("kappa", 0, 5.0, 3.0, unknown=True),
 )
 
 

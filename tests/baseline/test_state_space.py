@@ -10,7 +10,8 @@ from small_problems import NONLINEARITIES, measured, small_chain
 
 from pinn_cli.baseline.state_space import Levels, StateSpace, Trajectory
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 
 
 def problem(nonlinearity: str = "duffing", hidden: bool = False, hold: str = "exact") -> tuple[Problem, Trajectory]:
@@ -25,7 +26,7 @@ def problem(nonlinearity: str = "duffing", hidden: bool = False, hold: str = "ex
         states = np.concatenate((states, truth.force[:, :1], rate), axis=1)
     kinds = ["m", "c", "k", *NONLINEARITIES[nonlinearity][1]]
     uncertain = tuple(
-        UncertainParameter(kind, dof, value, 0.1 * abs(value))
+        Parameter(kind, dof, value, 0.1 * abs(value))
         for kind, dof in zip(kinds, (1, 0, 1, 2), strict=False)
         for value in [float(chain.parameters[kind][dof])]
     )

@@ -15,7 +15,7 @@ from pinn_cli.posterior.chain_store import ChainStore, digest_of
 from pinn_cli.posterior.chains import sample_posterior
 from pinn_cli.posterior.nuts import NutsSettings, sample_chain
 from pinn_cli.posterior.target import Target
-from pinn_cli.scheme.priors import Gamma
+from pinn_cli.system.priors import Gamma
 from pinn_cli.training.estimate import RunContext
 
 LIKELIHOOD = GaussianLikelihood([1.0, 15.0], correlated([0.1, 0.3], 0.5))

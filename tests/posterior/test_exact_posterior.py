@@ -78,7 +78,7 @@ def conjugate(likelihood: ParameterLikelihood, priors) -> tuple[np.ndarray, np.n
 
 
 def priors_of(found: Example) -> list:
-    return [found.problem.priors[p.kind, p.dof] for p in found.problem.uncertain]
+    return list(found.problem.priors)
 
 
 LONG, SHORT = {"chains": 2, "warmup": 200, "draws": 1000}, {"chains": 1, "warmup": 100, "draws": 400}
@@ -155,7 +155,7 @@ class JointDensity:
         equations, point = found.equations, found.trained.solution.point
         weights = equations.readout(point)[0].numpy()
         values = equations.parameters(point)
-        theta = [float(values[p.kind][p.dof]) for p in found.problem.uncertain]
+        theta = [float(values[p.kind][p.index]) for p in found.problem.uncertain]
         self.centre = np.concatenate((weights.ravel(), theta, [0.0]))
         self.size = len(self.centre)
         self.priors = priors_of(found)

@@ -13,8 +13,8 @@ from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood
 
 from pinn_cli.posterior.nuts import STATISTICS, NutsSettings, WhitenedNuts, sample_chain
 from pinn_cli.posterior.target import Target
-from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 
 SETTINGS = NutsSettings(warmup=100, draws=400, target_accept=0.8)
 FLAT = Normal(0.0, 1e6)

@@ -13,9 +13,9 @@ from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.posterior.nuts import STATISTICS
-from pinn_cli.scheme.priors import Gamma, HalfNormal
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
+from pinn_cli.system.priors import Gamma, HalfNormal
 from pinn_cli.training.estimate import RunContext
 
 CONF = Path(__file__).parents[2] / "conf" / "posterior"
@@ -23,7 +23,7 @@ NAMES = ("c_2", "k_1")
 SIGMA = (0.1, np.nan, 0.3)
 WIDE = GaussianLikelihood([1.0, 15.0], correlated([0.1, 0.3], 0.5), NAMES, SIGMA)
 NARROW = GaussianLikelihood([1.2, 15.5], correlated([0.02, 0.06], 0.5), NAMES, SIGMA)
-PRIORS = {("k", 0): Gamma(2.0, 0.1), ("k", 1): Gamma(9.0, 9.0), ("c", 1): HalfNormal(5.0)}
+PRIORS = (HalfNormal(5.0), Gamma(2.0, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_laplace_and_nuts_agree_where_the_record_says_much():
 def test_thirty_parameters():
     peak = np.linspace(1.0, 100.0, 30)
     likelihood = GaussianLikelihood(peak, correlated(0.1 * peak, 0.9))
-    priors = {("k", i): HalfNormal(1000.0) for i in range(30)}
+    priors = [HalfNormal(1000.0)] * 30
     samples = Marginal(2, 100, 100).find(likelihood, likelihood, priors, RunContext())
     np.testing.assert_allclose(samples.draws.mean((0, 1)), peak, atol=0.04 * peak.max())
     assert not samples.statistics["diverging"].any()

@@ -50,7 +50,7 @@ def rank_and_distance(chain: Chain, seed: int) -> dict[str, tuple[float, float]]
     samples = Laplace(DRAWS).find(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
     out = {}
     for parameter, draws in zip(problem.uncertain, samples.draws[0].T, strict=True):
-        truth = float(chain.parameters[parameter.kind][parameter.dof])
+        truth = float(chain.parameters[parameter.kind][parameter.index])
         out[parameter.name] = (float(np.mean(draws < truth)), float(abs(truth - draws.mean()) / draws.std()))
     return out
 

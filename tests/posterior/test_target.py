@@ -8,9 +8,9 @@ from scipy import optimize
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated, slopes
 
 from pinn_cli.posterior.positivity import Softplus
-from pinn_cli.posterior.target import Target, priors_of
-from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal
+from pinn_cli.posterior.target import Target
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 
 PRIORS = [Gamma(2.0, 0.1), Normal(0.0, 5.0), HalfNormal(30.0), LogNormal(10.0, 0.5)]
 LIKELIHOOD = RegressionLikelihood([1.0, -0.5, 15.0, 9.0], correlated([0.3, 0.2, 0.5, 2.0], 0.8))
@@ -103,11 +103,6 @@ def test_a_posterior_without_a_value_at_its_start_is_told():
 def test_the_forces_noise_and_its_dofs(target):
     x = np.array([[0.0, 0.0, 0.0, 0.0, np.log(2.0)]])
     np.testing.assert_allclose(target.sigma_force(x), [[0.2]])
-
-
-def test_priors_are_found_by_the_parameters_names():
-    priors = {("k", 0): Normal(1.0, 1.0), ("kappa", 11): Normal(2.0, 1.0), ("c", 0): Normal(3.0, 1.0)}
-    assert priors_of(["kappa_12", "k_1"], priors) == [priors[("kappa", 11)], priors[("k", 0)]]
 
 
 def test_softplus_is_its_own_inverse_and_has_these_slopes():

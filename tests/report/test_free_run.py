@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calls import SMALL, PinnRun
+from small_estimates import parameter_estimate
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.record.noise import add_noise
@@ -20,7 +21,7 @@ from pinn_cli.report.labels import LABELS
 from pinn_cli.report.terminal import WIDTH, free_run_text
 from pinn_cli.system import Chain, build_chain
 from pinn_cli.system.connection import Duffing
-from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.training.estimate import Estimate
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
 HOLDS = ("exact", "zero_order")
@@ -30,7 +31,7 @@ RUN_LABELS = dict.fromkeys(LABELS, "x")
 def estimated(response: Response, **parameters: float) -> Estimate:
     """An estimate of this motion and these parameters."""
     nan = float("nan")
-    found = [ParameterEstimate(name, nan, value, nan, nan, nan) for name, value in parameters.items()]
+    found = [parameter_estimate(name, nan, value, nan, nan, nan) for name, value in parameters.items()]
     unknown = Response.unknown(response.time, response.force.shape[1])
     return Estimate(response, unknown, found, pd.DataFrame(), {})
 

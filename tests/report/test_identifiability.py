@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_estimates import parameter_estimate
 
 from pinn_cli.report.identifiability import (
     COLUMNS,
@@ -26,7 +27,7 @@ def parameter(
     name: str, estimate: float = 15.0, std: float = 0.15, prior_std: float = 10.0, unknown: bool = True
 ) -> ParameterEstimate:
     lower, upper = estimate - 1.645 * std, estimate + 1.645 * std
-    return ParameterEstimate(name, 10.0, estimate, std, lower, upper, prior_std, unknown)
+    return parameter_estimate(name, 10.0, estimate, std, lower, upper, prior_std, unknown)
 
 
 def correlated(value: float, count: int = 2) -> np.ndarray:
@@ -106,7 +107,7 @@ def test_correlated_parameters_that_are_known_anyway_are_well_determined():
 
 
 def test_a_training_without_standard_deviations_is_told_once(make_case):
-    parameters = [ParameterEstimate(f"k_{i}", 10.0, 15.0, NAN, NAN, NAN, 10.0, True) for i in (2, 4)]
+    parameters = [parameter_estimate(f"k_{i}", 10.0, 15.0, NAN, NAN, NAN, 10.0, True) for i in (2, 4)]
     (line,) = identifiability_warnings(parameters, None)
     assert line.startswith("this training gives no standard deviations")
     table = identifiability_table(parameters, None, make_case().labels)

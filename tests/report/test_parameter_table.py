@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_estimates import parameter_estimate
 
 from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import COLUMNS, parameter_table
-from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.estimated_chain import split_name
 
 
 def test_error_is_relative_to_the_truth(make_case):
     labels = make_case().labels
     estimates = [
-        ParameterEstimate("k_2", 16.0, 14.7, 0.1, 14.5, 14.9),
-        ParameterEstimate("kappa_1", 90.0, 0.0, 1, 2, 3),
+        parameter_estimate("k_2", 16.0, 14.7, 0.1, 14.5, 14.9),
+        parameter_estimate("kappa_1", 90.0, 0.0, 1, 2, 3),
     ]
     table = parameter_table(estimates, {"k": np.array([1.0, 15.0]), "kappa": np.array([0.0, 7.0])}, labels)
     assert list(table) == [*LABELS, *COLUMNS]
@@ -26,8 +26,8 @@ def test_error_is_relative_to_the_truth(make_case):
 
 def test_an_unknown_parameter_has_a_start_and_nothing_prescribed(make_case):
     estimates = [
-        ParameterEstimate("k_1", 16.0, 14.7, 0.1, 14.5, 14.9),
-        ParameterEstimate("k_2", 5.0, 14.7, 0.1, 14.5, 14.9, unknown=True),
+        parameter_estimate("k_1", 16.0, 14.7, 0.1, 14.5, 14.9),
+        parameter_estimate("k_2", 5.0, 14.7, 0.1, 14.5, 14.9, unknown=True),
     ]
     table = parameter_table(estimates, None, make_case().labels)
     np.testing.assert_array_equal(table["prescribed"], [16.0, np.nan])

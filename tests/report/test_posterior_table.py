@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fake_posteriors import CORRELATION, DUFFING, LABELS, make_diagnostics, make_samples, true_parameters
+from small_estimates import parameter_estimate
 
 from pinn_cli.report.labels import LABELS as LABEL_NAMES
 from pinn_cli.report.parameters import parameter_table
@@ -19,6 +20,7 @@ from pinn_cli.report.posterior_table import (
     worst_sampled,
 )
 from pinn_cli.report.terminal import PARAMETERS_SHOWN, WIDTH, diagnostics_text
+from pinn_cli.system.parameters import Parameter
 
 MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 
@@ -26,7 +28,7 @@ MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
 def test_estimates_of_known_draws():
     draws = np.arange(1.0, 102.0).reshape(1, 101, 1)
     samples = replace(make_samples(("k_1",)), draws=draws, prior=np.array([[0.0], [2.0], [4.0]]))
-    (k,) = parameter_estimates(samples, {"k_1": 7.0})
+    (k,) = parameter_estimates(samples, [Parameter("k", 0, 7.0)])
     assert (k.name, k.prescribed, k.unknown) == ("k_1", 7.0, True)
     assert (k.estimate, k.lower_90, k.upper_90) == pytest.approx((51.0, 6.0, 96.0))
     assert k.std == pytest.approx(np.std(draws, ddof=1))
@@ -34,7 +36,9 @@ def test_estimates_of_known_draws():
 
 
 def test_estimates_make_the_parameter_table():
-    estimates = parameter_estimates(make_samples(), dict.fromkeys(DUFFING, 1.0))
+    estimates = parameter_estimates(
+        make_samples(), [parameter_estimate(name, 1.0, 1, 1, 1, 1).parameter for name in DUFFING]
+    )
     table = parameter_table(estimates, true_parameters(), LABELS).set_index("parameter")
     assert list(table.index) == list(DUFFING)
     assert (table["error_percent"] < 1.0).all()

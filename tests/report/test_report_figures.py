@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
+from small_estimates import other_estimate
 
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.report.figures import (
@@ -147,12 +148,12 @@ def test_parameters_relative_to_prescribed(make_case):
     assert _texts(figure) == ["prescribed", "truth", "estimate, 90 % interval"]
     assert _texts(parameters_figure(case.estimate.parameters, None)) == ["prescribed", "estimate, 90 % interval"]
     with pytest.raises(ValueError, match="no estimated parameter"):
-        parameters_figure([replace(case.estimate.parameters[0], prescribed=0.0)], None)
+        parameters_figure([other_estimate(case.estimate.parameters[0], prescribed=0.0)], None)
 
 
 def test_a_large_cubic_stiffness_has_readable_ticks(make_case):
     (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "kappa_1"]
-    large = replace(given, unknown=True, prescribed=0.0, estimate=5e9, std=1e8, lower_90=4.8e9, upper_90=5.2e9)
+    large = other_estimate(given, unknown=True, prescribed=0.0, estimate=5e9, std=1e8, lower_90=4.8e9, upper_90=5.2e9)
     figure = parameters_figure([large], None, {"kappa": "N/m^3"}, TITLES)
     assert figure.axes[0].get_title() == r"Duffing $\kappa$ (GN/m$^{3}$)"
     assert figure.axes[0].lines[0].get_ydata() == 5.0
@@ -160,7 +161,7 @@ def test_a_large_cubic_stiffness_has_readable_ticks(make_case):
 
 def test_mu_goes_by_its_nonlinearity(make_case):
     (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
-    mu = replace(given, name="mu_1", unknown=True)
+    mu = other_estimate(given, kind="mu", unknown=True)
     for nonlinearity, title in (
         (VanDerPol(), r"Van der Pol $\mu$ (N s/m)"),
         (PowerDamping(), r"Power-law damping $\mu$ (N (s/m)$^{2}$)"),
@@ -172,7 +173,7 @@ def test_mu_goes_by_its_nonlinearity(make_case):
 def _identified(case, *unknown):
     """The case's parameters, of which the named ones are unknown, started from two thirds of their value."""
     return [
-        replace(p, unknown=True, prescribed=p.prescribed / 1.5) if p.name in unknown else p
+        other_estimate(p, unknown=True, prescribed=p.prescribed / 1.5) if p.name in unknown else p
         for p in case.estimate.parameters
     ]
 
@@ -200,7 +201,11 @@ def test_unknown_parameters_are_drawn_in_their_units_above_the_prescribed(make_c
 def test_a_start_far_away_does_not_squash_the_scale(make_case):
     case = make_case(ndof=4)
     far, near = (
-        [replace(p, unknown=True, prescribed=start) for p in case.estimate.parameters if p.name in ("k_2", "k_4")]
+        [
+            other_estimate(p, unknown=True, prescribed=start)
+            for p in case.estimate.parameters
+            if p.name in ("k_2", "k_4")
+        ]
         for start in (40e3, 14.5)
     )
     figure = parameters_figure(far, None, {"k": "N/m"})
@@ -214,7 +219,7 @@ def test_a_start_far_away_does_not_squash_the_scale(make_case):
 
 def test_an_interval_is_drawn_at_its_own_ends_whatever_the_estimate(make_case):
     (given,) = [p for p in make_case(ndof=1).estimate.parameters if p.name == "k_1"]
-    bounded = replace(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
+    bounded = other_estimate(given, unknown=True, prescribed=0.0, estimate=0.0, lower_90=0.1, upper_90=2.0)
     axes = parameters_figure([bounded], None, {"k": "N/m"}).axes[0]
     (segment,) = [path.vertices for lines in axes.collections for path in lines.get_paths() if len(path.vertices)]
     np.testing.assert_allclose(segment[:, 1], [0.1, 2.0])
@@ -222,7 +227,7 @@ def test_an_interval_is_drawn_at_its_own_ends_whatever_the_estimate(make_case):
 
 def test_values_without_intervals_and_large_values(make_case):
     parameters = [
-        replace(p, unknown=True, estimate=44e3, std=np.nan, lower_90=np.nan, upper_90=np.nan)
+        other_estimate(p, unknown=True, estimate=44e3, std=np.nan, lower_90=np.nan, upper_90=np.nan)
         for p in make_case(ndof=1).estimate.parameters
         if p.name == "k_1"
     ]

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from calls import SMALL
 from fake_posteriors import DUFFING, make_findings, make_samples
+from small_estimates import parameter_estimate
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.report import figures, run_report
@@ -26,7 +27,10 @@ def reported(composed, make_case, tmp_path, monkeypatch):
 
     def report(*unknown: str, **changes: object):
         case = make_case(ndof=3, observed=2)
-        parameters = [replace(p, unknown=p.name in unknown, prior_std=p.prescribed) for p in case.estimate.parameters]
+        parameters = [
+            replace(p, parameter=replace(p.parameter, unknown=p.name in unknown, prior_std=p.prescribed))
+            for p in case.estimate.parameters
+        ]
         changes = {"correlation": np.eye(len(parameters)), **changes}
         estimate = replace(case.estimate, parameters=parameters, **changes)
         config = RunConfig.read(composed(*SMALL))
@@ -69,7 +73,7 @@ def test_the_columns_of_parameters_csv_are_agreed(reported, unknown):
 def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case, tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
     case = make_case(ndof=3, observed=3)
-    start = [replace(case.estimate.parameters[0], name=name) for name in DUFFING]
+    start = [parameter_estimate(name, 1.0, 1.0, 0.1, 0.9, 1.1) for name in DUFFING]
     samples = make_samples()
     findings = make_findings(samples, None, "3 divergences")
     config, estimate = RunConfig.read(composed(*SMALL)), replace(case.estimate, parameters=start)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_estimates import parameter_estimate
 
 from pinn_cli.record.record import Response
 from pinn_cli.report import published
@@ -60,7 +61,7 @@ def test_published_rows_of_this_case_only(make_case):
 
 def test_parameters(make_case):
     labels = make_case().labels
-    estimates = [ParameterEstimate("k_1", 40e3, 44012.0, 1534.0, float("nan"), float("nan"))]
+    estimates = [parameter_estimate("k_1", 40e3, 44012.0, 1534.0, float("nan"), float("nan"))]
     text = parameters_text(parameter_table(estimates, None, labels))
     assert text.splitlines()[2].split() == ["k_1", "40000", "44012", "1534", "-"]
     assert parameters_text(parameter_table([], None, labels)) == ""
@@ -69,7 +70,7 @@ def test_parameters(make_case):
 def _identified(count: int = 2) -> list[ParameterEstimate]:
     """Every second parameter of the named kinds is unknown; of the prescribed ones, the last moved furthest."""
     return [
-        ParameterEstimate(f"{kind}_{i}", 10.0, 10.0 + i, 0.1, 9.0 + i, 11.0 + i, 5.0, unknown=i % 2 == 0)
+        parameter_estimate(f"{kind}_{i}", 10.0, 10.0 + i, 0.1, 9.0 + i, 11.0 + i, 5.0, unknown=i % 2 == 0)
         for kind in ("k", "kappa")
         for i in range(1, 2 * count + 1)
     ]

@@ -14,12 +14,12 @@ from pinn_cli.record.csv_data import CsvData
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.bayesian import WIDTH, Bayesian
 from pinn_cli.scheme.prior_settings import WIDE
-from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.starts import parameter_starts
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_by_default_everything_but_the_masses_is_unknown(measurements, nonlinear
     problem = posed(measurements, nonlinearity)
     assert names(problem) == every(kinds)
     assert all(parameter.unknown for parameter in problem.uncertain)
-    assert list(problem.priors) == [(p.kind, p.dof) for p in problem.uncertain]
+    assert len(problem.priors) == len(problem.uncertain)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,6 @@ def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements,
         np.testing.assert_array_equal(values, other.chain.parameters[kind])
     for a, b in zip(told.uncertain, other.uncertain, strict=True):
         assert vars(a) == vars(b)
-    assert told.priors == other.priors
 
 
 def test_the_prescribed_chain_stays_as_it_was(measurements):
@@ -116,7 +115,7 @@ def test_priors_by_kind_and_by_name(measurements):
         "*_3": {"kind": "normal", "mean": 0.0, "std": 100.0},
         "kappa_3": None,
     }
-    priors = posed(measurements, priors=chosen).priors
+    priors = {(p.kind, p.index): p.prior for p in posed(measurements, priors=chosen).uncertain}
     given = {place: prior for place, prior in priors.items() if place[0] != "kappa"}
     assert given == {
         ("c", 0): HalfNormal(5.0), ("c", 1): HalfNormal(5.0), ("c", 2): Normal(0.0, 100.0),
@@ -128,12 +127,12 @@ def test_priors_by_kind_and_by_name(measurements):
 def test_priors_that_nobody_chose_are_wide_on_the_scale_of_their_start(measurements):
     problem = posed(measurements, positive=["m", "c", "k"])
     record = Bayesian().observe(measurements.record)
-    (starts,) = parameter_starts(small_chain(), record, list(problem.priors), {}, most=1)
-    for place, prior in problem.priors.items():
-        width = WIDE * starts[place].scale
-        assert prior == (Normal(0.0, width) if place[0] == "kappa" else HalfNormal(width))
+    (starts,) = parameter_starts(small_chain(), record, problem.uncertain, {}, most=1)
+    for parameter in problem.uncertain:
+        width = WIDE * starts[parameter].scale
+        assert parameter.prior == (Normal(0.0, width) if parameter.kind == "kappa" else HalfNormal(width))
     truth = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
-    assert all(truth[kind] < 2.0 * WIDE * start.scale for (kind, _), start in starts.items())
+    assert all(truth[parameter.kind] < 2.0 * WIDE * start.scale for parameter, start in starts.items())
 
 
 def test_only_what_may_be_negative_may_be_negative(measurements):
@@ -150,7 +149,7 @@ def test_training_works_under_gaussians_that_are_wider_than_any_prior(measuremen
     }
     problem = posed(measurements, priors=chosen)
     for parameter in problem.uncertain:
-        prior = problem.priors[parameter.kind, parameter.dof]
+        prior = parameter.prior
         width = prior.std if parameter.name != "c_1" else 0.0  # of which the standard deviation is 1e35 medians
         assert parameter.prior_std >= WIDTH * max(width / 10.0, abs(parameter.prescribed)), parameter.name
         assert np.isfinite(parameter.prior_std)
@@ -212,7 +211,7 @@ def test_a_dof_without_a_sensor_is_named_with_the_scheme_to_take(measurements):
 def test_priors_are_for_this_scheme_alone(measurements):
     assert posed(measurements).priors
     for other in (StateParameter(unobserved=[2]), SparseRecovery()):
-        assert other.problem(small_chain(), other.observe(measurements.record)).priors is None
+        assert other.problem(small_chain(), other.observe(measurements.record)).priors == ()
 
 
 def test_accelerometers_alone_are_warned_of(measurements, caplog):

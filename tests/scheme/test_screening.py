@@ -11,6 +11,9 @@ from independent_records import IndependentRecord, frame_record
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.screening import LinearFit, screened
 
+# Row i: which displacements stretch connection i of a chain of three.
+STRETCH = np.eye(3) - np.eye(3, k=-1)
+
 
 def linear(**settings) -> IndependentRecord:
     return frame_record(rate=100.0, duration=20.0, cubic=False, **settings)
@@ -28,7 +31,7 @@ def guess(made: IndependentRecord, **factors: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
 def test_stiffnesses_come_out_from_a_guess_a_decade_off(factor):
     made = linear()
-    best = screened(made.record, known(made, "k"), guess(made, k=factor))[0]
+    best = screened(made.record, STRETCH, known(made, "k"), guess(made, k=factor))[0]
     np.testing.assert_allclose(best.parameters["k"], made.structure.k, rtol=0.03)
     assert best.misfit < 0.1
     for kind in ("m", "c"):
@@ -38,21 +41,21 @@ def test_stiffnesses_come_out_from_a_guess_a_decade_off(factor):
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_from_one_sensor_too(factor):
     made = linear(sensors=(("velocity", (1,)),))
-    best = screened(made.record, known(made, "k"), guess(made, k=factor))[0]
+    best = screened(made.record, STRETCH, known(made, "k"), guess(made, k=factor))[0]
     np.testing.assert_allclose(best.parameters["k"], made.structure.k, rtol=0.05)
 
 
 @pytest.mark.parametrize("factor", [0.2, 3.0])
 def test_masses_come_out_beside_known_stiffnesses(factor):
     made = linear()
-    best = screened(made.record, known(made, "m"), guess(made, m=factor))[0]
+    best = screened(made.record, STRETCH, known(made, "m"), guess(made, m=factor))[0]
     np.testing.assert_allclose(best.parameters["m"], made.structure.m, rtol=0.03)
 
 
 def test_masses_and_stiffnesses_and_dampers_come_out_together():
     """The measured force says how heavy all is."""
     made = linear()
-    best = screened(made.record, known(made, "m", "c", "k"), guess(made, k=10.0, m=2.0))[0]
+    best = screened(made.record, STRETCH, known(made, "m", "c", "k"), guess(made, k=10.0, m=2.0))[0]
     np.testing.assert_allclose(best.parameters["k"], made.structure.k, rtol=0.05)
     np.testing.assert_allclose(best.parameters["m"], made.structure.m, rtol=0.05)
     np.testing.assert_allclose(best.parameters["c"], made.structure.c, rtol=0.6)
@@ -60,7 +63,7 @@ def test_masses_and_stiffnesses_and_dampers_come_out_together():
 
 def test_candidates_are_sorted_and_distinct():
     made = linear()
-    found = screened(made.record, known(made, "k"), guess(made, k=10.0))
+    found = screened(made.record, STRETCH, known(made, "k"), guess(made, k=10.0))
     misfits = [candidate.misfit for candidate in found]
     assert misfits == sorted(misfits)
     for i, one in enumerate(found):
@@ -75,13 +78,13 @@ def test_nothing_is_screened_without_all_forces_or_without_anything_unknown():
     unforced = np.array([True, False, False])
     partly = replace(made.record, force=force, unforced=unforced)
     assert CrossSpectra.of(partly) is None
-    assert screened(partly, known(made, "k"), guess(made)) == []
-    assert screened(made.record, known(made, "c"), guess(made)) == []
+    assert screened(partly, STRETCH, known(made, "k"), guess(made)) == []
+    assert screened(made.record, STRETCH, known(made, "c"), guess(made)) == []
 
 
 def test_slopes_of_the_misfit_are_those_of_its_values():
     made = linear(sensors=(("acceleration", (1, 3)), ("displacement", (2,))))
-    fit = LinearFit(CrossSpectra.of(made.record), known(made, "m", "c", "k"))
+    fit = LinearFit(CrossSpectra.of(made.record), STRETCH, known(made, "m", "c", "k"))
     x = fit.start(*(guess(made, k=1.3)[kind] for kind in ("m", "k")))
     _, slopes = fit._residual(x, slopes=True)
     assert slopes.shape[-1] == len(x) == 7

@@ -11,10 +11,11 @@ from small_problems import NONLINEARITIES, measured, small_chain
 
 from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.repeats import Repeats
-from pinn_cli.scheme.priors import Prior
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.priors import Prior
 
 QUANTITIES = ("displacement", "velocity", "acceleration")
 
@@ -46,9 +47,9 @@ def test_every_parameter_but_the_masses_is_uncertain(measurements, nonlinearity)
     chain = small_chain(nonlinearity)
     problem = SparseRecovery(parameter_uncertainty=0.2).problem(chain, measurements.record)
     expected = [(kind, dof) for kind in chain.parameters if kind != "m" for dof in range(3)]
-    assert [(p.kind, p.dof) for p in problem.uncertain] == expected
+    assert [(p.kind, p.index) for p in problem.uncertain] == expected
     for p in problem.uncertain:
-        assert p.prescribed == float(chain.parameters[p.kind][p.dof])
+        assert p.prescribed == float(chain.parameters[p.kind][p.index])
         assert p.prior_std == pytest.approx(0.2 * abs(p.prescribed))
 
 
@@ -97,7 +98,7 @@ def test_impossible_dofs_are_named_once_the_record_is_known(measurements):
 
 
 def test_names_are_counted_from_one():
-    assert UncertainParameter("kappa", 3, 100.0, 7.5).name == "kappa_4"
+    assert Parameter("kappa", 3, 100.0, 7.5).name == "kappa_4"
 
 
 def hints(cls: type) -> dict[str, type]:
@@ -123,7 +124,6 @@ def test_a_problem_has_no_way_to_the_truth():
         "record",
         "uncertain",
         "acceleration_through",
-        "priors",
         "initial_motion",
         "alternatives",
     }

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from pinn_cli.system import Chain, build_chain, draw
+from pinn_cli.system.chain import chain_of
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
 VARIANTS = {
@@ -123,11 +124,11 @@ def test_linearised_drops_the_nonlinearity_and_keeps_the_rest(chain):
 def test_a_chain_checks_itself():
     one = torch.ones(3, dtype=torch.float64)
     with pytest.raises(ValueError, match="kappa"):
-        Chain({"m": one, "c": one, "k": one}, Duffing())
-    with pytest.raises(ValueError, match="ndof"):
-        Chain({"m": one, "c": one, "k": torch.ones(2, dtype=torch.float64)}, Linear())
+        chain_of({"m": one, "c": one, "k": one}, Duffing())
+    with pytest.raises(ValueError, match="numbers, not"):
+        chain_of({"m": one, "c": one, "k": torch.ones(2, dtype=torch.float64)}, Linear())
     with pytest.raises(ValueError, match="mu"):
-        Chain({"m": one, "c": one, "k": one}, Linear()).with_parameters(mu=one)
+        chain_of({"m": one, "c": one, "k": one}, Linear()).with_parameters(mu=one)
 
 
 def test_drawing_names_every_mass_and_connection():

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 
-def parameters(count: int, prescribed: float, prior_std: float, positive: bool = True) -> list[UncertainParameter]:
-    return [
-        UncertainParameter("k", dof, prescribed, prior_std, unknown=True, positive=positive) for dof in range(count)
-    ]
+def parameters(count: int, prescribed: float, prior_std: float, positive: bool = True) -> list[Parameter]:
+    return [Parameter("k", dof, prescribed, prior_std, unknown=True, positive=positive) for dof in range(count)]
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -31,7 +29,7 @@ def test_every_estimate_lies_inside_its_interval(seed):
     peak = np.where(np.isfinite(lower), lower, 0.0) + reach * spread
     misfit = rng.choice([0.0, 1.0]) * spread * 10.0 ** rng.uniform(-2.0, 2.0, count)
     uncertain = [
-        UncertainParameter("k", i, -float(low) if np.isfinite(low) else 1.0, 1.0, positive=bool(np.isfinite(low)))
+        Parameter("k", i, -float(low) if np.isfinite(low) else 1.0, 1.0, positive=bool(np.isfinite(low)))
         for i, low in enumerate(lower)
     ]
     mode = np.maximum(peak, lower)
@@ -57,7 +55,7 @@ def test_a_bound_that_is_far_leaves_the_mode_bit_for_bit(below):
     mode, unit = rng.normal(size=3) / 3.0, np.array([0.1, 3.0, 70.0])
     covariance = np.diag(np.full(3, 1e-4)) + 5e-5
     lower = mode - below * np.sqrt(covariance.diagonal())
-    uncertain = [UncertainParameter("k", dof, 1.1, 2.0) for dof in range(3)]
+    uncertain = [Parameter("k", dof, 1.1, 2.0) for dof in range(3)]
     found = bounded_estimates(uncertain, unit, mode, TruncatedGaussian(mode, covariance, lower))
     assert [p.estimate for p in found] == [1.1 + u * m for u, m in zip(unit, mode, strict=True)]
     assert not any(p.held for p in found)
@@ -67,7 +65,7 @@ def test_one_that_is_held_moves_those_that_are_correlated_with_it_into_their_int
     """At a correlation of 0.999 the other's interval lies beside its mode."""
     covariance = np.array([[1.0, 0.999], [0.999, 1.0]])
     posterior = TruncatedGaussian(np.array([-3.0, 5.0]), covariance, np.array([0.0, -np.inf]))
-    uncertain = [*parameters(1, 0.0, 1.0), UncertainParameter("c", 0, 0.0, 1.0)]
+    uncertain = [*parameters(1, 0.0, 1.0), Parameter("c", 0, 0.0, 1.0)]
     mode = np.array([0.0, 5.0 + 0.999 * 3.0])
     _, other = bounded_estimates(uncertain, np.ones(2), mode, posterior)
     assert other.estimate == pytest.approx(posterior.mean[1])

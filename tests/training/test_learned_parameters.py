@@ -8,13 +8,14 @@ import pytest
 import torch
 from small_problems import measured, small_chain
 
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.learned_parameters import LearnedParameters
 
 UNCERTAIN = (
-    UncertainParameter("k", 1, 1.5, 255.0, scale=25.5, unknown=True, positive=True),
-    UncertainParameter("kappa", 0, 7.3, 1e3, scale=123.4, unknown=True, positive=True),
-    UncertainParameter("c", 2, 1.1, 0.1),
+    Parameter("k", 1, 1.5, 255.0, scale=25.5, unknown=True, positive=True),
+    Parameter("kappa", 0, 7.3, 1e3, scale=123.4, unknown=True, positive=True),
+    Parameter("c", 2, 1.1, 0.1),
 )
 
 
@@ -22,7 +23,7 @@ def learned(dtype: torch.dtype = torch.float32) -> LearnedParameters:
     chain = small_chain()
     values = {kind: value.clone() for kind, value in chain.parameters.items()}
     for p in UNCERTAIN:
-        values[p.kind][p.dof] = p.prescribed
+        values[p.kind][p.index] = p.prescribed
     record = measured(chain, duration=3.0, samples=33).record
     return LearnedParameters(Problem(chain.with_parameters(**values), record, UNCERTAIN), dtype)
 

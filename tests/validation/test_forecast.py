@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from calls import PinnRun
 from interrupted_runs import without_figures
+from small_estimates import parameter_estimate
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -18,7 +19,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.training.base import Training
-from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
+from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.validation.base import Estimator
 from pinn_cli.validation.forecast import Forecast
 
@@ -39,7 +40,7 @@ class Guess(Training):
         truth = measured(small_chain()).truth.response
         samples = len(problem.record.time)
         known = Response(problem.record.time, **{q: getattr(truth, q)[:samples] for q in QUANTITIES})
-        found = [ParameterEstimate(f"k_{dof}", 15.0, 15.0 * self.factor, 0.1, 14.0, 16.0) for dof in (1, 2, 3)]
+        found = [parameter_estimate(f"k_{dof}", 15.0, 15.0 * self.factor, 0.1, 14.0, 16.0) for dof in (1, 2, 3)]
         return Estimate(known, Response.unknown(known.time, 3), found, pd.DataFrame(), {})
 
 

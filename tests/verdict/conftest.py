@@ -6,12 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from frame_records import measure, measurements
+from small_estimates import parameter_estimate
 from small_problems import small_chain
 
 from pinn_cli.record.record import Record, Response
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.chain import Chain
-from pinn_cli.training.estimate import Estimate, ParameterEstimate
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.estimate import Estimate
 
 
 @pytest.fixture(scope="session")
@@ -32,10 +34,10 @@ def right_estimate(frame: Chain) -> tuple[Problem, Estimate]:
     noise = [float(np.std(record.acceleration[:, i] - truth.acceleration[:, i])) for i in range(3)]
     cell = float(np.std(record.force[:, 2] - truth.force[:, 2]))
     std = Response(record.time, *(np.full(truth.force.shape, 1e-3 * np.std(truth.displacement)) for _ in range(4)))
-    unknown = tuple(UncertainParameter("k", i, 10.0, 100.0, unknown=True, positive=True) for i in range(3))
-    believed = tuple(UncertainParameter("c", i, 1.0, 0.075) for i in range(3))
-    parameters = [ParameterEstimate(f"k_{i}", 10.0, 15.0, 0.01, 14.98, 15.02, 100.0, True) for i in (1, 2, 3)]
-    parameters += [ParameterEstimate(f"c_{i}", 1.0, 1.0, 0.01, 0.98, 1.02, 0.075) for i in (1, 2, 3)]
+    unknown = tuple(Parameter("k", i, 10.0, 100.0, unknown=True, positive=True) for i in range(3))
+    believed = tuple(Parameter("c", i, 1.0, 0.075) for i in range(3))
+    parameters = [parameter_estimate(f"k_{i}", 10.0, 15.0, 0.01, 14.98, 15.02, 100.0, True) for i in (1, 2, 3)]
+    parameters += [parameter_estimate(f"c_{i}", 1.0, 1.0, 0.01, 0.98, 1.02, 0.075) for i in (1, 2, 3)]
     summary = {
         "stop_reason": "converged", "sigma_discrepancy": 1e-4, "parameter_spread": 0.5,
         "sigma_force": [None, None, cell], "sigma_acceleration": noise,

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frame_records import altered, measure
+from small_estimates import other_estimate
 
-from pinn_cli.scheme.problem import UncertainParameter
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.verdict.baseline_findings import baseline_findings
 from pinn_cli.verdict.estimated import drawn_chain, estimated_chain
 from pinn_cli.verdict.noise_findings import noise_findings
@@ -26,7 +27,7 @@ def with_summary(estimate, **entries):
 
 
 def with_parameter(given, which, **changes):
-    parameters = [replace(p, **changes) if p.name == which else p for p in given.parameters]
+    parameters = [other_estimate(p, **changes) if p.name == which else p for p in given.parameters]
     return replace(given, parameters=parameters)
 
 
@@ -115,8 +116,8 @@ def test_an_unknown_parameter_at_zero_or_undetermined(right_estimate):
     (found,) = parameter_findings(problem, with_parameter(estimate, "k_1", estimate=0.0), problem.chain)
     assert (found.suspect, "ended at zero" in found.text) == ("k_1", True)
     assert of_parameters(problem, with_parameter(estimate, "k_1", std=3.0)) == [("not_identified", "k_1")]
-    rough = replace(problem, uncertain=(UncertainParameter("kappa", 0, 1.0, 1.0, unknown=True),))
-    named = with_parameter(estimate, "k_1", name="kappa_1", std=3.0)
+    rough = replace(problem, uncertain=(Parameter("kappa", 0, 1.0, 1.0, unknown=True),))
+    named = with_parameter(estimate, "k_1", kind="kappa", std=3.0)
     assert kinds(parameter_findings(rough, named, problem.chain)) == []
 
 

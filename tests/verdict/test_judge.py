@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frame_records import altered
+from small_estimates import other_estimate
 
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.judge import Verdict, judge
@@ -70,7 +71,7 @@ def test_a_gain_that_believed_parameters_made_up_for_shows_against_the_prescribe
     record = altered(one, 3, lambda x: 1.15 * x)
     believed = tuple(replace(p, unknown=False) for p in problem.uncertain)
     absorbed = [
-        replace(p, estimate=p.estimate / 1.07, prescribed=p.estimate, unknown=False) for p in estimate.parameters
+        other_estimate(p, estimate=p.estimate / 1.07, prescribed=p.estimate, unknown=False) for p in estimate.parameters
     ]
     verdict = judge(replace(problem, record=record, uncertain=believed), replace(estimate, parameters=absorbed))
     assert verdict.reasons[0].kind == "gain"

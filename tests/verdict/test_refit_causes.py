@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from frame_records import altered
 
-from pinn_cli.scheme.problem import Problem, UncertainParameter
-from pinn_cli.system.chain import Chain
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.chain import chain_of
 from pinn_cli.system.connection import Duffing
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.verdict.refit import refitted
 from pinn_cli.verdict.refit_causes import refit_causes
 
@@ -19,7 +20,7 @@ FREE = [("k", dof) for dof in range(3)]
 
 @pytest.fixture
 def problem(frame, frame_record):
-    unknown = tuple(UncertainParameter("k", dof, 3.0, 30.0, unknown=True, positive=True) for dof in range(3))
+    unknown = tuple(Parameter("k", dof, 3.0, 30.0, unknown=True, positive=True) for dof in range(3))
     return Problem(frame.with_parameters(k=frame.parameters["k"] / 5.0), frame_record, unknown)
 
 
@@ -73,4 +74,4 @@ def test_prescribed_stiffnesses_are_not_refitted(problem):
 def test_nor_is_a_nonlinear_chain(problem):
     m = problem.chain.parameters["m"] * 5.0
     parameters = problem.chain.parameters | {"m": m, "kappa": 0.0 * m + 100.0}
-    assert refit_causes(replace(problem, chain=Chain(parameters, Duffing())), ()) == []
+    assert refit_causes(replace(problem, chain=chain_of(parameters, Duffing())), ()) == []

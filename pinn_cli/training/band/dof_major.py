@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.band.chain_rows import CHUNK, ChainRows
+from pinn_cli.training.band.equation_rows import CHUNK, EquationRows, RowPattern
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.subdomains import Subdomains
 
@@ -20,32 +21,32 @@ class DofMajorSums:
     Args:
         layout: Where the weights stand.
         features: B, of the network's segments.
-        kinds: Kinds of uncertain parameters.
+        pattern: Of the rows.
         like: A tensor of the dtype and device wanted.
 
     Attributes:
-        columns: 3 B, local readout weights of a row.
-        readout: (I, n, 3 B, 3 B + 2 kinds + 1).
-        parameters: (n, 2 kinds, 2 kinds + 1).
+        columns: D B, local readout weights of a row.
+        readout: (I, n, D B, D B + kinds F + 1).
+        parameters: (n, kinds F, kinds F + 1).
     """
 
-    def __init__(self, layout: BandLayout, features: int, kinds: int, like: Tensor) -> None:
-        self.layout, self.kinds = layout, kinds
+    def __init__(self, layout: BandLayout, features: int, pattern: RowPattern, like: Tensor) -> None:
+        self.layout, self.pattern = layout, pattern
         groups, ndof = len(layout.local), layout.ndof
-        self.features, self.columns = features, 3 * features
-        width = self.columns + 2 * kinds + 1
-        self.readout = like.new_zeros((groups, ndof, self.columns, width))
-        self.parameters = like.new_zeros((ndof, 2 * kinds, 2 * kinds + 1))
+        self.features, self.columns = features, len(pattern.offsets) * features
+        slots = int(np.prod(pattern.places.shape[1:]))
+        self.readout = like.new_zeros((groups, ndof, self.columns, self.columns + slots + 1))
+        self.parameters = like.new_zeros((ndof, slots, slots + 1))
 
-    def add_chain_rows(
+    def add_rows(
         self,
         segments: Segments,
-        rows: ChainRows,
+        rows: EquationRows,
         residual: Tensor,
         weight: Tensor,
         averages: Subdomains | None = None,
     ) -> None:
-        """Add rows that touch three DOFs and the parameters; residual (I, S, n), weight (n,); nothing is averaged."""
+        """Add rows that touch several DOFs and the parameters; residual (I, S, n), weight (n,); nothing is averaged."""
         assert averages is None, "features that are alive everywhere have no intervals to average over"
         groups, samples, _ = segments.displacement.shape
         chunk = max(1, CHUNK // (groups * samples * self.readout.shape[-1]))
@@ -65,7 +66,8 @@ class DofMajorSums:
 
     def add_own_rows(self, segments: Segments, gram: Tensor, moment: Tensor, weight: Tensor) -> None:
         """Add rows that touch their own DOF: gram (I, B, B) of their features, moment (I, B, n), weight (n,)."""
-        own = slice(self.features, 2 * self.features)
+        first = self.pattern.own * self.features
+        own = slice(first, first + self.features)
         self.readout[:, :, own, own] += gram[:, None] * weight[None, :, None, None]
         self.readout[:, :, own, -1] += (moment * weight).mT
 
@@ -81,30 +83,33 @@ class DofMajorSums:
 
     @cached_property
     def border(self) -> np.ndarray:
-        """(size, kinds, n), of the readout weights against the parameters."""
-        n, kinds = self.layout.ndof, self.kinds
-        border = self.readout.new_zeros((self.layout.size, kinds, n))
-        for i in range(n) if kinds else ():
-            against = self.layout.columns_of_dof(self.readout[:, i, :, self.columns : -1], i).unflatten(-1, (kinds, 2))
-            border[:, :, i : i + 2] += against[..., : min(2, n - i)]
+        """(size, places), of the readout weights against the parameters."""
+        border = self.readout.new_zeros((self.layout.size, self.pattern.count))
+        for i, slots, place in self._used():
+            columns = self.readout[:, i, :, self.columns : -1][..., slots]
+            border[:, place] += self.layout.columns_of_dof(columns, i)
         return border.cpu().numpy()
 
     @cached_property
     def corner(self) -> np.ndarray:
-        """(kinds, n, kinds, n), of the parameters against each other."""
-        n, kinds = self.layout.ndof, self.kinds
-        corner = self.readout.new_zeros((kinds, n, kinds, n))
-        for i in range(n) if kinds else ():
-            block = self.parameters[i, :, :-1].reshape(kinds, 2, kinds, 2)
-            ends = min(2, n - i)
-            corner[:, i : i + ends, :, i : i + ends] += block[:, :ends, :, :ends]
+        """(places, places), of the parameters against each other."""
+        corner = self.readout.new_zeros((self.pattern.count, self.pattern.count))
+        for i, slots, place in self._used():
+            corner[place[:, None], place] += self.parameters[i, :, :-1][slots[:, None], slots]
         return corner.cpu().numpy()
 
     @cached_property
     def slope(self) -> np.ndarray:
-        """(kinds, n), gradient of the parameters."""
-        n, kinds = self.layout.ndof, self.kinds
-        slope = self.readout.new_zeros((kinds, n))
-        for i in range(n) if kinds else ():
-            slope[:, i : i + 2] += self.parameters[i, :, -1].reshape(kinds, 2)[:, : min(2, n - i)]
+        """(places,), gradient of the parameters."""
+        slope = self.readout.new_zeros(self.pattern.count)
+        for i, slots, place in self._used():
+            slope[place] += self.parameters[i, slots, -1]
         return slope.cpu().numpy()
+
+    def _used(self) -> Iterator[tuple[int, Tensor, Tensor]]:
+        """Every DOF with its parameters' slots that are used, and their places."""
+        for i, places in enumerate(self.pattern.places.reshape(len(self.pattern.places), -1)):
+            slots = np.flatnonzero(places >= 0)
+            if slots.size:
+                used = torch.as_tensor(np.stack((slots, places[slots])), device=self.readout.device)
+                yield i, used[0], used[1]

@@ -1,4 +1,4 @@
-"""Where each unknown of a linear readout stands, so that the normal matrix of a chain is a narrow band."""
+"""Where each unknown of a linear readout stands, so that the normal matrix is a narrow band."""
 
 from __future__ import annotations
 
@@ -8,43 +8,48 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.training.band.equation_rows import RowPattern
+
 
 class BandLayout:
     """Order of the readout weights (feature, dof) that gives the normal matrix the narrower band.
 
-    A residual of DOF i touches the features alive at its time, of DOFs i-1, i and i+1. Ordered by feature first (local
-    features: splines) the half-width is (span of features alive together) * n + 2; ordered by DOF first (global
-    features: Fourier) it is 2 * count + span.
+    A residual of a DOF touches the features alive at its time, of the DOFs that are coupled with it. Where those are
+    at most R apart (of a chain 2), the half-width is (span of features alive together) * n + R ordered by feature first
+    (local features: splines), and R * count + span ordered by DOF first (global features: Fourier).
 
     Args:
         feature: (I, B) long, the features of one DOF that are alive in each group.
         count: Features of one DOF in all.
-        ndof: Number of DOFs.
+        pattern: Which DOFs are coupled.
         feature_first: Which order; None: the narrower.
     """
 
-    def __init__(self, feature: Tensor, count: int, ndof: int, feature_first: bool | None = None) -> None:
+    def __init__(self, feature: Tensor, count: int, pattern: RowPattern, feature_first: bool | None = None) -> None:
         groups = feature.cpu().numpy()
         span = int((groups.max(axis=1) - groups.min(axis=1)).max())
-        by_feature, by_dof = span * ndof + min(2, ndof - 1), min(2, ndof - 1) * count + span
+        self.pattern, ndof = pattern, len(pattern.coupled)
+        by_feature, by_dof = span * ndof + pattern.reach, pattern.reach * count + span
         self.feature_first = by_feature <= by_dof if feature_first is None else feature_first
         self.half_width = by_feature if self.feature_first else by_dof
         self.count, self.ndof, self.size = count, ndof, count * ndof
         self.local = self.columns(feature)
         self.device = feature.device
 
-    def columns(self, feature: Tensor, reach: int = 1) -> np.ndarray:
-        """(I, n, D B): position of each unknown that a residual of DOF i touches, -1 beyond the chain's ends.
+    def columns(self, feature: Tensor, coupled: bool = True) -> np.ndarray:
+        """(I, n, D B): position of each unknown that a residual touches, -1 in unused slots.
 
         Args:
             feature: (I, B), features alive in each group.
-            reach: DOFs on either side that it touches, D = 2 reach + 1.
+            coupled: Whether it touches the DOFs that are coupled with its own; otherwise its own alone, D = 1.
         """
-        dof = (np.arange(self.ndof)[:, None] + np.arange(-reach, reach + 1))[None, :, :, None]
+        offsets, used = (
+            (self.pattern.offsets, self.pattern.coupled) if coupled else ((0,), np.ones((self.ndof, 1), bool))
+        )
+        dof = (np.arange(self.ndof)[:, None] + np.array(offsets))[None, :, :, None]
         groups = feature.cpu().numpy()
         position = self.positions(groups[:, None, None, :], dof)
-        inside = np.broadcast_to((dof >= 0) & (dof < self.ndof), position.shape)
-        return np.where(inside, position, -1).reshape(len(groups), self.ndof, -1)
+        return np.where(used[None, :, :, None], position, -1).reshape(len(groups), self.ndof, -1)
 
     @cached_property
     def _band_maps(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:

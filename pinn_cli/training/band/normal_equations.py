@@ -1,7 +1,8 @@
-"""Residuals of a linear-readout network on a chain, and their Gauss-Newton normal equations as a band with a border.
+"""Residuals of a linear-readout network, and their Gauss-Newton normal equations as a band with a border.
 
-A residual of DOF i at one time touches the features alive there, of DOFs i-1, i, i+1, and the parameters of connections
-i and i+1. So its Jacobian is a short dense row [J | P], and all of a group's rows together give one small dense block.
+A residual of a DOF at one time touches the features alive there, of the DOFs that are coupled with it, and the
+parameters of the connections between them. So its Jacobian is a short dense row [J | P], and all of a group's rows
+together give one small dense block.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from torch import Tensor
 from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
-from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, tangent, targets
+from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, targets
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.training.band.bordered import BorderedSystem
-from pinn_cli.training.band.chain_rows import ChainRows
 from pinn_cli.training.band.dof_major import DofMajorSums
+from pinn_cli.training.band.equation_rows import EquationRows, RowPattern
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.subdomains import Subdomains
@@ -68,7 +70,7 @@ def collocation_refinement(network: LinearReadout, record: Record) -> int:
 
 
 class NormalEquations:
-    """The weighted least-squares problem of one network, chain and record.
+    """The weighted least-squares problem of one network, structure and record.
 
     Residuals and states are grouped as the network's segments are, (I, S, n), and 0 at padding.
 
@@ -90,10 +92,10 @@ class NormalEquations:
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
         local = isinstance(network, SplineNetwork)
-        self.layout = BandLayout(self.physics.feature, self.physics.count, problem.record.ndof, True if local else None)
         self.prescribed = {name: value.to(self.target.force) for name, value in problem.chain.parameters.items()}
-        self.kinds = tuple(name for name in self.prescribed if any(p.kind == name for p in problem.uncertain))
         self._place_parameters()
+        self.pattern = RowPattern(problem.chain, self.vector, self.target.force)
+        self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern, True if local else None)
         self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
         self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
         self.ridge: float | None = None
@@ -108,15 +110,13 @@ class NormalEquations:
         return self.network.segments(self.target.physics_time[:: self.refinement])
 
     def _place_parameters(self) -> None:
-        n, like, uncertain = self.problem.record.ndof, self.target.force, self.problem.uncertain
-        column = [self.kinds.index(p.kind) * n + p.dof for p in uncertain]
-        self.column = torch.tensor(column, dtype=torch.long, device=like.device)
-        self.scale = torch.tensor([p.prior_std for p in uncertain], dtype=like.dtype, device=like.device)
-        self.unknown = torch.tensor([p.unknown for p in uncertain], dtype=torch.bool, device=like.device)
-        self.lower = np.array([p.lower / p.prior_std for p in uncertain])
+        like = self.target.force
+        self.vector = ParameterVector(self.prescribed, self.problem.uncertain)
+        self.scale = torch.as_tensor(self.vector.each("prior_std"), dtype=like.dtype, device=like.device)
+        self.unknown = torch.as_tensor(self.vector.each("unknown"), dtype=torch.bool, device=like.device)
+        self.lower = self.vector.each("lower") / self.vector.each("prior_std")
         # 0 where a parameter is held fixed: its column then vanishes.
-        spread = like.new_zeros(len(self.kinds) * n).index_copy(0, self.column, self.scale)
-        self.spread = dict(zip(self.kinds, spread.reshape(-1, n), strict=True))
+        self.spread = self.vector.scattered(self.scale)
 
     def _own_features(self) -> dict[str, tuple[Segments, Tensor]]:
         """Residuals that touch their own DOF only, with rows that never change: their segments and features."""
@@ -136,15 +136,8 @@ class NormalEquations:
         return self.layout.weights(point.unknowns).unflatten(0, (-1, self.network.channels)).movedim(1, 0).contiguous()
 
     def parameters(self, point: Point) -> dict[str, Tensor]:
-        """Every parameter of the chain at a point, each (n,)."""
-        n, out = self.problem.record.ndof, dict(self.prescribed)
-        if self.kinds:
-            moved = self.target.force.new_zeros(len(self.kinds) * n).index_copy(
-                0, self.column, self.scale * point.parameters
-            )
-            for kind, by in zip(self.kinds, moved.reshape(-1, n), strict=True):
-                out[kind] = out[kind] + by
-        return out
+        """Every parameter of the structure by kind at a point."""
+        return self.vector.values(self.scale * point.parameters)
 
     def states(self, segments: Segments, point: Point) -> States:
         """Motion at a point; kept until the point changes, since residuals, rows and losses all ask for it."""
@@ -240,12 +233,12 @@ class NormalEquations:
         for name, residual in residuals.items():
             if name == "physics":
                 rows = self.rows(self.physics, point)
-                sums.add_chain_rows(self.physics, rows, residual, weights[name], self.averages)
+                sums.add_rows(self.physics, rows, residual, weights[name], self.averages)
             elif name == "observer":
                 # The observer's residual is (f - restoring force) / m - a: the rows of the restoring force over -m.
                 mass = -self.parameters(point)["m"]
                 rows = self.rows(self.observation, point, with_mass=False)
-                sums.add_chain_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
+                sums.add_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
             else:
                 segments, features = own[name]
                 sums.add_own_rows(segments, self.grams[name], features.mT @ residual, weights[name])
@@ -253,59 +246,49 @@ class NormalEquations:
 
     def _sums(self) -> TimeMajorSums | DofMajorSums:
         """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""
-        features, kinds, n = self.physics.feature.shape[1], len(self.kinds), self.problem.record.ndof
+        features = self.physics.feature.shape[1]
         if isinstance(self.network, SplineNetwork):
-            return TimeMajorSums(self.network.channels, features, self.physics.count, n, kinds)
-        return DofMajorSums(self.layout, features, kinds, self.target.force)
+            return TimeMajorSums(self.network.channels, features, self.physics.count, self.pattern)
+        return DofMajorSums(self.layout, features, self.pattern, self.target.force)
 
-    def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> ChainRows:
+    def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> EquationRows:
         """Linearised equation of motion at a point, with or without its inertia force."""
         parameters = self.parameters(point)
         displacement, velocity, acceleration, _ = self.states(segments, point)
-        slope = tangent(self.chain, parameters, displacement, velocity)
+        slope = self.chain.linearise(displacement, velocity, parameters)
         if not with_mass:
             force = self.observation_target.observer_force
             acceleration = self.chain.acceleration(displacement, velocity, force, parameters)
-        return ChainRows.of(slope, parameters["m"] if with_mass else None, acceleration, self.spread)
+        mass = parameters["m"] if with_mass else None
+        return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
 
-    def moved_force(self, rows: ChainRows, step: Point) -> Tensor:
+    def moved_force(self, rows: EquationRows, step: Point) -> Tensor:
         """Change of the physics residual, as it is enforced, with a small step of weights and parameters.
 
         Args:
             rows: The linearised equation of motion at the collocation points.
             step: Its ``unknowns`` and ``parameters`` are changes.
         """
-        n, kinds = self.problem.record.ndof, len(self.kinds)
         displacement, velocity, acceleration, _ = self.states(self.physics, step)
         force = rows.applied(displacement, velocity, acceleration)
-        if kinds:
-            by = step.parameters.new_zeros(kinds * n).index_copy(0, self.column, step.parameters).reshape(kinds, n)
-            ends = torch.stack((by, torch.cat((by[:, 1:], by.new_zeros(kinds, 1)), 1)), -1)  # (kinds, n, 2)
-            force = force + torch.einsum("isnkx,knx->isn", rows.parameter, ends)
+        if self.vector.kinds:
+            by = torch.cat(list(self.vector.scattered(step.parameters).values()))
+            force = force + torch.einsum("isnkx,nkx->isn", rows.parameter, self.pattern.of_parameters(by))
         force = force * self.target.equation
         return force if self.averages is None else self.averages(force)
-
-    def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
-        """Rows of one DOF's residual by every uncertain parameter, (..., kinds, 2) to (..., p)."""
-        n = self.problem.record.ndof
-        out = parameter.new_zeros((*parameter.shape[:-2], len(self.kinds), n))
-        out[..., dof : dof + 2] = parameter[..., : min(2, n - dof)]
-        return out.flatten(-2)[..., self.column.to(parameter.device)]
 
     def precision(self, noise: NoiseModel) -> Tensor:
         """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
         return torch.where(self.unknown, 1.0, noise.spread**-2)
 
     def _system(self, sums: TimeMajorSums | DofMajorSums, point: Point, precision: Tensor) -> BorderedSystem:
-        pick, band = self.column.cpu().numpy(), sums.band
+        pick, band = self.vector.column, sums.band
         if self.ridge is None:
             self.ridge = RELATIVE_RIDGE * float(band[0].max())
         band[0] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         if self.begins is not None:
             self.begins.add(torch.from_numpy(band), torch.from_numpy(gradient), point.unknowns.cpu())
-        border = sums.border.reshape(self.layout.size, -1)[:, pick]
-        places = sums.slope.size
-        corner = sums.corner.reshape(places, places)[pick][:, pick] + np.diag(precision.cpu().numpy())
-        slope = sums.slope.reshape(-1)[pick] + (precision * point.parameters).cpu().numpy()
-        return BorderedSystem(band, border, corner, gradient, slope)
+        corner = sums.corner[np.ix_(pick, pick)] + np.diag(precision.cpu().numpy())
+        slope = sums.slope[pick] + (precision * point.parameters).cpu().numpy()
+        return BorderedSystem(band, sums.border[:, pick], corner, gradient, slope)

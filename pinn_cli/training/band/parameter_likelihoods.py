@@ -9,7 +9,7 @@ import torch
 
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.posterior import Posterior
+from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
 from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, MarginalLikelihood
 
@@ -35,12 +35,12 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     """Both likelihoods of the unknown parameters about a trained network."""
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
-    posterior = Posterior(equations, trained.solution.point, trained.factor)
+    posterior = ReadoutPosterior(equations, trained.solution.point, trained.factor)
     slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
     states = equations.flat_states(equations.forces, trained.solution.point)
     parameters = equations.parameters(trained.solution.point)
     force = equations.chain.external_force(states.displacement, states.velocity, states.acceleration, parameters)
-    found = np.array([float(parameters[p.kind][p.dof]) for p in equations.problem.uncertain])
+    found = np.array([float(parameters[p.kind][p.index]) for p in equations.problem.uncertain])
     moved = force.cpu().numpy() + slope @ (marginal.peak - found)
     return ParameterLikelihoods(marginal, conditional_likelihood(equations, trained), moved, slope)
 
@@ -111,7 +111,7 @@ def conditional_likelihood(equations: NormalEquations, trained: Trained) -> Cond
     p = len(equations.problem.uncertain)
     gram, moment = np.zeros((p, p)), np.zeros(p)
     for dof in torch.nonzero(equations.target.equation).flatten().tolist():
-        grouped = equations.uncertain_columns(rows.parameter[:, :, dof], dof)
+        grouped = equations.pattern.uncertain_columns(rows.parameter[:, :, dof], dof)
         columns = (equations.forces.scatter(grouped) / equations.scale).cpu().numpy()  # (N, p), N per unit
         gram += columns.T @ columns
         moment += columns.T @ residual[:, dof].cpu().numpy()

@@ -37,11 +37,11 @@ def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
     one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
     on its connection is r, or what the prior lets it hide. Without model error d is small, and this with it.
     """
-    if not equations.kinds:
+    if not equations.vector.kinds:
         return np.zeros(0)
     rows = equations.rows(equations.physics, trained.solution.point)
-    per_std = equations.physics.scatter(rows.parameter[..., 0].movedim(-1, 2).flatten(2))  # (N, kinds n)
-    force = per_std.square().mean(0).sqrt()[equations.column].cpu().numpy()
+    per_std = equations.physics.scatter(rows.own)  # (N, places)
+    force = per_std.square().mean(0).sqrt().cpu().numpy()[equations.vector.column]
     misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
     hidden = np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)
     return hidden / np.hypot(1.0, hidden)

@@ -11,7 +11,7 @@ from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.band.subdomains import Subdomains
 
 
-class Posterior:
+class ReadoutPosterior:
     """Gaussian posterior of readout and parameters about a solution."""
 
     def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
@@ -23,7 +23,7 @@ class Posterior:
 
     def states(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
         """Standard deviation of displacement, velocity and acceleration at the segments' times, each (N, n)."""
-        local = torch.as_tensor(self.equations.layout.columns(segments.feature, reach=0))
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
@@ -90,12 +90,12 @@ class LocalRows:
         self.local = torch.as_tensor(equations.layout.columns(segments.feature))
 
     def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions (I, 3 B), rows by the weights there (I, S, 3 B), 0 beyond the chain's ends, and by parameter."""
+        """Positions (I, D B), rows by the weights there (I, S, D B), 0 in unused slots, and by parameter."""
         inside = self.local[:, dof] >= 0
         jacobian = (
             self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
         )
-        held = self.equations.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
+        held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
         if self.averages is not None:
             jacobian, held = self.averages(jacobian), self.averages(held)
         return self.local[:, dof].clamp(min=0), jacobian, held

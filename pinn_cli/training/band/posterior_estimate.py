@@ -12,7 +12,7 @@ from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.parameter_posterior import parameter_posterior
-from pinn_cli.training.band.posterior import Posterior
+from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.history import History
 
@@ -20,7 +20,7 @@ from pinn_cli.training.history import History
 def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
     """Means, standard deviations, parameters and summary of a trained network."""
     equations, point = evidence.equations, trained.solution.point
-    posterior = Posterior(equations, point, trained.factor)
+    posterior = ReadoutPosterior(equations, point, trained.factor)
     motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
     response = estimated_response(equations.problem.record, equations.chain, equations.parameters(point), *motion)
     std = Response(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pinn_cli.network.spline import SplineNetwork
-from pinn_cli.physics import tangent
 from pinn_cli.record.spectrum import periodogram, record_band
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
@@ -71,9 +70,9 @@ def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
     parameters = equations.parameters(trained.solution.point)
     std = np.sqrt(np.diag(trained.factor.corner_covariance)) * equations.scale.cpu().numpy()
     known = [
-        s / float(parameters["k"][p.dof])
+        s / float(parameters["k"][p.index])
         for s, p in zip(std, equations.problem.uncertain, strict=True)
-        if p.kind == "k" and float(parameters["k"][p.dof]) > 0
+        if p.kind == "k" and float(parameters["k"][p.index]) > 0
     ]
     if not known:
         return 1.0
@@ -87,10 +86,10 @@ def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
     """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
     parameters, point = equations.parameters(trained.solution.point), trained.solution.point
     motion = equations.states(equations.observation, point)
-    slope = tangent(equations.chain, parameters, motion.displacement, motion.velocity)
+    slope = equations.chain.linearise(motion.displacement, motion.velocity, parameters)
     stiffness = equations.observation.scatter(slope.stiffness).mean(0).cpu().numpy()
     root = np.sqrt(parameters["m"].cpu().numpy())
-    stretch = np.eye(len(root)) - np.eye(len(root), k=-1)
+    stretch = equations.chain.incidence.matrix.toarray()
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
     frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
     highest = float(max(frequencies[frequencies <= band], default=band))

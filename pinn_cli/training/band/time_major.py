@@ -1,7 +1,8 @@
 """Normal equations of local features, summed diagonal by diagonal of the band.
 
 With the weights ordered by feature, then by DOF, the weight of (feature f, DOF j) stands at f n + j. A row of DOF i in
-knot interval g then touches weights at (g + b) n + i + d, with b among the features that are alive and d = -1, 0, 1. So
+knot interval g then touches weights at (g + b) n + i + d, with b among the features that are alive and d among
+the structure's offsets (of a chain -1, 0, 1). So
 one entry of all rows' local products, taken over intervals and DOFs, is one contiguous piece of one diagonal of the
 band: no index is looked up, and no local block is ever stored.
 """
@@ -14,7 +15,7 @@ import numpy as np
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.band.chain_rows import CHUNK, ChainRows
+from pinn_cli.training.band.equation_rows import CHUNK, EquationRows, RowPattern
 from pinn_cli.training.band.subdomains import Subdomains
 
 
@@ -25,50 +26,51 @@ class TimeMajorSums:
         stride: Features that one knot interval moves on by: the outputs of a DOF.
         features: B, alive at once.
         count: Of one DOF in all.
-        ndof: n.
-        kinds: Kinds of uncertain parameters.
+        pattern: Of the rows.
 
     Attributes:
-        gradient: (size,).
-        border: (size, kinds, n), of the readout weights against the parameters.
-        corner: (kinds, n, kinds, n), of the parameters against each other.
-        slope: (kinds, n), their gradient.
+        corner: (places, places), of the parameters against each other.
+        slope: (places,), their gradient.
     """
 
-    def __init__(self, stride: int, features: int, count: int, ndof: int, kinds: int) -> None:
-        self.stride, self.features, self.n, self.size = stride, features, ndof, count * ndof
-        self.half_width = (features - 1) * ndof + min(2, ndof - 1)
-        # One entry more in front and behind: rows at the chain's ends add zeros there.
-        self._band = np.zeros((self.half_width + 1, self.size + 2))
-        self._gradient = np.zeros(self.size + 2)
-        self._border = np.zeros((kinds, ndof, self.size + 2))
-        self.corner = np.zeros((kinds, ndof, kinds, ndof))
-        self.slope = np.zeros((kinds, ndof))
+    def __init__(self, stride: int, features: int, count: int, pattern: RowPattern) -> None:
+        self.stride, self.features, self.pattern, self.n = stride, features, pattern, len(pattern.coupled)
+        self.size = count * self.n
+        self.half_width = (features - 1) * self.n + pattern.reach
+        # Entries more in front and behind: rows at the structure's ends add zeros there.
+        self.margin = max(abs(offset) for offset in pattern.offsets)
+        length = self.size + 2 * self.margin
+        self._inside = slice(self.margin, self.margin + self.size)
+        self._band = np.zeros((self.half_width + 1, length))
+        self._gradient = np.zeros(length)
+        self._border = np.zeros((pattern.count, length))
+        self.corner = np.zeros((pattern.count, pattern.count))
+        self.slope = np.zeros(pattern.count)
 
     @property
     def band(self) -> np.ndarray:
         """(half_width + 1, size), lower band: [i - j, j] is entry [i, j]."""
-        return self._band[:, 1:-1]
+        return self._band[:, self._inside]
 
     @property
     def gradient(self) -> np.ndarray:
         """(size,), of the readout weights."""
-        return self._gradient[1:-1]
+        return self._gradient[self._inside]
 
     @property
     def border(self) -> np.ndarray:
-        """(size, kinds, n), of the readout weights against the parameters."""
-        return self._border[..., 1:-1].transpose(2, 0, 1)
+        """(size, places), of the readout weights against the parameters."""
+        return self._border[:, self._inside].T
 
-    def add_chain_rows(
+    def add_rows(
         self,
         segments: Segments,
-        rows: ChainRows,
+        rows: EquationRows,
         residual: Tensor,
         weight: Tensor,
         averages: Subdomains | None = None,
     ) -> None:
-        """Add rows that touch three DOFs and the parameters.
+        """Add rows that touch several DOFs and the parameters.
 
         Args:
             segments: Of the points, I groups of S.
@@ -100,40 +102,38 @@ class TimeMajorSums:
         first = (segments.feature[:, 0] // self.stride).cpu().numpy()
         products, moments, scale = gram.cpu().numpy(), moment.cpu().numpy(), weight.cpu().numpy()
         for start, stop in _runs(first):
-            place = int(first[start]) * self.stride * self.n + 1
+            place = int(first[start]) * self.stride * self.n + self.margin
             for a in range(self.features):
                 self._cells(self._gradient, place + a * self.n, stop - start)[...] += moments[start:stop, a] * scale
                 for b in range(a + 1):
                     cells = self._cells(self._band[(a - b) * self.n], place + b * self.n, stop - start)
                     cells += products[start:stop, a, b, None] * scale
 
-    def _table(self, segments: Segments, rows: ChainRows, residual: Tensor, averages: Subdomains | None) -> np.ndarray:
-        """(C, I, S, n), columns: the features of DOFs i-1, i, i+1, the parameters, the residual."""
+    def _table(
+        self, segments: Segments, rows: EquationRows, residual: Tensor, averages: Subdomains | None
+    ) -> np.ndarray:
+        """(C, I, S, n), columns: the features of the coupled DOFs, the parameters, the residual."""
         groups, samples, n = segments.displacement.shape[0], residual.shape[1], self.n
-        pairs = rows.parameter.shape[-2] * 2
-        columns = 3 * self.features + pairs + 1
-        table = np.empty((columns, groups, samples, n))
+        slots, local = int(np.prod(rows.parameter.shape[-2:])), len(self.pattern.offsets) * self.features
+        table = np.empty((local + slots + 1, groups, samples, n))
         table[-1] = residual.cpu().numpy()
         by_parameter = (
             rows.parameter.flatten(3)
             if averages is None
-            else averages(rows.parameter.flatten(2)).unflatten(2, (n, pairs))
+            else averages(rows.parameter.flatten(2)).unflatten(2, (n, slots))
         )
-        table[3 * self.features : -1] = by_parameter.permute(3, 0, 1, 2).cpu().numpy()
+        table[local:-1] = by_parameter.permute(3, 0, 1, 2).cpu().numpy()
         chunk = max(1, CHUNK // segments.displacement.numel())
         for start in range(0, n, chunk):
             dofs = slice(start, min(start + chunk, n))
             slopes = rows.jacobian(segments, dofs)  # (I, dofs, S, 3 B)
             slopes = slopes if averages is None else averages(slopes)
-            table[: 3 * self.features, :, :, dofs] = slopes.permute(3, 0, 2, 1).cpu().numpy()
-        # The ground does not move, and nothing lies beyond the last DOF.
-        table[: self.features, :, :, 0] = 0.0
-        table[2 * self.features : 3 * self.features, :, :, -1] = 0.0
+            table[:local, :, :, dofs] = slopes.permute(3, 0, 2, 1).cpu().numpy()
         return table
 
     def _offsets(self) -> list[int]:
         """Of every local weight of a row, from the weight of the row's own DOF and the first feature alive."""
-        return [b * self.n + d for d in (-1, 0, 1) for b in range(self.features)]
+        return [b * self.n + d for d in self.pattern.offsets for b in range(self.features)]
 
     def _cells(self, line: np.ndarray, start: int, groups: int) -> np.ndarray:
         """(groups, n) view of a line from ``start`` on, one interval after the other."""
@@ -143,7 +143,7 @@ class TimeMajorSums:
 
     def _add_readout(self, part: np.ndarray, first: int) -> None:
         """Products of the local weights' columns, and of each with the residual; ``part`` is (C, I, n)."""
-        offsets, place = self._offsets(), first * self.stride * self.n + 1
+        offsets, place = self._offsets(), first * self.stride * self.n + self.margin
         for a, above in enumerate(offsets):
             column = part[a]
             self._cells(self._gradient, place + above, part.shape[1])[...] += column * part[-1]
@@ -153,27 +153,28 @@ class TimeMajorSums:
                     self._cells(self._band[above - below], place + below, part.shape[1])[...] += column * part[b]
 
     def _add_parameters(self, part: np.ndarray, first: int) -> None:
-        """Products of the parameters' columns with everything; connections i and i + 1 of each row of DOF i."""
-        kinds, n = self.slope.shape
+        """Products of the parameters' columns with everything, connection by connection of every row."""
+        n, kinds, ends = self.pattern.places.shape
         if not kinds:
             return
-        own = part[3 * self.features : -1].reshape(kinds, 2, *part.shape[1:])
-        offsets, place = self._offsets(), first * self.stride * self.n + 1
-        step = self.stride * n
-        for x in range(2):
-            touched = slice(0, n - x)
-            self.slope[:, x:] += np.einsum("kin,in->kn", own[:, x, :, touched], part[-1][:, touched])
-            for y in range(2):
-                both = slice(0, n - max(x, y))
-                sums = np.einsum("kin,lin->kln", own[:, x, :, both], own[:, y, :, both])
-                for i in range(n - max(x, y)):
-                    self.corner[:, i + x, :, i + y] += sums[:, :, i]
+        offsets, place = self._offsets(), first * self.stride * n + self.margin
+        own = part[len(offsets) : -1].reshape(kinds, ends, *part.shape[1:])
+        places = np.moveaxis(self.pattern.places, 0, -1)  # (kinds, F, n)
+        used, step = places >= 0, self.stride * n
+        for x in range(ends):
+            sums = np.einsum("kin,in->kn", own[:, x], part[-1])
+            np.add.at(self.slope, places[:, x][used[:, x]], sums[used[:, x]])
+            for y in range(ends):
+                products = np.einsum("kin,lin->kln", own[:, x], own[:, y])
+                both = used[:, None, x] & used[None, :, y]
+                row, column = (np.broadcast_to(at, both.shape)[both] for at in (places[:, None, x], places[None, :, y]))
+                np.add.at(self.corner, (row, column), products[both])
             for kind in range(kinds):
                 for a, offset in enumerate(offsets):
                     products = own[kind, x] * part[a]
-                    for i in range(n - x):
+                    for i in np.flatnonzero(used[kind, x] & self.pattern.coupled[:, a // self.features]):
                         start = place + offset + i
-                        self._border[kind, i + x, start : start + step * part.shape[1] : step] += products[:, i]
+                        self._border[places[kind, x, i], start : start + step * part.shape[1] : step] += products[:, i]
 
 
 def _runs(first: np.ndarray) -> list[tuple[int, int]]:

@@ -66,10 +66,8 @@ class Linearisation:
         )
         self.blocks: list[Block] = [observed, enforced]
         self.residual = torch.cat((first.flatten(), second.flatten()))
-        columns = tuple((parameter.kind, parameter.dof) for parameter in parameters.uncertain)
-        self.by_parameter = rows.by_parameter(columns, seen, felt, values, noise) * parameters.prior_deviation(
-            noise.spread
-        )
+        deviation = parameters.prior_deviation(noise.spread)
+        self.by_parameter = deviation * rows.by_parameter(parameters.uncertain, seen, felt, values, noise)
         if rows.deviation is not None:
             self._add(*linearised(network, target.observation_time[:1], rows.initial)[:2])
         self.kernel = kernel(self.blocks)
@@ -114,7 +112,7 @@ class Linearisation:
         # The residuals of a regularised least-squares problem are its multipliers, and their product its least loss.
         return Step(weights, -(self.by_parameter.T @ multiplier), multiplier, float(target @ multiplier), factor)
 
-    def free_shares(self, factor: Tensor, seed: int) -> Tensor:
+    def kept(self, factor: Tensor, seed: int) -> Tensor:
         """(M,) diagonal of the inverse of a step's system: how much of each residual the fit leaves free, from 0 to 1.
 
         N minus the effective number of unknowns gamma of a group (MacKay 1992) is the sum over its residuals. By

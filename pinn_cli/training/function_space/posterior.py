@@ -46,7 +46,7 @@ class FunctionSpacePosterior:
 
     def __init__(self, search: FunctionSpaceSearch) -> None:
         self.search, self.precision = search, search.precision
-        self.columns = tuple((p.kind, p.dof) for p in search.parameters.uncertain)
+        self.columns = search.parameters.uncertain
         self.unit = search.parameters.prior_deviation(search.noise.spread)
         self.noise = search.noise.widened(self._occupied())
         self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
@@ -77,10 +77,8 @@ class FunctionSpacePosterior:
         """(p,), in prior standard deviations, what the model leaves out and each parameter may have taken in."""
         search, target = self.search, self.search.rows.target
         states = search.network(target.physics_time)
-        force = search.rows.force_by_parameter(self.columns, states, self._values()) * self.unit
-        # That on its own connection: a parameter stands first in the equation of its own DOF.
-        dofs = torch.tensor([dof for _, dof in self.columns], dtype=torch.long, device=force.device)
-        own = force.square().mean(0).sqrt()[dofs, torch.arange(len(dofs), device=force.device)]
+        force = search.rows.own_by_parameter(self.columns, states, self._values()) * self.unit
+        own = force.square().mean(0).sqrt()
         hidden = self.noise.misfit(1, 1) / own.clamp(min=torch.finfo(own.dtype).tiny)
         return hidden / torch.hypot(torch.ones_like(hidden), hidden)
 

@@ -6,15 +6,16 @@ look at the motion when the sensors were read, the others at the points where ph
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from pinn_cli.network.base import States
-from pinn_cli.physics import Tangent, Targets, observation_masks, observation_residuals, physics_residual, tangent
+from pinn_cli.physics import Targets, observation_masks, observation_residuals, physics_residual
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.noise_model import NoiseModel
 
 
@@ -83,10 +84,10 @@ class ResidualRows:
         return len(self.target.physics_time)
 
     def by_parameter(
-        self, columns: tuple[tuple[str, int], ...], observed: States, enforced: States,
+        self, columns: Sequence[Parameter], observed: States, enforced: States,
         parameters: Mapping[str, Tensor], noise: NoiseModel,
     ) -> Tensor:  # fmt: skip
-        """Derivatives of the observed and enforced rows by parameters (kind, DOF from 0) of the chain, (R P, p)."""
+        """Derivatives of the observed and enforced rows by parameters of the structure, (R P, p)."""
         out = observed.displacement.new_zeros(self.observed_count + self.enforced_count, self.points, len(columns))
         equation = self.target.equation
         std = torch.as_tensor(noise.physics_variance).to(out).sqrt()
@@ -108,16 +109,15 @@ class ResidualRows:
         return self.chain.acceleration(states.displacement, states.velocity, self.target.observer_force, parameters)
 
     def force_by_parameter(
-        self, columns: tuple[tuple[str, int], ...], states: States, parameters: Mapping[str, Tensor]
+        self, columns: Sequence[Parameter], states: States, parameters: Mapping[str, Tensor]
     ) -> Tensor:
-        """(P, n, p), of the force that the motion takes: m a + r_i - r_(i+1)."""
-        linear: Tangent = tangent(self.chain, parameters, states.displacement, states.velocity)
-        out = states.displacement.new_zeros(*states.displacement.shape, len(columns))
-        for column, (kind, dof) in enumerate(columns):
-            if kind == "m":
-                out[:, dof, column] = states.acceleration[:, dof]
-                continue
-            out[:, dof, column] = linear.by_parameter[kind][:, dof]
-            if dof:
-                out[:, dof - 1, column] = -linear.by_parameter[kind][:, dof]
-        return out
+        """(P, n, p), of the force that the motion takes: m a + B' r."""
+        own = self.own_by_parameter(columns, states, parameters)
+        return own[:, None] * torch.as_tensor(self.chain.participation(columns)).to(own)
+
+    def own_by_parameter(
+        self, columns: Sequence[Parameter], states: States, parameters: Mapping[str, Tensor]
+    ) -> Tensor:
+        """(P, p), what each parameter does to its own connection or mass."""
+        linear = self.chain.linearise(states.displacement, states.velocity, parameters)
+        return linear.by_parameters(columns, states.acceleration)

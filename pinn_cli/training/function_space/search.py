@@ -62,7 +62,7 @@ class FunctionSpaceSearch(Stepwise):
         parameters: At their prescribed values.
         rows: Which residuals.
         noise: Standard deviations of all residuals, where they begin; a large discrepancy makes the physics soft.
-        precision: Of the weights about those that training began with, where it begins.
+        precision: Where that of the weights about those that training began with begins.
         largest: The force that acts, N.
         iterations: At most.
         tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
@@ -114,7 +114,7 @@ class FunctionSpaceSearch(Stepwise):
 
     @torch.no_grad()
     def loss(self) -> Loss:
-        """Where network, parameters and noise are now."""
+        """Where network, parameters and levels are now."""
         values, noise = self.parameters(), self.noise
         observed = self.rows.observed(self.network(self.rows.target.observation_time), values, noise)
         enforced = self.rows.enforced(self.network(self.rows.target.physics_time), values, noise)
@@ -150,13 +150,15 @@ class FunctionSpaceSearch(Stepwise):
                 self._move(here, moved, step, share)
                 after = self.loss()
                 if after.total < before.total:
-                    if share == 1.0:
-                        # None at all once it is a small part of the prior's precision.
-                        self.damping = LESS_DAMPING * self.damping if self.damping > self.precision else 0.0
+                    self.damping = self._lower(self.damping) if share == 1.0 else self.damping
                     return step, after
             self.damping = max(MORE_DAMPING * self.damping, self.precision)
         self._move(here, moved, step, 0.0)
         return None, before
+
+    def _lower(self, damping: float) -> float:
+        """Less, and none at all once it is a small part of the prior's precision."""
+        return LESS_DAMPING * damping if damping > self.precision else 0.0
 
     @torch.no_grad()
     def _move(self, here: Layers, moved: Tensor, step: Step, share: float) -> None:
@@ -169,37 +171,36 @@ class FunctionSpaceSearch(Stepwise):
         parameters.respect_bounds()
 
     def _settle(self, linear: Linearisation, step: Step, after: Loss) -> bool:
-        """Have noise levels and precision follow residuals, weights and parameters (MacKay 1992).
+        """Have the levels follow residuals, weights and parameters (MacKay 1992).
 
         Returns:
             Whether they stay where they are.
         """
-        shares = linear.free_shares(step.factor, self.iteration)
+        kept = linear.kept(step.factor, self.iteration)
         first = self.rows.observed_count * self.rows.points
         forces = slice(first, first + self.rows.force_count * self.rows.points)
-        free = max(float(shares[forces].sum()), 1.0)
+        free = max(float(kept[forces].sum()), 1.0)
         excess, promised = after.forces / free, float(step.residual[forces].square().sum()) / free
         # Forces that the next step will balance say nothing against the model.
         excess = max(1.0, promised) if excess > 1.0 else excess
-        unknowns = len(shares) - float(shares.sum())
-        before, noise = self.noise, self._following(linear, step.factor, excess)
+        unknowns = len(kept) - float(kept.sum())
+        before, noise = self.noise, self._following(self.noise, linear, step.factor, excess)
         growth = float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
         self.noise, self.precision = noise, growth * self.precision
         changes = np.abs(np.log([growth, noise.discrepancy / before.discrepancy, noise.spread / before.spread]))
         return bool(changes[:2].max() < LEVEL_TOLERANCE and changes[2] < SPREAD_TOLERANCE)
 
     def _judge(self, gained_nothing: bool, nothing_to_gain: bool, settled: bool) -> None:
-        """End once noise and precision stay and the residuals promise nothing, or nothing was gained for long."""
+        """End once the levels stay and the residuals promise nothing, or nothing was gained for long."""
         self.idle = self.idle + 1 if gained_nothing else 0
         if self.idle >= PATIENCE or (nothing_to_gain and settled):
             self.stop_reason = "converged"
 
-    def _following(self, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:
+    def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:
         """Discrepancy and spread as the residuals and the parameters ask for.
 
         A discrepancy that is too large is squared down rather than rooted: the residuals shrink with it.
         """
-        noise = self.noise
         change = excess if excess < 1.0 else np.sqrt(excess)
         level = noise.discrepancy * float(np.clip(change, LARGEST_FALL, LARGEST_RISE))
         following = noise.with_discrepancy(max(level, self._finest(noise)))

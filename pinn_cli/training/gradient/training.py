@@ -79,7 +79,7 @@ class GradientTraining(Training):
 
     def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
-        if problem.priors is not None:
+        if problem.priors:
             raise InputError("training", self.name, "gauss_newton with scheme=bayesian", "it gives no likelihood")
         # Clock times have too few digits in float32: begin at 0.
         time = problem.record.time

@@ -13,7 +13,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.band.parameter_likelihoods import marginal_likelihood
@@ -145,7 +146,7 @@ def test_the_force_sensors_noise_has_the_same_likelihood_through_every_compariso
     for way in ("derivative", through):
         chain = small_chain()
         record = measured(chain, snr_db=50.0, duration=20.0, samples=513).record.keep({"acceleration": (1, 3)})
-        problem = Problem(chain, record, (UncertainParameter("k", 1, 15.0, 150.0, unknown=True),), way)
+        problem = Problem(chain, record, (Parameter("k", 1, 15.0, 150.0, unknown=True),), way)
         equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
         evidence = Evidence(equations, 20, 1e-6, lambda losses, noise: None)
         noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
@@ -160,12 +161,12 @@ def test_the_force_sensors_noise_has_the_same_likelihood_through_every_compariso
 def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
     """Three believed stiffnesses of a Duffing chain and, unless it starts nowhere, one unknown cubic stiffness."""
     chain = small_chain()
-    believed = [UncertainParameter("k", dof, 15.0, 1.5) for dof in range(3)]
+    believed = [Parameter("k", dof, 15.0, 1.5) for dof in range(3)]
     kappa = chain.parameters["kappa"].clone()
     unknown = []
     if start is not None:
         kappa[1] = start
-        unknown = [UncertainParameter("kappa", 1, start, 1e5, unknown=True, positive=True)]
+        unknown = [Parameter("kappa", 1, start, 1e5, unknown=True, positive=True)]
     record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
     problem = Problem(chain.with_parameters(kappa=kappa), record, (*believed, *unknown))
     equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)

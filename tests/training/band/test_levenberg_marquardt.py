@@ -11,18 +11,17 @@ import torch
 from small_problems import NONLINEARITIES, accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.levenberg_marquardt import minimise
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
-from pinn_cli.training.band.posterior import Posterior
+from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.noise_model import NoiseModel
 
 
-def stiffnesses(chain) -> tuple[UncertainParameter, ...]:
-    return tuple(
-        UncertainParameter("k", dof, float(k), 0.075 * float(k)) for dof, k in enumerate(chain.parameters["k"])
-    )
+def stiffnesses(chain) -> tuple[Parameter, ...]:
+    return tuple(Parameter("k", dof, float(k), 0.075 * float(k)) for dof, k in enumerate(chain.parameters["k"]))
 
 
 def posed(nonlinearity: str, ndof: int = 3, uncertain: bool = False) -> tuple[NormalEquations, NoiseModel]:
@@ -85,7 +84,7 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
     dense = jacobian(weighted_residuals(equations, noise), z)
     covariance = torch.linalg.inv(dense.T @ dense)
     factor = equations.assemble(solution.point, noise).factor()
-    posterior = Posterior(equations, solution.point, factor)
+    posterior = ReadoutPosterior(equations, solution.point, factor)
 
     def states(x):
         return torch.stack(equations.flat_states(equations.observation, Point(x[:size], x[size:]))[:3])
@@ -167,10 +166,10 @@ def softening(positive: bool, prescribed: float = 50.0, prior_std: float = 100.0
     record = accelerations(
         measured(chain.with_parameters(kappa=kappa), snr_db=50.0, duration=20.0, samples=257).record, (1, 2, 3)
     )
-    prior = UncertainParameter("kappa", 1, prescribed, prior_std, positive=positive)
+    prior = Parameter("kappa", 1, prescribed, prior_std, positive=positive)
     kappa = kappa.clone()
     kappa[1] = prescribed
-    stiffness = UncertainParameter("k", 1, 15.0, 1.0)
+    stiffness = Parameter("k", 1, 15.0, 1.0)
     problem = Problem(chain.with_parameters(kappa=kappa), record, (stiffness, prior) if prior_std else (stiffness,))
     nothing, level = np.full(3, np.nan), np.full(3, 0.002)
     noise = NoiseModel(

@@ -12,7 +12,8 @@ from small_problems import NONLINEARITIES, small_chain
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
@@ -40,15 +41,13 @@ def random_record(
     return Record(0.3 * np.arange(SAMPLES) + 2.0, displacement, velocity, acceleration, force, ~forced, hold)
 
 
-def every_other(chain, kinds) -> tuple[UncertainParameter, ...]:
+def every_other(chain, kinds) -> tuple[Parameter, ...]:
     """Some parameters of each kind, in an order of their own, with spreads of their own."""
     chosen = [
         (kind, dof) for kind in kinds for dof in range(chain.ndof) if (dof + len(kind)) % 3 or dof == chain.ndof - 1
     ]
     return tuple(
-        UncertainParameter(
-            kind, dof, float(chain.parameters[kind][dof]), (0.05 + 0.01 * i) * float(chain.parameters[kind][dof])
-        )
+        Parameter(kind, dof, float(chain.parameters[kind][dof]), (0.05 + 0.01 * i) * float(chain.parameters[kind][dof]))
         for i, (kind, dof) in enumerate(reversed(chosen))
     )
 
@@ -184,8 +183,8 @@ def test_room_below_is_the_way_to_zero():
     room = equations.room_below(point)
     assert np.all(room < 0)
     for parameter, step in zip(equations.problem.uncertain, room, strict=True):
-        low[parameter.kind][parameter.dof] += parameter.prior_std * step
-        assert low[parameter.kind][parameter.dof] == pytest.approx(0.0, abs=1e-12)
+        low[parameter.kind][parameter.index] += parameter.prior_std * step
+        assert low[parameter.kind][parameter.index] == pytest.approx(0.0, abs=1e-12)
     free = some_unknown(posed(random_record(3), kinds=("k",)))
     assert np.all(free.room_below(somewhere(free)) == -np.inf)
 
@@ -218,7 +217,7 @@ def test_without_bounds_a_step_is_a_sum():
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
 def test_more_dofs_than_a_chunk_holds(monkeypatch, design):
     for sums in ("time_major", "dof_major"):
-        monkeypatch.setattr(f"pinn_cli.training.{sums}.CHUNK", 1)
+        monkeypatch.setattr(f"pinn_cli.training.band.{sums}.CHUNK", 1)
     assert_agrees(posed(random_record(3), "duffing", design, "both", ("k",)))
 
 
@@ -236,7 +235,7 @@ def test_parameters_at_a_point():
     point = somewhere(equations)
     expected = {name: value.clone() for name, value in equations.chain.parameters.items()}
     for parameter, x in zip(equations.problem.uncertain, point.parameters, strict=True):
-        expected[parameter.kind][parameter.dof] += parameter.prior_std * x
+        expected[parameter.kind][parameter.index] += parameter.prior_std * x
     given = equations.parameters(point)
     assert list(given) == list(expected)
     for name, value in expected.items():

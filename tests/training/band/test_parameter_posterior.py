@@ -11,8 +11,9 @@ from scipy.stats import norm, truncnorm
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_posterior
@@ -25,17 +26,17 @@ def chain_with_kappa(*kappa: float) -> Chain:
     return small_chain().with_parameters(kappa=torch.tensor(kappa, dtype=torch.float64))
 
 
-def unknown(kind: str, dof: int, start: float, std: float, positive: bool = True) -> UncertainParameter:
-    return UncertainParameter(kind, dof, start, std, unknown=True, positive=positive)
+def unknown(kind: str, dof: int, start: float, std: float, positive: bool = True) -> Parameter:
+    return Parameter(kind, dof, start, std, unknown=True, positive=positive)
 
 
-def posed(true: Chain, model: Chain, uncertain: tuple[UncertainParameter, ...], **settings) -> Evidence:
+def posed(true: Chain, model: Chain, uncertain: tuple[Parameter, ...], **settings) -> Evidence:
     """Accelerometers on DOFs 1 and 3, 50 dB, and parameters of the model that may move."""
     options = {"snr_db": 50.0, "duration": 20.0, "samples": 257, **settings}
     record = accelerations(measured(true, **options).record, (1, 3))
     values = {kind: value.clone() for kind, value in model.parameters.items()}
     for p in uncertain:
-        values[p.kind][p.dof] = p.prescribed
+        values[p.kind][p.index] = p.prescribed
     problem = Problem(model.with_parameters(**values), record, uncertain)
     equations = NormalEquations(Spline(knots_per_period=4.0).build(record), problem)
     return Evidence(equations, 40, 1e-9, lambda losses, noise: None)
@@ -70,9 +71,9 @@ def dense_posterior(equations: NormalEquations, trained: Trained) -> tuple[np.nd
 
 
 FREE = (
-    UncertainParameter("c", 0, 1.0, 0.1),
+    Parameter("c", 0, 1.0, 0.1),
     unknown("k", 1, 20.0, 200.0),
-    UncertainParameter("k", 2, 14.0, 1.0),
+    Parameter("k", 2, 14.0, 1.0),
     unknown("kappa", 1, 0.0, 1000.0, positive=False),
 )
 
@@ -166,7 +167,7 @@ def test_beside_one_at_its_bound_a_parameter_has_an_interval_about_its_own_estim
 
 def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
     uncertain = tuple(
-        UncertainParameter(kind, 1, value, 0.1 * value)
+        Parameter(kind, 1, value, 0.1 * value)
         for kind, value in (("m", 10.0), ("c", 1.0), ("k", 15.0), ("kappa", 100.0))
     )
     evidence = posed(small_chain(), small_chain(), uncertain)

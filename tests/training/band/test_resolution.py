@@ -11,7 +11,8 @@ from small_problems import measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.inference import starting_noise
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
@@ -72,7 +73,7 @@ def test_fourier_features_have_no_images():
 def wanted(snr_db: float, knots: float, unknown: bool = False) -> float:
     chain = small_chain("linear", ndof=2)
     record = measured(chain, snr_db=snr_db, duration=40.0, samples=801).record.keep({"acceleration": (1, 2)})
-    uncertain = (UncertainParameter("k", 0, 15.0, 150.0, unknown=True),) if unknown else ()
+    uncertain = (Parameter("k", 0, 15.0, 150.0, unknown=True),) if unknown else ()
     evidence = evidence_of(Problem(chain, record, uncertain), Spline(knots_per_period=knots))
     noise = starting_noise(evidence)
     return knots_wanted(evidence, evidence.search(noise, noise.discrepancy, lambda: None))

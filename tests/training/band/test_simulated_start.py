@@ -18,11 +18,12 @@ from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import OverflowsError, Simulation
 from pinn_cli.report.fitness import fitness_percent
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.chain import Chain
 from pinn_cli.system.connection import Duffing
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training import gauss_newton
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -50,7 +51,7 @@ def test_it_is_the_motion_of_the_prescribed_chain_from_rest(hold, design):
 
 
 def test_parameters_stay_where_they_are_prescribed():
-    uncertain = (UncertainParameter("k", 1, 15.0, 1.0),)
+    uncertain = (Parameter("k", 1, 15.0, 1.0),)
     found = equations(measured(small_chain()).record, small_chain(), uncertain)
     np.testing.assert_array_equal(simulated_start(found).parameters, [0.0])
 
@@ -64,7 +65,7 @@ def test_there_is_none_where_a_force_is_unknown():
 
 
 def test_there_is_none_where_a_parameter_is_unknown():
-    unknown = (UncertainParameter("k", 1, 3.0, 100.0, unknown=True),)
+    unknown = (Parameter("k", 1, 3.0, 100.0, unknown=True),)
     assert simulated_start(equations(measured(small_chain()).record, small_chain(), unknown)) is None
 
 

@@ -8,7 +8,8 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.kernel import prior_variance, pulled_back, pushed_forward
 from pinn_cli.training.function_space.linearisation import Linearisation
@@ -35,7 +36,7 @@ class Dense:
         chain = small_chain()
         record = accelerations(measured(chain, hold, snr_db=40.0).record, (1, 3))
         uncertain = tuple(
-            UncertainParameter(kind, dof, float(chain.parameters[kind][dof]), 0.1 * float(chain.parameters[kind][dof]))
+            Parameter(kind, dof, float(chain.parameters[kind][dof]), 0.1 * float(chain.parameters[kind][dof]))
             for kind, dof in (("m", 1), ("c", 0), ("k", 2), ("kappa", 1))
         )
         problem = Problem(chain, record, uncertain, through)
@@ -143,15 +144,15 @@ def test_a_step_solves_the_damped_least_squares():
     torch.testing.assert_close(found, expected, rtol=1e-2, atol=1e-4)
 
 
-def test_the_free_shares_are_the_inverses_diagonal():
+def test_what_is_kept_of_the_residuals_is_the_inverses_diagonal():
     dense = Dense()
     factor = dense.linear.step(
         dense.layers(torch.zeros(dense.jacobian().shape[1])), torch.zeros(4).double(), 2.0, 0.0
     ).factor
     inverse = torch.cholesky_inverse(factor).diagonal()
-    shares = dense.linear.free_shares(factor, seed=0)
-    assert float(shares.sum()) == pytest.approx(float(inverse.sum()), rel=0.1)
-    torch.testing.assert_close(shares, dense.linear.free_shares(factor, seed=0))
+    kept = dense.linear.kept(factor, seed=0)
+    assert float(kept.sum()) == pytest.approx(float(inverse.sum()), rel=0.1)
+    torch.testing.assert_close(kept, dense.linear.kept(factor, seed=0))
 
 
 def test_the_variance_of_parameters_integrates_the_weights_out():

@@ -14,8 +14,9 @@ from small_problems import QUANTITIES, accelerations, measured, relative_error, 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training import stepwise
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
@@ -25,9 +26,9 @@ from pinn_cli.training.gauss_newton import GaussNewton
 SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
 
-def uncertain(chain, share: float = 0.05) -> tuple[UncertainParameter, ...]:
+def uncertain(chain, share: float = 0.05) -> tuple[Parameter, ...]:
     values = {kind: float(chain.parameters[kind][1]) for kind in ("c", "k", "kappa") if kind in chain.parameters}
-    return tuple(UncertainParameter(kind, 1, value, share * value) for kind, value in values.items())
+    return tuple(Parameter(kind, 1, value, share * value) for kind, value in values.items())
 
 
 def problem(hold: str = "exact", snr_db: float = 40.0, seed: int = 0, **settings) -> Problem:
@@ -107,7 +108,7 @@ def test_uncertain_parameters_are_learned_with_their_standard_deviations():
 
 def test_an_unknown_parameter_is_identified():
     chain = small_chain()
-    start = UncertainParameter("k", 1, 5.0, 150.0, scale=5.0, unknown=True, positive=True)
+    start = Parameter("k", 1, 5.0, 150.0, scale=5.0, unknown=True, positive=True)
     prescribed = replace(chain, parameters={**chain.parameters, "k": torch.tensor([15.0, 5.0, 15.0]).double()})
     found = solved(Problem(prescribed, problem().record, (start,))).parameters[0]
     assert found.estimate == pytest.approx(15.0, rel=0.01)

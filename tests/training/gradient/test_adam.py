@@ -17,8 +17,9 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 
@@ -36,9 +37,9 @@ def small_problem(hold: str = "exact", **settings) -> Problem:
     return Problem(chain, accelerations(measured(chain, hold, snr_db=40.0).record), **settings)
 
 
-def uncertain(chain, kind: str, dof: int, relative: float) -> UncertainParameter:
+def uncertain(chain, kind: str, dof: int, relative: float) -> Parameter:
     value = float(chain.parameters[kind][dof])
-    return UncertainParameter(kind, dof, value, relative * value)
+    return Parameter(kind, dof, value, relative * value)
 
 
 def short(**settings) -> Adam:

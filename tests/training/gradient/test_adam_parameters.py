@@ -13,17 +13,18 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.chain import Chain
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.losses import Losses
 
 
-def uncertain(chain: Chain, kind: str, dof: int, relative: float) -> UncertainParameter:
+def uncertain(chain: Chain, kind: str, dof: int, relative: float) -> Parameter:
     value = float(chain.parameters[kind][dof])
-    return UncertainParameter(kind, dof, value, relative * value)
+    return Parameter(kind, dof, value, relative * value)
 
 
 def short(**settings) -> Adam:

@@ -13,9 +13,10 @@ from small_problems import QUANTITIES, accelerations, measured, relative_error, 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
-from pinn_cli.scheme.problem import Problem, UncertainParameter
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs
@@ -30,7 +31,7 @@ NETWORK = Mlp(1, 12, "sine", "exact")
 
 def small_problem() -> Problem:
     chain = small_chain()
-    stiffness = UncertainParameter("k", 1, 15.0, 1.5)
+    stiffness = Parameter("k", 1, 15.0, 1.5)
     return Problem(chain, accelerations(measured(chain, snr_db=40.0).record), (stiffness,))
 
 

@@ -9,8 +9,9 @@ from small_problems import small_chain
 from toy_likelihoods import slopes
 
 from pinn_cli.scheme.prior_settings import KINDS, WIDE, read_priors, with_defaults
-from pinn_cli.scheme.priors import Gamma, HalfNormal, LogNormal, Normal, stacked
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, stacked
 
 PRIORS = [
     (Gamma(2.0, 0.1), stats.gamma(2.0, scale=10.0)),
@@ -70,7 +71,7 @@ def test_priors_by_kind_name_and_pattern():
         "mu": {"kind": "half_normal", "scale": 1.0},
         "m": None,
     }
-    priors = read_priors(given, small_chain())
+    priors = {(p.kind, p.index): prior for p, prior in read_priors(given, small_chain()).items()}
     assert priors[("k", 0)] == priors[("k", 2)] == Gamma.of_moments(15.0, 3.0)
     assert priors[("k", 1)] == LogNormal(14.0, 0.2)
     assert {place for place in priors if place[0] == "c"} == {("c", 0), ("c", 1)}
@@ -80,12 +81,13 @@ def test_priors_by_kind_name_and_pattern():
 
 
 def test_parameters_without_a_prior_get_a_wide_one_on_the_scale_of_their_start():
-    scales = {("k", 0): 7.0, ("k", 1): 9.0, ("kappa", 1): 50.0}
-    priors = with_defaults({("k", 0): Gamma(2.0, 0.1)}, scales, positive=("m", "c", "k"))
+    first, second, cubic = Parameter("k", 0), Parameter("k", 1), Parameter("kappa", 1)
+    scales = {first: 7.0, second: 9.0, cubic: 50.0}
+    priors = with_defaults({first: Gamma(2.0, 0.1)}, scales, positive=("m", "c", "k"))
     assert priors == {
-        ("k", 0): Gamma(2.0, 0.1),
-        ("k", 1): HalfNormal(WIDE * 9.0),
-        ("kappa", 1): Normal(0.0, WIDE * 50.0),
+        first: Gamma(2.0, 0.1),
+        second: HalfNormal(WIDE * 9.0),
+        cubic: Normal(0.0, WIDE * 50.0),
     }
 
 

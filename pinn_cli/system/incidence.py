@@ -1,0 +1,171 @@
+"""Which coordinates stretch which connection: the incidence matrix B of a structure, and what follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix, diags, vstack
+
+from pinn_cli.system.array_namespace import Array
+
+# Up to here a product with the dense matrix, exact for weights of one, takes a quarter of the time of a look-up; a
+# simulation asks for it ten thousand times.
+_SHORT = 64
+
+
+class Incidence:
+    """B, (connections, coordinates): the elongations of connections are e = B q, their pull on the coordinates B' r.
+
+    Args:
+        matrix: Sparse; a row holds the weights of the coordinates that stretch its connection.
+
+    Attributes:
+        matrix: B.
+        shape: Connections C and coordinates n.
+        touching: (n, F), the connections that pull at each coordinate, ascending; at the end C, which is none.
+        sign: (n, F), their weights there, B'; 0 where there is none.
+        offsets: From a coordinate to those that are coupled with it by a connection, ascending; 0 is among them.
+        coupled: (n, offsets) bool, which of those there are.
+        reach: The furthest distance between coordinates that one equation of motion contains.
+    """
+
+    def __init__(self, matrix: csr_matrix) -> None:
+        self.matrix = csr_matrix(matrix, dtype=np.float64)
+        self.shape: tuple[int, int] = self.matrix.shape
+        self._short = max(self.shape) <= _SHORT
+        self._dense: dict[Any, Any] = {}
+        self._tables: dict[Any, Any] = {}
+
+    @classmethod
+    def chain(cls, ndof: int) -> Incidence:
+        """Of masses in a row: connection i joins coordinate i - 1 to i, the first one the ground to the first."""
+        return cls(diags([np.ones(ndof), -np.ones(max(0, ndof - 1))], [0, -1], shape=(ndof, ndof), format="csr"))
+
+    @classmethod
+    def between(cls, ends: Iterable[Mapping[int, float]], ndof: int) -> Incidence:
+        """Of connections given by the weights of their coordinates, counted from 0; the ground is left out.
+
+        Raises:
+            ValueError: A coordinate that there is not, or a connection without any.
+        """
+        rows = list(ends)
+        for row in rows:
+            if not row or not all(0 <= dof < ndof for dof in row):
+                raise ValueError(f"a connection has weights of coordinates 0 to {ndof - 1}, not {dict(row)}")
+        places = [(i, dof, weight) for i, row in enumerate(rows) for dof, weight in row.items()]
+        i, dof, weight = zip(*places, strict=True)
+        return cls(csr_matrix((weight, (i, dof)), shape=(len(rows), ndof)))
+
+    @classmethod
+    def stacked(cls, parts: Iterable[Incidence]) -> Incidence:
+        """Of all connections of several, one below the other."""
+        return cls(vstack([part.matrix for part in parts], format="csr"))
+
+    def elongation(self, x: Array) -> Array:
+        """B x: (..., n) to (..., C), of displacements, velocities or accelerations alike."""
+        return self._product(x, transposed=False)
+
+    def pull(self, r: Array) -> Array:
+        """B' r: (..., C) to (..., n), what the connections' forces pull the coordinates back with."""
+        return self._product(r, transposed=True)
+
+    def _product(self, x: Array, transposed: bool) -> Array:
+        if self._short:
+            by = self._like(x, transposed)
+            product: Array = x.dot(by) if isinstance(x, np.ndarray) else x @ by
+            return product
+        places, weights = self._table(x, transposed)
+        terms = [x[..., place] * weight for place, weight in zip(places, weights, strict=True)]
+        total: Array = sum(terms[1:], start=terms[0])
+        return total
+
+    def _like(self, x: Array, transposed: bool) -> Any:
+        """B' or, transposed, B itself, dense, for products from the right; as x is."""
+        key = (transposed, x.dtype, getattr(x, "device", None))
+        if key not in self._dense:
+            dense = self.matrix.toarray()
+            dense = dense if transposed else np.ascontiguousarray(dense.T)
+            self._dense[key] = _as(x, dense)
+        return self._dense[key]
+
+    def _table(self, x: Array, transposed: bool) -> Any:
+        """For every output its inputs and their weights, padded with weights of 0; a list entry per input."""
+        key = (transposed, x.dtype, getattr(x, "device", None))
+        if key not in self._tables:
+            places, weights = _padded(self.matrix.T.tocsr() if transposed else self.matrix)
+            device = getattr(x, "device", None)
+            columns = places.T if isinstance(x, np.ndarray) else torch.as_tensor(places.T, device=device)
+            self._tables[key] = list(columns), list(_as(x, weights.T))
+        return self._tables[key]
+
+    @cached_property
+    def touching(self) -> np.ndarray:
+        """See the class."""
+        places, weights = _padded(self.matrix.T.tocsr())
+        return np.where(weights == 0, self.shape[0], places)
+
+    @cached_property
+    def sign(self) -> np.ndarray:
+        """See the class."""
+        return _padded(self.matrix.T.tocsr())[1]
+
+    @cached_property
+    def offsets(self) -> tuple[int, ...]:
+        """See the class."""
+        coupling = (abs(self.matrix).T @ abs(self.matrix)).tocoo()
+        return tuple(sorted({0, *(coupling.col - coupling.row).tolist()}))
+
+    @cached_property
+    def by_offset(self) -> np.ndarray:
+        """(n, F, offsets), B[c, i] B[c, i + d]: what connection c, of those touching i, couples i + d with i by."""
+        connections, n = self.shape
+        at = np.arange(n)[:, None] + np.array(self.offsets)
+        inside = (at >= 0) & (at < n)
+        dense = {c: dict(zip(*_row(self.matrix, c), strict=True)) for c in range(connections)}
+        out = np.zeros((*self.touching.shape, len(self.offsets)))
+        for i, x in np.argwhere(self.touching < connections):
+            row = dense[self.touching[i, x]]
+            out[i, x] = [
+                self.sign[i, x] * row.get(j, 0.0) if ok else 0.0 for j, ok in zip(at[i], inside[i], strict=True)
+            ]
+        return out
+
+    @cached_property
+    def coupled(self) -> np.ndarray:
+        """See the class."""
+        coupled = np.any(self.by_offset != 0, axis=1)
+        coupled[:, self.offsets.index(0)] = True
+        return coupled
+
+    @cached_property
+    def reach(self) -> int:
+        """See the class."""
+        offsets = np.array(self.offsets)
+        last = np.where(self.coupled, offsets, offsets.min()).max(axis=1)
+        first = np.where(self.coupled, offsets, offsets.max()).min(axis=1)
+        return int((last - first).max())
+
+
+def _as(x: Any, values: np.ndarray) -> Any:
+    """Values as x is: an array of its dtype, or a tensor of its dtype and device."""
+    return values.astype(x.dtype) if isinstance(x, np.ndarray) else torch.as_tensor(values).to(x)
+
+
+def _row(matrix: csr_matrix, row: int) -> tuple[list[int], list[float]]:
+    part = slice(matrix.indptr[row], matrix.indptr[row + 1])
+    return matrix.indices[part].tolist(), matrix.data[part].tolist()
+
+
+def _padded(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (rows, most) and values of every row of a sparse matrix, ascending, padded with zeros."""
+    matrix.sort_indices()
+    count = np.diff(matrix.indptr)
+    places = np.zeros((len(count), max(1, int(count.max(initial=0)))), dtype=np.int64)
+    values = np.zeros(places.shape)
+    inside = np.arange(places.shape[1]) < count[:, None]
+    places[inside], values[inside] = matrix.indices, matrix.data
+    return places, values

@@ -1,0 +1,136 @@
+"""The parameters of a structure: one object for each, from configuration to tables, and all of them as a vector."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+import numpy as np
+import torch
+
+from pinn_cli.system.array_namespace import Array
+
+if TYPE_CHECKING:
+    from pinn_cli.system.priors import Prior
+
+MASS = "m"
+# Of the linear part of every structure: what they are called, and their units.
+LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
+LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
+_GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau")
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a structure. Two are equal if they are the same one, whatever is believed of it.
+
+    Attributes:
+        kind: ``m``, ``c``, ``k``, ``kappa``, ...
+        index: Whose it is among those of its kind, counted from 0: of which mass, or of which connection.
+        prescribed: Prior mean: the value that the user believes in, or where an unknown one starts; NaN where there is
+            none.
+        prior_std: Prior standard deviation, in the parameter's unit; NaN where there is none.
+        scale: Its order of magnitude, the step of gradient methods; None: its value, or its prior standard deviation
+            where that is larger.
+        unknown: Whether it is to be identified from the record; otherwise it is believed, and its prior may be
+            sharpened or widened together with that of all others that are believed.
+        positive: Whether it cannot be below zero.
+        unit: Powers as ``m^3``; "" where nobody has said.
+        title: What a figure calls its kind; "" where it goes by its symbol.
+        label: Name of its mass or connection; "": its number.
+        prior: Where its posterior distribution is wanted.
+    """
+
+    kind: str
+    index: int
+    prescribed: float = field(default=math.nan, compare=False)
+    prior_std: float = field(default=math.nan, compare=False)
+    scale: float | None = field(default=None, compare=False)
+    unknown: bool = field(default=False, compare=False)
+    positive: bool = field(default=False, compare=False)
+    unit: str = field(default="", compare=False)
+    title: str = field(default="", compare=False)
+    label: str = field(default="", compare=False)
+    prior: Prior | None = field(default=None, compare=False)
+
+    @property
+    def owner(self) -> str:
+        """Whose it is, as people say it: ``DOF 2``, ``connection 2``."""
+        return f"{'DOF' if self.kind == MASS else 'connection'} {self.label or self.index + 1}"
+
+    @property
+    def name(self) -> str:
+        """As tables print it: ``k_2``."""
+        return f"{self.kind}_{self.label or self.index + 1}"
+
+    @property
+    def symbol(self) -> str:
+        """As mathematics, for matplotlib."""
+        number = self.index + 1 if not self.label else rf"\mathrm{{{self.label}}}"
+        return rf"${letter(self.kind)}_{{{number}}}$"
+
+    @property
+    def lower(self) -> float:
+        """Most negative distance from the prescribed value, in the parameter's unit."""
+        return -self.prescribed if self.positive else -math.inf
+
+    @property
+    def step(self) -> float:
+        """What a gradient method's steps of the parameter are counted in, in its unit."""
+        return max(abs(self.prescribed), self.prior_std) if self.scale is None else self.scale
+
+    def value(self, distance: float) -> float:
+        """The parameter at a distance from its prescribed value; never below its bound, whatever the rounding."""
+        return float(max(self.prescribed + distance, 0.0 if self.positive else -math.inf))
+
+
+def letter(kind: str) -> str:
+    """A kind of parameter as mathematics, without dollar signs: ``kappa`` is a Greek letter."""
+    return rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else rf"\mathrm{{{kind}}}"
+
+
+class ParameterVector(Generic[T]):
+    """Parameters that may move, as a vector (p,) of distances from where they are prescribed, and as named values.
+
+    Args:
+        nominal: Kind to the values of all its members, tensors or arrays alike.
+        moving: Those of the vector, p of them.
+
+    Attributes:
+        kinds: Those of the moving parameters, in the order of ``nominal``.
+        first: Kind to the place of its first member among the members of all :attr:`kinds`.
+        places: All members of :attr:`kinds`.
+        column: (p,), of each moving parameter among those.
+    """
+
+    def __init__(self, nominal: Mapping[str, T], moving: Sequence[Parameter]) -> None:
+        self.nominal, self.moving = dict(nominal), tuple(moving)
+        self.kinds = tuple(kind for kind in nominal if any(p.kind == kind for p in moving))
+        sizes = [len(nominal[kind]) for kind in self.kinds]  # type: ignore[arg-type]
+        ends = np.cumsum([0, *sizes]).tolist()
+        self.first, self.places = dict(zip(self.kinds, ends, strict=False)), ends[-1]
+        self.column = np.array([self.first[p.kind] + p.index for p in self.moving], dtype=np.int64)
+
+    def scattered(self, distances: Array) -> dict[str, Array]:
+        """Kind to the distances of all its members, 0 of those that are held; of all :attr:`kinds`."""
+        if isinstance(distances, np.ndarray):
+            every = np.zeros(self.places)
+            every[self.column] = distances
+        else:
+            column = torch.as_tensor(self.column, device=distances.device)
+            every = distances.new_zeros(self.places).index_copy(0, column, distances)
+        ends = [*self.first.values(), self.places][1:]
+        return {kind: every[first:end] for (kind, first), end in zip(self.first.items(), ends, strict=True)}
+
+    def values(self, distances: Array) -> dict[str, Array]:
+        """Every parameter of the structure by kind, the moving ones at these distances (p,), in their own units."""
+        moved = self.scattered(distances)
+        return {kind: value + moved[kind] if kind in moved else value for kind, value in self.nominal.items()}  # type: ignore[operator,misc]
+
+    def each(self, attribute: str) -> np.ndarray:
+        """(p,), an attribute of every moving parameter."""
+        return np.array([getattr(parameter, attribute) for parameter in self.moving])

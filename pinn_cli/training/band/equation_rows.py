@@ -1,0 +1,166 @@
+"""The linearised equation of motion, row by row in local terms: by the coordinates that a DOF is coupled with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.system.parameters import MASS, ParameterVector
+from pinn_cli.system.structure import Linearisation, Structure
+
+# Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
+# and no more than that for Fourier features.
+CHUNK = 2_000_000
+
+
+class RowPattern:
+    """Where the entries of a structure's equations of motion stand.
+
+    A row has D slots, one for every offset from its DOF to those that are coupled with it, and F slots for every kind
+    of parameter, one for every connection that pulls at the DOF. Of a chain D is 3 and F is 2.
+
+    Args:
+        structure: Whose equations.
+        vector: Of its uncertain parameters.
+        like: A tensor of the dtype and device wanted.
+
+    Attributes:
+        offsets: (D,), from a DOF to those of its slots.
+        coupled: (n, D) bool, the slots that are used; the others hold zeros.
+        places: (n, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
+        count: Members of all the vector's kinds.
+    """
+
+    def __init__(self, structure: Structure, vector: ParameterVector[Tensor], like: Tensor) -> None:
+        incidence = structure.incidence
+        self.structure, self.vector = structure, vector
+        self.offsets, self.coupled, self.reach = incidence.offsets, incidence.coupled, incidence.reach
+        self.own = self.offsets.index(0)
+        self.count = vector.places
+        self.places = self._places()
+        at = np.arange(structure.ndof)[:, None] + np.array(self.offsets)
+        outside = np.where(self.coupled, at, structure.ndof)
+        self._neighbours, self._touching, self._own = (
+            torch.as_tensor(index, device=like.device)
+            for index in (outside, incidence.touching, np.where(self.places < 0, self.count, self.places))
+        )
+        self._by_offset, self._sign = (torch.as_tensor(x).to(like) for x in (incidence.by_offset, self._signs()))
+
+    def _places(self) -> np.ndarray:
+        touching, kinds = self.structure.incidence.touching, self.vector.kinds
+        places = np.full((len(touching), len(kinds), touching.shape[1]), -1, dtype=np.int64)
+        for number, kind in enumerate(kinds):
+            if kind == MASS:
+                places[:, number, 0] = self.vector.first[kind] + np.arange(len(touching))
+                continue
+            member = np.full(self.structure.incidence.shape[0] + 1, -1, dtype=np.int64)
+            members = self.structure.members[kind]
+            member[members] = self.vector.first[kind] + np.arange(len(members))
+            places[:, number] = member[touching]
+        return places
+
+    def _signs(self) -> np.ndarray:
+        """(n, kinds, F), the weight of each parameter's connection in the row."""
+        signs = np.repeat(self.structure.incidence.sign[:, None], len(self.vector.kinds), axis=1)
+        for number, kind in enumerate(self.vector.kinds):
+            if kind == MASS:
+                signs[:, number] = np.eye(1, signs.shape[2])
+        return signs
+
+    def by_coordinate(self, x: Tensor) -> Tensor:
+        """Derivative of B' r by the coordinates in the slots (..., n, D), from dr/de of the connections (..., C)."""
+        ends = [_with_none(x)[..., column] for column in self._touching.T]
+        slots = [
+            sum(end * self._by_offset[:, i, slot] for i, end in enumerate(ends)) for slot in range(len(self.offsets))
+        ]
+        return torch.stack([slot if isinstance(slot, Tensor) else x.new_zeros(()) for slot in slots], -1)
+
+    def neighbours(self, x: Tensor) -> Tensor:
+        """Motion of the coordinates in the slots, (..., n) to (..., n, D); what there is not does not move."""
+        return _with_none(x)[..., self._neighbours]
+
+    def by_parameter(self, own: Tensor) -> Tensor:
+        """(..., n, kinds, F), rows by parameter, from what each does to its own connection or mass (..., count)."""
+        return _with_none(own)[..., self._own] * self._sign
+
+    def of_parameters(self, values: Tensor) -> Tensor:
+        """(n, kinds, F), values of all members (count,) in the slots; 0 where unused."""
+        return _with_none(values)[self._own]
+
+    def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
+        """Rows of one DOF by every uncertain parameter, (..., kinds, F) to (..., p)."""
+        own = self._own[dof].flatten().to(parameter.device)
+        out = parameter.new_zeros((*parameter.shape[:-2], self.count + 1))
+        out[..., own] = parameter.flatten(-2)
+        out[..., -1] = 0.0
+        return out[..., torch.as_tensor(self.vector.column, device=parameter.device)]
+
+
+@dataclass(frozen=True, eq=False)
+class EquationRows:
+    """Rows of m a + B' r, or of B' r alone, in the slots of a pattern.
+
+    Attributes:
+        pattern: Where the slots stand.
+        stiffness, damping: Derivative by the displacements and velocities in the slots, each (I, S, n, D).
+        mass: (n,), derivative by the acceleration of the row's own DOF; None without the inertia force.
+        own: (I, S, count), what each parameter does to its own connection or mass, per prior standard deviation.
+        parameter: (I, S, n, kinds, F), the same in the rows.
+    """
+
+    pattern: RowPattern
+    stiffness: Tensor
+    damping: Tensor
+    mass: Tensor | None
+    own: Tensor
+    parameter: Tensor
+
+    @classmethod
+    def of(
+        cls,
+        pattern: RowPattern,
+        slope: Linearisation,
+        mass: Tensor | None,
+        acceleration: Tensor,
+        spread: dict[str, Tensor],
+    ) -> EquationRows:
+        """Rows from the connections' linearisation.
+
+        Args:
+            pattern: Of the structure.
+            slope: Derivatives of the internal forces, (I, S, C).
+            mass: (n,) or None, see above.
+            acceleration: (I, S, n), what a mass parameter multiplies: the motion's, or the observer's.
+            spread: Kind of every uncertain parameter to the prior standard deviations of all its members, 0 of those
+                that are held fixed.
+        """
+        blocks = [(acceleration if kind == MASS else slope.by_parameter[kind]) * by for kind, by in spread.items()]
+        own = torch.cat(blocks, -1) if blocks else acceleration.new_zeros((*acceleration.shape[:-1], 0))
+        stiffness, damping = pattern.by_coordinate(slope.stiffness), pattern.by_coordinate(slope.damping)
+        return cls(pattern, stiffness, damping, mass, own, pattern.by_parameter(own))
+
+    def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
+        """(I, S, n), the rows times a motion (I, S, n), parameters held."""
+        moved = self.stiffness * self.pattern.neighbours(displacement) + self.damping * self.pattern.neighbours(
+            velocity
+        )
+        return moved.sum(-1) if self.mass is None else moved.sum(-1) + self.mass * acceleration
+
+    def jacobian(self, segments: Segments, dofs: slice) -> Tensor:
+        """The given DOFs' rows by the features of the DOFs in their slots, slot by slot, (I, dofs, S, D B)."""
+        displacement, velocity = (phi[:, None, :, None, :] for phi in (segments.displacement, segments.velocity))
+        stiffness, damping = (x[:, :, dofs].movedim(2, 1)[..., None] for x in (self.stiffness, self.damping))
+        out = displacement * stiffness
+        out.addcmul_(velocity, damping)
+        if self.mass is not None:
+            out[..., self.pattern.own, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
+        return out.flatten(3)
+
+
+def _with_none(x: Tensor) -> Tensor:
+    """(..., N) with a zero behind it, in the place of what there is not."""
+    return torch.cat((x, torch.zeros_like(x[..., :1]) if x.shape[-1] else x.new_zeros((*x.shape[:-1], 1))), -1)
