@@ -38,10 +38,10 @@ class FakeSolver:
         if one.name in self.refused:
             raise InputError("system.kappa", -1, ">= 0")
         if one.name in self.diverging:
-            return Scores(pd.DataFrame(), pd.DataFrame(), SECONDS, 3.0, "loss is not finite")
+            return Scores([], [], SECONDS, 3.0, "loss is not finite")
         case = one.name.rpartition("_seed")[0]
         scored = [self._scored(one, case, name, lag) for name, lag in (("pinn", 0.0), ("kalman_smoother", 0.05))]
-        fitness, parameters = (pd.concat(tables, ignore_index=True) for tables in zip(*scored, strict=True))
+        fitness, parameters = (pd.concat(tables).to_dict("records") for tables in zip(*scored, strict=True))
         strength = dict(one.columns).get("kappa", 0.0) / 1000.0
         return Scores(fitness, parameters, SECONDS, strength)
 

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pinn_cli.paper.cases import TABLES, PlannedRun, planned_runs
+from pinn_cli.paper.cases import TABLES, planned_runs
 from pinn_cli.paper.figures import copy_figures, paper_figures
-from pinn_cli.paper.robustness.noise_seeds import make_seed_scores, read_seed_scores
-from pinn_cli.paper.robustness.nonlinearity import make_nonlinearity_scores, read_nonlinearity_scores
+from pinn_cli.paper.rendering import markdown, write_sheets
+from pinn_cli.paper.report import ReportContent, write_report
+from pinn_cli.paper.robustness.noise_seeds import SeedScores, seed_realisations
+from pinn_cli.paper.robustness.nonlinearity import NonlinearityScores, nonlinearity_realisations
+from pinn_cli.paper.robustness.nonlinearity_figure import write_nonlinearity_figure
 from pinn_cli.paper.robustness.realisation import solve
+from pinn_cli.paper.robustness.scored import read_scores, solve_missing
+from pinn_cli.paper.robustness.seed_sheets import seed_sheets
 from pinn_cli.paper.runs import make_runs, read_runs, run_case
-from pinn_cli.paper.sheet_files import markdown
+from pinn_cli.paper.tables import paper_tables, write_tables
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,9 +23,6 @@ if TYPE_CHECKING:
 
     from pinn_cli.paper.robustness.scored import Solver
     from pinn_cli.paper.runs import FinishedRun, Runner
-
-RUNS, TABLE_FILES, FIGURES, SEEDS, NONLINEARITY = "runs", "tables", "figures", "seeds", "nonlinearity"
-REPORT = "report.html"
 
 
 def make_paper(output: Path, runner: Runner = run_case) -> int:
@@ -33,29 +35,27 @@ def make_paper(output: Path, runner: Runner = run_case) -> int:
     Returns:
         0, or 1 if a run failed: what could be made without it is there nevertheless.
     """
-    runs, failures = make_runs(planned_runs(), output / RUNS, runner)
-    _write_report(runs, failures, output)
+    runs, failures = make_runs(planned_runs(), output / "runs", runner)
+    _write_all(runs, failures, output)
     return 1 if failures else 0
 
 
 def make_table(name: str, output: Path, runner: Runner = run_case) -> int:
     """Make the runs of one table, where they are missing; write and print it; as `make_paper`."""
-    from pinn_cli.paper.tables import paper_tables, write_tables
-
     chosen = [table for table in TABLES if table.name == name]
-    runs, failures = make_runs(planned_runs(chosen), output / RUNS, runner)
+    runs, failures = make_runs(planned_runs(chosen), output / "runs", runner)
     tables = paper_tables(runs, chosen)
-    write_tables(tables, output / TABLE_FILES)
-    print(f"\n{markdown(tables[0].sheet)}\n\n{output / TABLE_FILES / name}.csv")
+    write_tables(tables, output / "tables")
+    print(f"\n{markdown(tables[0].sheet)}\n\n{output / 'tables' / name}.csv")
     return 1 if failures else 0
 
 
 def make_figures(output: Path, runner: Runner = run_case) -> int:
     """Make the runs that draw a figure, where they are missing, and copy the figures; as `make_paper`."""
     needed = {figure.run for figure in paper_figures()}
-    runs, failures = make_runs([run for run in planned_runs() if run.name in needed], output / RUNS, runner)
-    copy_figures(_directories(runs), output / FIGURES)
-    print(output / FIGURES)
+    runs, failures = make_runs([run for run in planned_runs() if run.name in needed], output / "runs", runner)
+    _copy_figures(runs, output)
+    print(output / "figures")
     return 1 if failures else 0
 
 
@@ -69,21 +69,20 @@ def make_seeds(output: Path, solver: Solver = solve) -> int:
     Returns:
         0, or 1 if one failed.
     """
-    seeds = make_seed_scores(output / SEEDS, solver)
-    print(output / SEEDS / "summary.csv")
+    scored = solve_missing(seed_realisations(), output / "seeds" / "runs", solver)
+    print(SeedScores.of(scored).write(output / "seeds"))
     _rewrite_report(output)
-    return 1 if seeds.scored.failures or seeds.scored.missing else 0
+    return 1 if scored.failures or scored.missing else 0
 
 
 def make_nonlinearity(output: Path, solver: Solver = solve) -> int:
     """The same over nonlinearity and force, in ``<output>/nonlinearity``; a training that diverges is a finding."""
-    from pinn_cli.paper.robustness.nonlinearity_figure import write_nonlinearity_figure
-
-    scores = make_nonlinearity_scores(output / NONLINEARITY, solver)
-    write_nonlinearity_figure(scores, output / NONLINEARITY)
-    print(output / NONLINEARITY / "nonlinearity.csv")
+    scored = solve_missing(nonlinearity_realisations(), output / "nonlinearity" / "runs", solver)
+    scores = NonlinearityScores.of(scored)
+    write_nonlinearity_figure(scores, output / "nonlinearity")
+    print(scores.write(output / "nonlinearity"))
     _rewrite_report(output)
-    return 1 if scores.scored.missing else 0
+    return 1 if scored.missing else 0
 
 
 def make_all(output: Path) -> int:
@@ -91,32 +90,28 @@ def make_all(output: Path) -> int:
     return max([make(output) for make in (make_paper, make_seeds, make_nonlinearity)])
 
 
-def _directories(runs: Sequence[FinishedRun]) -> dict[str, Path]:
-    return {run.planned.name: run.directory for run in runs}
+def _copy_figures(runs: Sequence[FinishedRun], output: Path) -> dict[int, Path]:
+    return copy_figures({run.planned.name: run.directory for run in runs}, output / "figures")
 
 
 def _rewrite_report(output: Path) -> None:
     """The report with what has been added to it, from runs that are all there; without them nothing is written."""
-    planned: list[PlannedRun] = planned_runs()
-    runs = read_runs(planned, output / RUNS)
+    planned = planned_runs()
+    runs = read_runs(planned, output / "runs")
     if len(runs) < len(planned):
-        print(f"{output / REPORT} waits for runs that are missing or out of date: `make paper` makes them")
+        print(f"{output / 'report.html'} waits for runs that are missing or out of date: `make paper` makes them")
         return
-    _write_report(runs, [], output)
+    _write_all(runs, [], output)
 
 
-def _write_report(runs: Sequence[FinishedRun], failures: Sequence[str], output: Path) -> None:
-    # matplotlib and torch are wanted once the runs are there: --help need not wait for them.
-    from pinn_cli.paper.report import ReportContent, write_report
-    from pinn_cli.paper.robustness.nonlinearity_figure import write_nonlinearity_figure
-    from pinn_cli.paper.robustness.seed_sheets import seed_sheets
-    from pinn_cli.paper.tables import paper_tables, write_sheets, write_tables
-
+def _write_all(runs: Sequence[FinishedRun], failures: Sequence[str], output: Path) -> None:
+    """Tables, figures and report of what is there."""
     tables = paper_tables(runs)
-    write_tables(tables, output / TABLE_FILES)
-    seeds, nonlinearity = read_seed_scores(output / SEEDS), read_nonlinearity_scores(output / NONLINEARITY)
-    write_sheets(seed_sheets(seeds), output / SEEDS)
-    images = copy_figures(_directories(runs), output / FIGURES)
-    drawn = write_nonlinearity_figure(nonlinearity, output / NONLINEARITY)
+    write_tables(tables, output / "tables")
+    seeds = SeedScores.of(read_scores(seed_realisations(), output / "seeds" / "runs"))
+    write_sheets(seed_sheets(seeds), output / "seeds")
+    nonlinearity = NonlinearityScores.of(read_scores(nonlinearity_realisations(), output / "nonlinearity" / "runs"))
+    images = _copy_figures(runs, output)
+    drawn = write_nonlinearity_figure(nonlinearity, output / "nonlinearity")
     content = ReportContent(runs, failures, tables, images, seeds, nonlinearity, drawn)
-    print(write_report(content, output / REPORT))
+    print(write_report(content, output / "report.html"))

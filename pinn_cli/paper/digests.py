@@ -16,7 +16,7 @@ from pinn_cli.report.run_record import package_versions
 from pinn_cli.runs.writing import write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
 FINISHED = "finished.json"
 # Read what runs have left, and are no part of one: a better caption is no reason to run everything again.
@@ -42,25 +42,30 @@ def _composed(overrides: tuple[str, ...]) -> str:
 def source_digest() -> str:
     """SHA-256 of the package's modules and configs, without `READERS`."""
     package, conf = (Path(str(resources.files(name))) for name in ("pinn_cli", "pinn_cli.conf"))
-    return tree_digest([(package, "*.py"), (conf, "*.yaml")], READERS)
+    return tree_digest(package, "*.py", READERS) + tree_digest(conf, "*.yaml")
 
 
-def tree_digest(trees: Iterable[tuple[Path, str]], left_out: Sequence[str] = ()) -> str:
-    """SHA-256 of the names and contents of files.
+def tree_digest(root: Path, pattern: str, left_out: Sequence[str] = ()) -> str:
+    """SHA-256 of the names and contents of files in a folder and its own folders.
 
     Args:
-        trees: Folders and patterns; files in the folders' own folders count.
-        left_out: Files and folders that do not count, as paths from the tree's root.
+        root: The folder.
+        pattern: Of the files' names.
+        left_out: Files and folders that do not count, as paths from the root.
     """
-    total = hashlib.sha256()
-    for root, pattern in trees:
-        for file in sorted(root.rglob(pattern)):
-            name = file.relative_to(root).as_posix()
-            if any(name == part or name.startswith(f"{part}/") for part in left_out):
-                continue
-            # The digest of each file, not its bytes: no content can pass for a name.
-            total.update(f"{name}\0{hashlib.sha256(file.read_bytes()).hexdigest()}\n".encode())
-    return total.hexdigest()
+    names = {file.relative_to(root).as_posix(): file for file in sorted(root.rglob(pattern))}
+    # The digest of each file, not its bytes: no content can pass for a name.
+    lines = [
+        f"{name}\0{file_digest(file)}\n"
+        for name, file in names.items()
+        if not any(f"{name}/".startswith(f"{part}/") for part in left_out)
+    ]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def file_digest(file: Path) -> str:
+    """SHA-256 of a file's content."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def mark_finished(directory: Path, digest: str, process_seconds: float) -> None:

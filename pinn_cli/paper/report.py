@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import mimetypes
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
-
 from pinn_cli.paper.cases import SMOOTHER
 from pinn_cli.paper.figures import paper_figures
+from pinn_cli.paper.rendering import render
 from pinn_cli.paper.robustness.realisation import PINN
 from pinn_cli.paper.robustness.seed_sheets import seed_sheets
-from pinn_cli.paper.sheet import SIGNS, written
 from pinn_cli.paper.shortfalls import shortfalls
 from pinn_cli.report.run_record import package_versions
 from pinn_cli.runs.writing import write_text
@@ -54,15 +49,10 @@ class ReportContent:
 
 def write_report(content: ReportContent, path: Path) -> Path:
     """Write the report: styles and images are in it, and it loads nothing. It is there whole or not at all."""
-    environment = Environment(
-        loader=PackageLoader("pinn_cli.paper", "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["symbols"] = lambda text: Markup(written(text, "html"))
-    environment.filters["data_uri"] = _data_uri
-    text = environment.get_template("report.html.j2").render(
+    text = render(
+        "report.html",
         **vars(content),
         figures=paper_figures(),
-        signs=SIGNS,
         smoother=SMOOTHER.name,
         seed_sheets=seed_sheets(content.seeds),
         reached=_reached(content.seeds),
@@ -72,10 +62,6 @@ def write_report(content: ReportContent, path: Path) -> Path:
         versions=package_versions(),
     )
     return write_text(text, path)
-
-
-def _data_uri(image: Path) -> str:
-    return f"data:{mimetypes.guess_type(image.name)[0]};base64,{base64.b64encode(image.read_bytes()).decode('ascii')}"
 
 
 def _reached(seeds: SeedScores) -> list[tuple[str, int, int]]:

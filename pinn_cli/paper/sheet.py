@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Literal
 
 Mark = Literal["", "better", "worse"]
 Form = Literal["plain", "latex", "html"]
 
-SIGNS: dict[Mark, str] = {"": "", "better": "▲", "worse": "▼"}
 DASH = "-"
 
 _QUANTITIES = {
@@ -93,6 +93,12 @@ class Sheet:
     def grouped(self) -> bool:
         """Whether any group has a title."""
         return any(title for title, _ in self.groups)
+
+    @property
+    def spans(self) -> list[tuple[str, int, int]]:
+        """Each group's title, first column and last column, counted from 1."""
+        ends = list(accumulate(span for _, span in self.groups))
+        return [(title, end - span + 1, end) for (title, span), end in zip(self.groups, ends, strict=True)]
 
 
 def number(value: float, pattern: str, mark: Mark = "") -> Cell:

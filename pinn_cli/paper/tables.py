@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pinn_cli.paper import sheet_files
 from pinn_cli.paper.cases import SMOOTHER, TABLES
 from pinn_cli.paper.comparison import compare_fitness, compare_parameters, compare_wrong_values
 from pinn_cli.paper.fitness_sheet import fitness_sheet
 from pinn_cli.paper.parameter_sheet import parameter_sheet, wrong_values_sheet
-from pinn_cli.runs.writing import write_table, write_text
+from pinn_cli.paper.rendering import write_sheets
+from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -71,10 +71,3 @@ def write_tables(tables: Sequence[PaperTable], directory: Path) -> None:
     for table in tables:
         write_table(table.comparison, directory / f"{table.sheet.name}.csv")
     write_sheets([table.sheet for table in tables], directory)
-
-
-def write_sheets(sheets: Sequence[Sheet], directory: Path) -> None:
-    """Write each as ``<name>.md`` and ``<name>.tex``."""
-    for sheet in sheets:
-        write_text(sheet_files.markdown(sheet), directory / f"{sheet.name}.md")
-        write_text(sheet_files.latex(sheet), directory / f"{sheet.name}.tex")

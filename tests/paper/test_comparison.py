@@ -14,8 +14,8 @@ from pinn_cli.paper.comparison import (
 )
 from pinn_cli.paper.fitness_sheet import fitness_sheet
 from pinn_cli.paper.parameter_sheet import parameter_sheet, wrong_values_sheet
+from pinn_cli.paper.rendering import markdown
 from pinn_cli.paper.runs import CaseScores
-from pinn_cli.paper.sheet_files import markdown
 
 TABLE1, TABLE2, TABLE3, *_ = TABLES
 NAN = float("nan")

@@ -141,17 +141,17 @@ def test_digest_of_a_tree(tmp_path):
     (tmp_path / "inner").mkdir()
     (tmp_path / "a.py").write_text("1")
     (tmp_path / "inner" / "b.py").write_text("2")
-    first = digests.tree_digest([(tmp_path, "*.py")])
+    first = digests.tree_digest(tmp_path, "*.py")
     (tmp_path / "note.txt").write_text("no module")
-    assert digests.tree_digest([(tmp_path, "*.py")]) == first
+    assert digests.tree_digest(tmp_path, "*.py") == first
     (tmp_path / "inner" / "b.py").write_text("3")
-    changed = digests.tree_digest([(tmp_path, "*.py")])
+    changed = digests.tree_digest(tmp_path, "*.py")
     assert changed != first
     (tmp_path / "inner" / "b.py").rename(tmp_path / "inner" / "c.py")
-    assert digests.tree_digest([(tmp_path, "*.py")]) not in (first, changed)
-    without = digests.tree_digest([(tmp_path, "*.py")], ["inner"])
+    assert digests.tree_digest(tmp_path, "*.py") not in (first, changed)
+    without = digests.tree_digest(tmp_path, "*.py", ["inner"])
     (tmp_path / "inner" / "c.py").unlink()
-    assert digests.tree_digest([(tmp_path, "*.py")]) == without
+    assert digests.tree_digest(tmp_path, "*.py") == without
 
 
 def test_the_readers_of_runs_exist():

@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from pinn_cli.paper.cases import BESIDE, TABLES
-from pinn_cli.paper.robustness.realisation import Realisation, solve
-from pinn_cli.paper.robustness.scored import ScoredRealisations, read_scores, solve_missing
+from pinn_cli.paper.robustness.realisation import Realisation
 from pinn_cli.report import published
 from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pinn_cli.paper.robustness.scored import Solver
+    from pinn_cli.paper.robustness.scored import ScoredRealisations
 
 SEEDS = 10
 KEYS = ["case", "estimator", "group", "quantity"]
@@ -68,19 +67,12 @@ class SeedScores:
         parameters = parameters.merge(given, on=["case", "parameter"]) if len(parameters) else parameters
         return cls(scored, rows, parameters, _summary(rows), _parameter_summary(parameters))
 
-
-def make_seed_scores(directory: Path, solver: Solver = solve) -> SeedScores:
-    """Solve what is missing in ``<directory>/runs`` and write the tables into ``directory``."""
-    seeds = SeedScores.of(solve_missing(seed_realisations(), directory / "runs", solver))
-    tables = {"seeds": seeds.rows, "seeds_parameters": seeds.parameters, "summary": seeds.summary}
-    for name, table in {**tables, "summary_parameters": seeds.parameter_summary}.items():
-        write_table(table, directory / f"{name}.csv")
-    return seeds
-
-
-def read_seed_scores(directory: Path) -> SeedScores:
-    """What is there and up to date, nothing solved."""
-    return SeedScores.of(read_scores(seed_realisations(), directory / "runs"))
+    def write(self, directory: Path) -> Path:
+        """Write the four tables; the path of the summary."""
+        write_table(self.rows, directory / "seeds.csv")
+        write_table(self.parameters, directory / "seeds_parameters.csv")
+        write_table(self.parameter_summary, directory / "summary_parameters.csv")
+        return write_table(self.summary, directory / "summary.csv")
 
 
 def _summary(rows: pd.DataFrame) -> pd.DataFrame:

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pinn_cli.paper.cases import BESIDE
-from pinn_cli.paper.robustness.realisation import Realisation, solve
-from pinn_cli.paper.robustness.scored import ScoredRealisations, read_scores, solve_missing
+from pinn_cli.paper.robustness.realisation import Realisation
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.runs.writing import write_table
 
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from pinn_cli.paper.robustness.scored import Solver
+    from pinn_cli.paper.robustness.scored import ScoredRealisations
 
 # N/m^3 and N; 100 N/m^3 and 1 N are the defaults of the chain and of the force.
 KAPPAS = (0.0, 10.0, 100.0, 1000.0, 10000.0)
@@ -75,15 +74,7 @@ class NonlinearityScores:
         summary.insert(1, "seeds", grouped["seed"].nunique())
         return cls(scored, rows, summary.reset_index())
 
-
-def make_nonlinearity_scores(directory: Path, solver: Solver = solve) -> NonlinearityScores:
-    """Solve what is missing in ``<directory>/runs`` and write the tables into ``directory``."""
-    scores = NonlinearityScores.of(solve_missing(nonlinearity_realisations(), directory / "runs", solver))
-    write_table(scores.rows, directory / "nonlinearity_by_seed.csv")
-    write_table(scores.summary, directory / "nonlinearity.csv")
-    return scores
-
-
-def read_nonlinearity_scores(directory: Path) -> NonlinearityScores:
-    """What is there and up to date, nothing solved."""
-    return NonlinearityScores.of(read_scores(nonlinearity_realisations(), directory / "runs"))
+    def write(self, directory: Path) -> Path:
+        """Write both tables; the path of the summary."""
+        write_table(self.rows, directory / "nonlinearity_by_seed.csv")
+        return write_table(self.summary, directory / "nonlinearity.csv")

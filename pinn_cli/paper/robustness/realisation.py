@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
@@ -19,6 +18,8 @@ from pinn_cli.training.estimate import RunContext
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    import pandas as pd
 
 PINN = "pinn"
 
@@ -47,47 +48,29 @@ class Realisation:
         force = (f"excitation.seed={self.seed}",) if self.redraws_force else ()
         return (*self.settings, "noise.seeds=null", f"seed={self.seed}", *force)
 
-    def labels(self, strength: float) -> dict[str, float]:
+    def labels(self, scores: Scores) -> dict[str, float | None]:
         """Its own columns, with `Scores.strength` where it has any."""
-        return {**dict(self.columns), "strength": strength} if self.columns else {}
+        return {**dict(self.columns), "strength": scores.strength} if self.columns else {}
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What was made of a realisation.
+    """What was made of a realisation, as it goes into a JSON file.
 
     Attributes:
-        fitness: As ``fitness.csv`` of a run with a baseline, groups of several DOFs only.
-        parameters: As its ``parameters.csv``.
+        fitness: Rows as in ``fitness.csv`` of a run with a baseline, groups of several DOFs only.
+        parameters: As in its ``parameters.csv``.
         seconds: By stage: ``record`` (configuration and simulation), ``estimate``, ``baseline``, ``total``.
         strength: The largest mean square nonlinear stiffness of a connection over its linear one, kappa rms(e)^2 / k
-            for an elongation e; NaN for chains without kappa.
+            for an elongation e; None for chains without kappa.
         failure: Why there is nothing of the network's, in one line; empty where there is.
     """
 
-    fitness: pd.DataFrame
-    parameters: pd.DataFrame
+    fitness: list[dict[Any, Any]]
+    parameters: list[dict[Any, Any]]
     seconds: Mapping[str, float]
-    strength: float
+    strength: float | None
     failure: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """What `from_json` reads."""
-        tables = {"fitness": self.fitness, "parameters": self.parameters}
-        rows = {name: table.astype(object).where(table.notna(), None) for name, table in tables.items()}
-        kept = {name: table.to_dict("records") for name, table in rows.items()}
-        return {**kept, "seconds": self.seconds, "strength": self.strength, "failure": self.failure}
-
-    @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Scores:
-        """The scores that `as_json` wrote.
-
-        Raises:
-            KeyError: Something is missing.
-        """
-        fitness, parameters = (pd.DataFrame(content[name]) for name in ("fitness", "parameters"))
-        strength = float("nan") if content["strength"] is None else float(content["strength"])
-        return cls(fitness, parameters, content["seconds"], strength, content["failure"])
 
 
 def solve(realisation: Realisation) -> Scores:
@@ -106,8 +89,8 @@ def solve(realisation: Realisation) -> Scores:
     try:
         fitness, parameters = _scored(config, prepared, stages)
     except DivergenceError as error:
-        return Scores(pd.DataFrame(), pd.DataFrame(), stages.seconds, strength, str(error).partition("\n")[0])
-    return Scores(fitness, parameters, stages.seconds, strength)
+        return Scores([], [], stages.seconds, strength, str(error).partition("\n")[0])
+    return Scores(fitness.to_dict("records"), parameters.to_dict("records"), stages.seconds, strength)
 
 
 def _scored(config: RunConfig, prepared: PreparedProblem, stages: Stages) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -123,13 +106,13 @@ def _scored(config: RunConfig, prepared: PreparedProblem, stages: Stages) -> tup
     beside = Beside.of(run.baseline, run.labels_of(run.baseline), record, truth, smoothed)
     if beside is not None:
         fitness, parameters = stacked(fitness, beside.fitness), stacked(parameters, beside.parameters)
-    return fitness[~fitness["group"].str.startswith("dof_")].reset_index(drop=True), parameters
+    return fitness[~fitness["group"].str.startswith("dof_")], parameters
 
 
-def _nonlinear_strength(prepared: PreparedProblem) -> float:
+def _nonlinear_strength(prepared: PreparedProblem) -> float | None:
     """See `Scores.strength`; of the true chain and its true motion."""
     true = prepared.truth.parameters
     if true is None or "kappa" not in true:
-        return float("nan")
+        return None
     elongation = prepared.true.elongation(prepared.truth.response.displacement)
     return float(np.max(true["kappa"] * np.mean(elongation**2, axis=0) / true["k"]))

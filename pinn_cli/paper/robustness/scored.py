@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from pinn_cli.paper.digests import run_digest, tree_digest
+from pinn_cli.paper.digests import file_digest, run_digest
 from pinn_cli.paper.robustness.realisation import Realisation, Scores, solve
 from pinn_cli.runs.writing import write_json
 from pinn_cli.settings.errors import InputError
@@ -48,17 +48,14 @@ class ScoredRealisations:
 
     def rows(self, table: str) -> pd.DataFrame:
         """The ``fitness`` or ``parameters`` of all, one below the other, the realisations' own columns first."""
-        rows = [
-            {**realisation.labels(scores.strength), **row}
+        return pd.DataFrame(
+            {**realisation.labels(scores), **row}
             for realisation, scores in self.found.items()
-            for row in getattr(scores, table).to_dict("records")
-        ]
-        return pd.DataFrame(rows)
+            for row in getattr(scores, table)
+        )
 
 
-def solve_missing(
-    realisations: Sequence[Realisation], directory: Path, solver: Solver = solve
-) -> ScoredRealisations:  # fmt: skip
+def solve_missing(realisations: Sequence[Realisation], directory: Path, solver: Solver = solve) -> ScoredRealisations:
     """Solve what is missing or out of date, one after the other; each result is kept as it comes.
 
     Args:
@@ -76,7 +73,7 @@ def solve_missing(
             refused.append(f"{realisation.name}: {error}")
             print(f"failed: {refused[-1]}", file=sys.stderr, flush=True)
             continue
-        content = {"digest": scores_digest(realisation), **scores.as_json()}
+        content = {"digest": scores_digest(realisation), **vars(scores)}
         write_json(content, directory / f"{realisation.name}.json")
         told = f", diverged: {scores.failure}" if scores.failure else ""
         print(f"[{number}/{len(missing)}] {realisation.name}: {time.perf_counter() - start:.1f} s{told}", flush=True)
@@ -94,7 +91,7 @@ def read_scores(realisations: Sequence[Realisation], directory: Path) -> ScoredR
 def _read(realisation: Realisation, directory: Path) -> Scores | None:
     try:
         content = json.loads((directory / f"{realisation.name}.json").read_text(encoding="utf-8"))
-        return Scores.from_json(content) if content["digest"] == scores_digest(realisation) else None
+        return Scores(**content) if content.pop("digest") == scores_digest(realisation) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -108,4 +105,4 @@ def scores_digest(realisation: Realisation) -> str:
 @cache
 def _settings_digest(settings: tuple[str, ...]) -> str:
     """Without the seed, so that a configuration is composed once for all of its seeds."""
-    return run_digest(settings) + tree_digest([(Path(__file__).parent, SOLVING)])
+    return run_digest(settings) + file_digest(Path(__file__).with_name(SOLVING))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from pinn_cli.paper.robustness.noise_seeds import make_seed_scores, read_seed_scores, seed_realisations
-from pinn_cli.paper.robustness.nonlinearity import make_nonlinearity_scores, nonlinearity_realisations
+from pinn_cli.paper.rendering import latex, markdown
+from pinn_cli.paper.robustness.noise_seeds import SeedScores, seed_realisations
+from pinn_cli.paper.robustness.nonlinearity import NonlinearityScores, nonlinearity_realisations
 from pinn_cli.paper.robustness.nonlinearity_figure import write_nonlinearity_figure
+from pinn_cli.paper.robustness.scored import read_scores, solve_missing
 from pinn_cli.paper.robustness.seed_sheets import seed_sheets, spread_text
-from pinn_cli.paper.sheet_files import latex, markdown
 
 
 def test_twelve_cases_by_ten_seeds():
@@ -32,7 +33,7 @@ def test_the_grid_holds_the_defaults_and_what_is_asked_for():
 
 
 def test_seeds_are_summarised_as_mean_and_spread(tmp_path, solver):
-    seeds = make_seed_scores(tmp_path, solver)
+    seeds = SeedScores.of(solve_missing(seed_realisations(), tmp_path / "runs", solver))
     cells = seeds.summary[(seeds.summary["case"] == "sr_6dof_snr50") & (seeds.summary["group"] == "all")]
     ours = cells[(cells["estimator"] == "pinn") & (cells["quantity"] == "displacement")].iloc[0]
     assert ours["seeds"] == 10
@@ -43,6 +44,7 @@ def test_seeds_are_summarised_as_mean_and_spread(tmp_path, solver):
     assert parameters.loc[("sp_5dof_snr50", "pinn", "k_2"), "error_percent_mean"] == pytest.approx(1.0)
     assert parameters.loc[("sp_5dof_snr50", "pinn", "k_2"), "inside_90_percent"] == 100.0
     assert parameters.loc[("sp_5dof_snr50", "kalman_smoother", "k_2"), "inside_90_percent"] == 0.0
+    seeds.write(tmp_path)
     names = {file.name for file in tmp_path.glob("*.csv")}
     assert names == {"seeds.csv", "seeds_parameters.csv", "summary.csv", "summary_parameters.csv"}
     written = pd.read_csv(tmp_path / "seeds.csv")
@@ -50,7 +52,7 @@ def test_seeds_are_summarised_as_mean_and_spread(tmp_path, solver):
 
 
 def test_tables_of_the_seeds(tmp_path, solver):
-    sheets = seed_sheets(make_seed_scores(tmp_path, solver))
+    sheets = seed_sheets(SeedScores.of(solve_missing(seed_realisations(), tmp_path / "runs", solver)))
     assert [sheet.name for sheet in sheets] == ["seeds_table2", "seeds_table5", "seeds_parameters"]
     text = markdown(sheets[0])
     assert "| 6 DOFs, Duffing, no error, 50 dB | published | 1.43 |" in text
@@ -62,8 +64,8 @@ def test_tables_of_the_seeds(tmp_path, solver):
 def test_a_part_of_the_seeds_is_a_table_too(tmp_path, solver):
     solver.interrupted_after = 15
     with pytest.raises(KeyboardInterrupt):
-        make_seed_scores(tmp_path, solver)
-    seeds = read_seed_scores(tmp_path)
+        SeedScores.of(solve_missing(seed_realisations(), tmp_path / "runs", solver))
+    seeds = SeedScores.of(read_scores(seed_realisations(), tmp_path / "runs"))
     assert "over 5 to 10 (of 10) draws" in markdown(seed_sheets(seeds)[0])
     assert len(seeds.scored.missing) == 105
 
@@ -80,8 +82,9 @@ def test_decimals_of_a_mean(mean, std, text):
 def test_the_nonlinearity_is_averaged_and_drawn(tmp_path, solver):
     realisations = nonlinearity_realisations()
     solver.diverging = {one.name for one in realisations if "none_kappa10000_force10_" in one.name}
-    scores = make_nonlinearity_scores(tmp_path, solver)
+    scores = NonlinearityScores.of(solve_missing(realisations, tmp_path / "runs", solver))
     write_nonlinearity_figure(scores, tmp_path)
+    scores.write(tmp_path)
     table = pd.read_csv(tmp_path / "nonlinearity.csv")
     assert set(table["quantity"]) == {"displacement", "velocity", "acceleration"}
     assert table["fitness_percent"].between(91.0, 93.0).all()
