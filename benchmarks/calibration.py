@@ -18,11 +18,11 @@ import pandas as pd
 from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.diagnostics import diagnose
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
-from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
 from pinn_cli.scheme.problem import Problem
@@ -40,7 +40,7 @@ def draws(method: str, found: ParameterLikelihoods, problem: Problem, run: RunCo
     ways = {"marginal": Marginal, "conditional": Conditional}
     way = ways.get(method, Laplace)()
     first = found.conditional if method == "conditional_laplace" else found.marginal
-    return way.find(first, found.conditional, problem.priors, run)
+    return way.sample(first, found.conditional, problem.priors, run)
 
 
 def posteriors(

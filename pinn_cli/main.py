@@ -69,8 +69,9 @@ def _judged(composed: DictConfig, directory: Path) -> float | None:
 def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool, watch: Watch) -> str:
     """From the system to the report, which it returns as text."""
     with stages("imports"):
-        from pinn_cli.posterior.find import find_posterior
-        from pinn_cli.report.run_report import Results, write_report
+        from pinn_cli.posterior.result import posterior_result
+        from pinn_cli.report.results import Results
+        from pinn_cli.report.run_report import write_report
         from pinn_cli.runs.run_checkpoints import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Estimator
@@ -86,7 +87,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
         config.validation.check(problem, estimator)
         estimate = config.training.solve(problem, config.network, replace(context, watch=watch))
     with stages("posterior"):
-        posterior = find_posterior(config.posterior, problem, estimate, context)
+        posterior = posterior_result(config.posterior, problem, estimate, context)
     with stages("validation"):
         score = config.validation.score(problem, estimate, estimator)
     with stages("baseline"):

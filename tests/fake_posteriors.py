@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from pinn_cli.posterior.findings import ForcePredictive, PosteriorFindings
-from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.posterior.base import PosteriorSamples
+from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
 from pinn_cli.record.record import Record
 
 DUFFING = ("c_1", "c_2", "k_1", "k_2", "kappa_1", "kappa_2")
@@ -84,6 +84,6 @@ def make_diagnostics(samples: PosteriorSamples) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def make_findings(samples: PosteriorSamples, record: Record | None = None, *verdict: str) -> PosteriorFindings:
+def make_result(samples: PosteriorSamples, record: Record | None = None, *verdict: str) -> PosteriorResult:
     predictive = None if record is None else make_predictive(samples, record)
-    return PosteriorFindings(samples, make_diagnostics(samples), verdict, predictive)
+    return PosteriorResult(samples, make_diagnostics(samples), verdict, predictive)

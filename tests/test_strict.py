@@ -10,8 +10,7 @@ import pytest
 from calls import SMALL, PinnRun
 
 from pinn_cli.report import run_report
-from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.judge import Verdict
+from pinn_cli.verdict.finding import Finding, Verdict
 
 DOUBT = Verdict.of([Finding("gain", "acceleration of DOF 3", "the acceleration of DOF 3 is 1.15 times too large")])
 QUICK = (*SMALL, "figures=false")

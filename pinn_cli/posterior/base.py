@@ -1,17 +1,52 @@
-"""What a way of finding a posterior is."""
+"""What a way of finding a posterior is, and what comes of it."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from pinn_cli.posterior.samples import PosteriorSamples
+import numpy as np
+
 from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
     from pinn_cli.training.estimate import RunContext
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorSamples:
+    """Draws from the posterior and the prior, and how they came about.
+
+    Attributes:
+        method: ``marginal``, ``conditional`` or ``laplace``.
+        names: The p parameters, ``c_1``, ``k_2``, ...
+        draws: (chains, draws, p), SI units.
+        sigma_force: (chains, draws, F), N, noise of the F measured forces.
+        force_dofs: (F,), DOFs of those, counted from 1.
+        prior: (draws, p).
+        statistics: ArviZ's names of sample statistics (``diverging``, ``acceptance_rate``, ``n_steps``, ``tree_depth``,
+            ``lp``, ...) to (chains, draws); empty where nothing was sampled step by step (``laplace``).
+        warmup: Iterations before the first draw kept, of each chain.
+        seconds: (chains,), of sampling.
+    """
+
+    method: str
+    names: tuple[str, ...]
+    draws: np.ndarray
+    sigma_force: np.ndarray
+    force_dofs: np.ndarray
+    prior: np.ndarray
+    statistics: dict[str, np.ndarray]
+    warmup: int
+    seconds: np.ndarray
+
+    @property
+    def pooled(self) -> np.ndarray:
+        """(chains x draws, p), all chains together."""
+        return self.draws.reshape(-1, len(self.names))
 
 
 class Posterior(ABC):
@@ -24,7 +59,7 @@ class Posterior(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def find(
+    def sample(
         self,
         marginal: ParameterLikelihood,
         conditional: ParameterLikelihood,

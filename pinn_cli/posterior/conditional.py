@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from pinn_cli.posterior.sampled import Sampled
-from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.posterior.sampled import SampledPosterior
 
 
-class Conditional(Sampled):
+class Conditional(SampledPosterior):
     """NUTS on the likelihood with the states locked at those of the trained network: the paper's scheme.
 
     It takes the estimated motion for the true one, so it is overconfident: its standard deviations were 2 to 14 times
     too small, and its 90 % intervals covered the truth in 36 to 50 % of all cases over 40 noise seeds. It is here to
     be compared with; :class:`pinn_cli.posterior.marginal.Marginal` is the one to use.
 
-    Settings: see :class:`pinn_cli.posterior.sampled.Sampled`.
+    Settings: see :class:`pinn_cli.posterior.sampled.SampledPosterior`.
     """
 
     name = "conditional"
-
-    def likelihood(self, marginal: ParameterLikelihood, conditional: ParameterLikelihood) -> ParameterLikelihood:
-        """See :meth:`Sampled.likelihood`."""
-        return conditional

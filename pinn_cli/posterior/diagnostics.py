@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.training.central_interval import CENTRAL_90
 
 R_HAT = 1.01
@@ -29,8 +29,8 @@ def diagnose(samples: PosteriorSamples) -> pd.DataFrame:
     """
     columns = {name: samples.draws[..., i] for i, name in enumerate(samples.names)}
     columns |= {f"sigma_force_{dof}": samples.sigma_force[..., i] for i, dof in enumerate(samples.force_dofs)}
-    mixing = _mixing if samples.statistics else _independent
-    return pd.DataFrame([{"parameter": name, **_spread(draws), **mixing(draws)} for name, draws in columns.items()])
+    sampled = bool(samples.statistics)
+    return pd.DataFrame([{"parameter": name, **_row(draws, sampled)} for name, draws in columns.items()])
 
 
 def divergences(samples: PosteriorSamples) -> int:
@@ -80,41 +80,33 @@ def _faults(row: dict[Any, Any], draws: int) -> list[str]:
     return lines
 
 
-def _spread(draws: np.ndarray) -> dict[str, float]:
+def _row(draws: np.ndarray, sampled: bool) -> dict[str, float]:
+    """Of one parameter (chains, draws)."""
     lower, upper = np.quantile(draws, CENTRAL_90)
-    return {
-        "mean": float(draws.mean()),
-        "std": float(draws.std(ddof=1)),
-        "lower_90": float(lower),
-        "upper_90": float(upper),
-    }
-
-
-def _mixing(draws: np.ndarray) -> dict[str, float]:
-    arviz = _arviz()
+    std = float(draws.std(ddof=1))
+    row = {"mean": float(draws.mean()), "std": std, "lower_90": float(lower), "upper_90": float(upper)}
+    if not sampled:
+        unknown = dict.fromkeys(("r_hat", "ess_bulk", "ess_tail"), math.nan)
+        return row | unknown | {"mcse_mean": std / math.sqrt(draws.size)}
+    arviz = import_arviz()
     with np.errstate(all="ignore"):
-        return {
-            "r_hat": float(arviz.rhat(_two_chains(draws))),
+        return row | {
+            "r_hat": float(arviz.rhat(two_chains(draws))),
             "ess_bulk": float(arviz.ess(draws, method="bulk")),
             "ess_tail": float(arviz.ess(draws, method="tail")),
             "mcse_mean": float(arviz.mcse(draws, method="mean")),
         }
 
 
-def _independent(draws: np.ndarray) -> dict[str, float]:
-    unknown = dict.fromkeys(("r_hat", "ess_bulk", "ess_tail"), math.nan)
-    return {**unknown, "mcse_mean": float(draws.std(ddof=1)) / math.sqrt(draws.size)}
-
-
-def _two_chains(draws: np.ndarray) -> np.ndarray:
-    """A single chain as its two halves: ArviZ has no R-hat for one."""
+def two_chains(draws: np.ndarray) -> np.ndarray:
+    """Draws (chains, draws), a single chain as its two halves: ArviZ has no R-hat for one."""
     if len(draws) > 1:
         return draws
     half = draws.shape[1] // 2
     return draws[0, : 2 * half].reshape(2, half)
 
 
-def _arviz() -> Any:
+def import_arviz() -> Any:
     """ArviZ, which takes two seconds to import and announces its next version while it does."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

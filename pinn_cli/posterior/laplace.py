@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.posterior.base import Posterior
-from pinn_cli.posterior.drawn import samples_of
-from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.posterior.base import Posterior, PosteriorSamples
 from pinn_cli.posterior.target import Target
 from pinn_cli.settings.legal_values import whole_number
 from pinn_cli.system.priors import Prior
@@ -38,16 +36,16 @@ class Laplace(Posterior):
     def __init__(self, draws: int = 4000) -> None:
         self.draws = whole_number("posterior.draws", draws, least=1)
 
-    def find(
+    def sample(
         self,
         marginal: ParameterLikelihood,
         conditional: ParameterLikelihood,
         priors: Sequence[Prior],
         run: RunContext,
     ) -> PosteriorSamples:
-        """See :meth:`Posterior.find`; one chain."""
+        """See :meth:`Posterior.sample`; one chain."""
         started = time.perf_counter()
         target = Target(marginal, priors)
         q = np.random.default_rng([run.seed, 1]).standard_normal((1, self.draws, target.size))
         seconds = np.array([time.perf_counter() - started])
-        return samples_of(self.name, target, target.unwhitened(q), run.seed, {}, 0, seconds)
+        return target.samples(self.name, target.whitening.coordinates(q), run.seed, seconds)

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from pinn_cli.posterior.sampled import Sampled
-from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.posterior.sampled import SampledPosterior
 
 
-class Marginal(Sampled):
+class Marginal(SampledPosterior):
     """NUTS on the likelihood with the network's weights marginalised: the spread holds the states' uncertainty too.
 
-    Settings: see :class:`pinn_cli.posterior.sampled.Sampled`.
+    Settings: see :class:`pinn_cli.posterior.sampled.SampledPosterior`.
     """
 
     name = "marginal"
-
-    def likelihood(self, marginal: ParameterLikelihood, conditional: ParameterLikelihood) -> ParameterLikelihood:
-        """See :meth:`Sampled.likelihood`."""
-        return marginal

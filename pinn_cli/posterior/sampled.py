@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from pinn_cli.posterior.base import Posterior
-from pinn_cli.posterior.samples import PosteriorSamples
+from pinn_cli.posterior.base import Posterior, PosteriorSamples
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
@@ -21,8 +19,8 @@ FEWEST_DRAWS = 4
 MOST_CHAINS = 1000
 
 
-class Sampled(Posterior):
-    """A posterior that NUTS draws from (Hoffman and Gelman 2014; Pyro's).
+class SampledPosterior(Posterior):
+    """A posterior that NUTS draws from (Hoffman and Gelman 2014; Pyro's); its name says with which likelihood.
 
     Args:
         chains: Independent chains; two and more let R-hat tell whether they agree.
@@ -40,22 +38,18 @@ class Sampled(Posterior):
         self.draws = whole_number("posterior.draws", draws, least=FEWEST_DRAWS)
         self.target_accept = fraction("posterior.target_accept", target_accept, "0.8 is usual")
 
-    @abstractmethod
-    def likelihood(self, marginal: ParameterLikelihood, conditional: ParameterLikelihood) -> ParameterLikelihood:
-        """Which of the two it samples."""
-
-    def find(
+    def sample(
         self,
         marginal: ParameterLikelihood,
         conditional: ParameterLikelihood,
         priors: Sequence[Prior],
         run: RunContext,
     ) -> PosteriorSamples:
-        """See :meth:`Posterior.find`."""
+        """See :meth:`Posterior.sample`."""
         # Pyro takes a third of a second to import, which a run that samples nothing need not wait for.
         from pinn_cli.posterior.chains import sample_posterior
         from pinn_cli.posterior.nuts import NutsSettings
 
-        likelihood = self.likelihood(marginal, conditional)
+        likelihood = {"marginal": marginal, "conditional": conditional}[self.name]
         settings = NutsSettings(self.warmup, self.draws, self.target_accept)
         return sample_posterior(self.name, likelihood, priors, self.chains, settings, run)

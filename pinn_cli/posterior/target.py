@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.mode import FLAT, find_mode
-from pinn_cli.posterior.positivity import Softplus
-from pinn_cli.posterior.whitening import Whitening
+from pinn_cli.posterior.whitening import Softplus, Whitening
 from pinn_cli.system.priors import Prior, stacked
 from pinn_cli.training.likelihood import ParameterLikelihood
 
@@ -40,6 +40,7 @@ class Target:
     def __init__(self, likelihood: ParameterLikelihood, priors: Sequence[Prior]) -> None:
         self.likelihood, self.priors = likelihood, tuple(priors)
         self.groups = stacked(self.priors)
+        self.force_dofs = np.flatnonzero(np.isfinite(likelihood.sigma_force))
         self.positive = np.flatnonzero([prior.positive for prior in self.priors])
         self.width = _width(likelihood.curvature, np.array([prior.std for prior in self.priors]))
         self.softplus = Softplus(self.width[self.positive])
@@ -75,10 +76,6 @@ class Target:
         value, by_x = self.log_density(x)
         return -value, -self.whitening.slope(x, by_x)
 
-    def unwhitened(self, q: np.ndarray) -> np.ndarray:
-        """X (..., p + 1) of q (..., p + 1)."""
-        return self.whitening.coordinates(q)
-
     def parameters(self, x: np.ndarray) -> np.ndarray:
         """Theta (..., p), SI units, of x (..., p + 1)."""
         theta = x[..., :-1].copy()
@@ -87,7 +84,31 @@ class Target:
 
     def sigma_force(self, x: np.ndarray) -> np.ndarray:
         """Standard deviations (..., F), N, of the F measured forces' noise at x (..., p + 1)."""
-        return self.likelihood.sigma_force[measured_forces(self.likelihood)] * np.exp(x[..., -1:])
+        return self.likelihood.sigma_force[self.force_dofs] * np.exp(x[..., -1:])
+
+    def samples(
+        self,
+        method: str,
+        x: np.ndarray,
+        seed: int,
+        seconds: np.ndarray,
+        statistics: dict[str, np.ndarray] | None = None,
+        warmup: int = 0,
+    ) -> PosteriorSamples:
+        """Parameters and noise at x (chains, draws, p + 1), with as many draws from the prior as of a chain."""
+        sequences = np.random.SeedSequence([seed, 0]).spawn(len(self.priors))
+        pairs = zip(self.priors, map(np.random.default_rng, sequences), strict=True)
+        return PosteriorSamples(
+            method=method,
+            names=self.likelihood.names,
+            draws=self.parameters(x),
+            sigma_force=self.sigma_force(x),
+            force_dofs=self.force_dofs + 1,
+            prior=np.stack([prior.sample(generator, x.shape[1]) for prior, generator in pairs], axis=-1),
+            statistics=statistics or {},
+            warmup=warmup,
+            seconds=seconds,
+        )
 
     def _whitening(self) -> Whitening:
         from_zero = (self.parameters(self.mode) / self.width)[self.positive]
@@ -104,11 +125,6 @@ class Target:
         s_width = float(self.likelihood.s_std)
         s_width = min(s_width, S_STD) if math.isfinite(s_width) and s_width > 0 else 1.0
         return np.append(theta, 0.0), np.append(self.width, s_width)
-
-
-def measured_forces(likelihood: ParameterLikelihood) -> np.ndarray:
-    """DOFs (F,) with a force sensor, counted from 0."""
-    return np.flatnonzero(np.isfinite(likelihood.sigma_force))
 
 
 def _width(curvature: np.ndarray, prior_std: np.ndarray) -> np.ndarray:

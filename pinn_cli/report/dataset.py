@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ def response_dataset(
     truth: Response | None,
     attributes: Mapping[str, object],
     free_run: Response | None = None,
+    baseline: tuple[str, Estimate] | None = None,
 ) -> xr.Dataset:
     """Everything that a figure of the response needs, labelled.
 
@@ -34,13 +36,15 @@ def response_dataset(
         attributes: Global attributes: text, numbers and booleans; those that are None are left out (netCDF has no
             null).
         free_run: The motion of the estimated system by itself; None where there is none.
+        baseline: Name and estimate of another estimator; None where there is none.
 
     Returns:
         For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
         DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor) and ``displacement_free_run``
         (left out where there is none), and so on for velocity, acceleration and force (which has no free run), over
-        ``time`` (s) and ``dof`` (from 1, nearest the fixed end); ``observed`` and ``unforced``: DOFs with a response
-        sensor, and those known to carry no force.
+        ``time`` (s) and ``dof`` (from 1, nearest the fixed end); last ``displacement_<name>`` of the baseline and
+        ``displacement_<name>_std``. ``observed`` and ``unforced``: DOFs with a response sensor, and those known to
+        carry no force.
     """
     variables: dict[str, tuple[tuple[str, str], np.ndarray, dict[str, str]]] = {}
     for quantity in QUANTITIES:
@@ -58,7 +62,17 @@ def response_dataset(
                 continue
             described = {"long_name": long_name, "units": UNITS[quantity]}
             variables[quantity + suffix] = (("time", "dof"), values, described)
-    return xr.Dataset(variables, coords=_coordinates(record), attrs=_attributes(attributes, record))
+    for name, other in [baseline] if baseline else []:
+        kinds = (("", "", other.response), ("_std", "standard deviation of the ", other.std))
+        for quantity, (suffix, words, response) in product(QUANTITIES, kinds):
+            described = {"long_name": f"{words}{quantity} estimated by {name}", "units": UNITS[quantity]}
+            variables[f"{quantity}_{name}{suffix}"] = (("time", "dof"), getattr(response, quantity), described)
+    fixed = {
+        "Conventions": "CF-1.11",
+        "title": "Estimated response of a chain of masses",
+        "intersample": record.intersample,
+    }
+    return xr.Dataset(variables, coords=_coordinates(record), attrs=fixed | netcdf_attributes(attributes))
 
 
 def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
@@ -87,12 +101,3 @@ def _coordinates(record: Record) -> dict[str, tuple[str, np.ndarray, dict[str, s
         "observed": ("dof", record.observed, {"long_name": "has a displacement, velocity or acceleration sensor"}),
         "unforced": ("dof", record.unforced, {"long_name": "is known to carry no force"}),
     }
-
-
-def _attributes(given: Mapping[str, object], record: Record) -> dict[str, object]:
-    fixed = {
-        "Conventions": "CF-1.11",
-        "title": "Estimated response of a chain of masses",
-        "intersample": record.intersample,
-    }
-    return fixed | netcdf_attributes(given)

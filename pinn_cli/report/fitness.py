@@ -25,46 +25,36 @@ FORMULAS = ("fitness_percent", "range_fitness_percent")
 
 
 def fitness_percent(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """100 (1 - |x - x~| / |x - mean x|) of every DOF, the formula printed in the paper.
+    """100 (1 - |x - x~| / |x - mean x|) of every DOF, (dof,), the formula printed in the paper; see `both_formulas`."""
+    return both_formulas(estimate, truth)[0]
+
+
+def both_formulas(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """The paper's printed formula, and 100 (1 - RMSE / (max x - min x)), that behind its tables, of every DOF.
+
+    Use the second only to compare with published numbers: it flatters, since the root mean square of a random signal is
+    a small part of its range.
 
     Args:
         estimate: x~, (time, dof).
         truth: x, (time, dof); samples that are NaN are unknown and are left out of every sum.
 
     Returns:
-        Percent, (dof,). 100 is perfect, 0 is no better than the mean, below 0 is worse. NaN where the truth is constant
-        or unknown, or where the estimate is NaN at a known sample.
+        Percent, (2, dof). 100 is perfect; by the first, 0 is no better than the mean, below 0 is worse. NaN where the
+        truth is constant or unknown, or where the estimate is NaN at a known sample.
     """
-    residual, known, varies = _residual(estimate, truth)
-    samples = np.maximum(known.sum(axis=0), 1)
-    mean = np.where(known, truth, 0.0).sum(axis=0) / samples
-    deviation = np.where(known, truth - mean, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.linalg.norm(residual, axis=0) / np.linalg.norm(deviation, axis=0)
-    return np.where(varies, 100.0 * (1.0 - ratio), np.nan)
-
-
-def range_fitness_percent(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """100 (1 - RMSE / (max x - min x)) of every DOF, the formula behind the paper's tables (the authors' public code).
-
-    Arguments, shapes and NaN as in `fitness_percent`. Use it only to compare with published numbers: it flatters, since
-    the root mean square of a random signal is a small part of its range.
-    """
-    residual, known, varies = _residual(estimate, truth)
-    rmse = np.sqrt((residual**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
-    span = np.max(truth, axis=0, initial=-np.inf, where=known) - np.min(truth, axis=0, initial=np.inf, where=known)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(varies, 100.0 * (1.0 - rmse / span), np.nan)
-
-
-def _residual(estimate: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Error, zero at unknown samples, and mask of the known ones, (time, dof) both; DOFs whose truth varies (dof,)."""
     if estimate.shape != truth.shape or truth.ndim != 2:
         raise ValueError(f"estimate {estimate.shape} and truth {truth.shape} must both be (time, dof)")
     known = np.isfinite(truth)
-    highest = np.max(truth, axis=0, initial=-np.inf, where=known)
-    lowest = np.min(truth, axis=0, initial=np.inf, where=known)
-    return np.where(known, estimate - truth, 0.0), known, highest > lowest
+    residual = np.where(known, estimate - truth, 0.0)
+    samples = np.maximum(known.sum(axis=0), 1)
+    mean = np.where(known, truth, 0.0).sum(axis=0) / samples
+    deviation = np.where(known, truth - mean, 0.0)
+    rmse = np.sqrt((residual**2).sum(axis=0) / samples)
+    span = np.max(truth, axis=0, initial=-np.inf, where=known) - np.min(truth, axis=0, initial=np.inf, where=known)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.linalg.norm(residual, axis=0) / np.linalg.norm(deviation, axis=0)
+        return np.where(span > 0.0, 100.0 * (1.0 - np.stack([ratio, rmse / span])), np.nan)
 
 
 def fitness_table(
@@ -120,7 +110,7 @@ def _scores(estimate: np.ndarray, truth: np.ndarray, quantity: str) -> np.ndarra
     partly = np.flatnonzero(estimated.any(axis=0) & ~estimated.all(axis=0))
     if partly.size:
         raise ValueError(f"the estimated {quantity} of DOF {partly[0] + 1} is not finite at every time")
-    return np.stack([fitness_percent(estimate, truth), range_fitness_percent(estimate, truth)])
+    return both_formulas(estimate, truth)
 
 
 def _mean_of_filled(scores: np.ndarray) -> np.ndarray:

@@ -20,8 +20,8 @@ from pinn_cli.training.estimated_chain import split_name
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.posterior.findings import ForcePredictive, PosteriorFindings
-    from pinn_cli.posterior.samples import PosteriorSamples
+    from pinn_cli.posterior.base import PosteriorSamples
+    from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
     from pinn_cli.record.record import Record
 
 _KINDS = {
@@ -35,7 +35,7 @@ _DRAWN = ("chain", "draw")
 
 
 def posterior_groups(
-    findings: PosteriorFindings, record: Record, units: Mapping[str, str], attributes: Mapping[str, object]
+    findings: PosteriorResult, record: Record, units: Mapping[str, str], attributes: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
     """The groups of an InferenceData.
 

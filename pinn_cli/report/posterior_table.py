@@ -15,7 +15,7 @@ from pinn_cli.training.estimate import ParameterEstimate
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pinn_cli.posterior.samples import PosteriorSamples
+    from pinn_cli.posterior.base import PosteriorSamples
     from pinn_cli.system.parameters import Parameter
 
 DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
@@ -28,7 +28,7 @@ def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Paramete
         samples: p parameters, all chains together.
         parameters: Those p.
     """
-    draws = _pooled(samples)
+    draws = samples.pooled
     lower, upper = np.quantile(draws, CENTRAL_90, axis=0)
     mean, std, prior_std = draws.mean(axis=0), draws.std(axis=0, ddof=1), samples.prior.std(axis=0, ddof=1)
     return [
@@ -43,9 +43,9 @@ def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Paramete
     ]
 
 
-def posterior_correlation(samples: PosteriorSamples) -> np.ndarray:
-    """(p, p), of all chains together; NaN beside a parameter that does not move, 1 on the diagonal."""
-    centred = _pooled(samples) - _pooled(samples).mean(axis=0)
+def posterior_correlation(draws: np.ndarray) -> np.ndarray:
+    """(p, p) of draws (draws, p); NaN beside a parameter that does not move, 1 on the diagonal."""
+    centred = draws - draws.mean(axis=0)
     length = np.linalg.norm(centred, axis=0)
     moving = np.where(length > 0.0, length, np.nan)
     correlation: np.ndarray = centred.T @ centred / np.outer(moving, moving)
@@ -71,8 +71,3 @@ def worst_sampled(diagnostics: pd.DataFrame, most: int) -> list[str]:
     effective = diagnostics[["ess_bulk", "ess_tail"]].min(axis=1)
     kept = effective.sort_values(kind="stable").index[:most].sort_values()
     return [str(name) for name in diagnostics.loc[kept, "parameter"]]
-
-
-def _pooled(samples: PosteriorSamples) -> np.ndarray:
-    """(chains x draws, p)."""
-    return samples.draws.reshape(-1, len(samples.names))

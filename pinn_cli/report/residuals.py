@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.channels import channels, clipped_percent, constant_percent
+from pinn_cli.record.record import QUANTITIES
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.report.labels import with_labels
-from pinn_cli.report.whiteness import LAGS, autocorrelation, cumulated_deviation, white_probability
+from pinn_cli.report.whiteness import autocorrelation, cumulated_deviation, white_probability
+from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record, Response
     from pinn_cli.training.estimate import Estimate
 
@@ -22,52 +26,7 @@ COLUMNS = (
     "mean_residual", "whiteness", "largest_autocorrelation", "spectrum_deviation", "band_low_hz", "band_high_hz",
     "band_share_percent", "free_run_nmse_percent", "clipped_percent", "constant_percent",
 )  # fmt: skip
-
-# Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be
-# there by chance.
-CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
-
-
-class Channel(NamedTuple):
-    """A sensor.
-
-    Attributes:
-        quantity: One of `pinn_cli.record.record.QUANTITIES`.
-        dof: Counted from 0.
-    """
-
-    quantity: str
-    dof: int
-
-
-def channels(record: Record) -> list[Channel]:
-    """Every response sensor and every force sensor, quantity by quantity; a force known to be zero is none."""
-    return [Channel(q, int(dof)) for q in QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
-
-
-def measured(record: Record, channel: Channel) -> np.ndarray:
-    """(N,), as the sensor gave it, in the unit of its quantity."""
-    values: np.ndarray = getattr(record, channel.quantity)[:, channel.dof]
-    return values
-
-
-def residual(response: Response, record: Record, channel: Channel) -> np.ndarray:
-    """(N,), measured less estimated, in the unit of the channel's quantity."""
-    values: np.ndarray = measured(record, channel) - getattr(response, channel.quantity)[:, channel.dof]
-    return values
-
-
-def noise_found(summary: Mapping[str, Any], channel: Channel) -> float:
-    """The standard deviation of the channel's noise that a training found, in its unit; NaN where it gives none.
-
-    Args:
-        summary: Of an `Estimate`: ``sigma_acceleration`` and so on, a value or None for every DOF.
-        channel: The sensor.
-    """
-    levels = summary.get(f"sigma_{channel.quantity}")
-    if not isinstance(levels, list | tuple | np.ndarray) or levels[channel.dof] is None:
-        return np.nan
-    return float(levels[channel.dof])
+LAGS = 20  # of the autocorrelation
 
 
 def nmse_percent(left: np.ndarray, signal: np.ndarray) -> float:
@@ -102,13 +61,13 @@ def residual_table(
         ``spectrum_deviation`` (the distance that this judges), ``largest_autocorrelation`` (with its sign, within
         `LAGS` lags; white noise stays within about 3 / sqrt(samples)). What is not known is empty (NaN).
     """
-    rows = [_row(estimate, record, free_run, channel) for channel in channels(record)]
+    rows = [_row(estimate, record, free_run, channel) for channel in channels(record, QUANTITIES)]
     return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
 
 
 def _row(estimate: Estimate, record: Record, free_run: Response | None, channel: Channel) -> dict[str, object]:
-    signal, left = measured(record, channel), residual(estimate.response, record, channel)
-    sigma, rms = noise_found(estimate.summary, channel), float(np.sqrt(np.mean(left**2)))
+    signal, left = channel.measured, channel.measured - channel.of(estimate.response)
+    sigma, rms = noise_found(estimate, channel), float(np.sqrt(np.mean(left**2)))
     correlation = autocorrelation(left, LAGS)
     low, high = signal_edges(signal, record.step)
     return {
@@ -127,32 +86,9 @@ def _row(estimate: Estimate, record: Record, free_run: Response | None, channel:
         "band_low_hz": low,
         "band_high_hz": high,
         "band_share_percent": 100.0 * band_share(signal, record.step, low, high),
-        "free_run_nmse_percent": _free_run_nmse(free_run, record, channel),
+        "free_run_nmse_percent": np.nan
+        if free_run is None or channel.quantity == "force"
+        else nmse_percent(signal - channel.of(free_run), signal),
         "clipped_percent": clipped_percent(signal),
         "constant_percent": constant_percent(signal),
     }
-
-
-def _free_run_nmse(free_run: Response | None, record: Record, channel: Channel) -> float:
-    if free_run is None or channel.quantity not in RESPONSE_QUANTITIES:
-        return np.nan
-    return nmse_percent(residual(free_run, record, channel), measured(record, channel))
-
-
-def clipped_percent(signal: np.ndarray) -> float:
-    """Share of samples (N,) that sit at the channel's own largest or least value, %; 0 of one or two.
-
-    A value that is the median is none that the channel was clipped at: a hammer's force rests at its least value.
-    """
-    clipped, rest = 0, np.median(signal)
-    for extreme in {float(signal.max()), float(signal.min())}:
-        count = int(np.sum(signal == extreme))
-        clipped += count if count > AT_EXTREME_BY_CHANCE and extreme != rest else 0
-    return 100.0 * clipped / len(signal)
-
-
-def constant_percent(signal: np.ndarray) -> float:
-    """Share of samples (N,) in runs of `CONSTANT_RUN` or more equal values, zeros included, %."""
-    ends = np.flatnonzero(np.diff(signal)) + 1
-    lengths = np.diff(np.concatenate(([0], ends, [len(signal)])))
-    return 100.0 * float(lengths[lengths >= CONSTANT_RUN].sum()) / len(signal)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.posterior.findings import PosteriorFindings
+    from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Response, Truth
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.chain import Chain
@@ -72,7 +72,7 @@ class Results:
     truth: Truth
     estimate: Estimate
     baseline: Estimate | None = None
-    posterior: PosteriorFindings | None = None
+    posterior: PosteriorResult | None = None
     score: Score | None = None
     problem: Problem | None = None
     linear_response: Response | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import subprocess
 import sys
@@ -13,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.report.results import RunDescription
-    from pinn_cli.training.estimate import Estimate
+    from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.report.results import Results
+    from pinn_cli.verdict.finding import Verdict
 
 PACKAGES = (
     "pinn-cli",
@@ -31,12 +33,21 @@ PACKAGES = (
 )
 
 
-def run_record(run: RunDescription, estimate: Estimate, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
+def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again.
+
+    Args:
+        results: What came of the run.
+        verdict: Where there is one.
+        seconds: By stage.
+    """
+    run = results.run
+    baseline = {"name": run.baseline, **results.baseline.summary} if results.baseline else None
+    optional = {"baseline": baseline, "posterior": _sampling(results.posterior), "validation": _score(results)}
     return {
         "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
-        "training": {"dtype": "float64", **estimate.summary},
+        "training": {"dtype": "float64", **results.estimate.summary},
         "peak_memory_mib": peak_memory_mib(),
         "seed": run.seed,
         "device": device_name(run.device),
@@ -46,7 +57,39 @@ def run_record(run: RunDescription, estimate: Estimate, seconds: Mapping[str, fl
         "git_revision": git_revision(),
         "versions": package_versions(),
         "platform": platform.platform(),
+        **{name: entry for name, entry in optional.items() if entry is not None},
+        **(verdict.record() if verdict else {}),
     }
+
+
+def _sampling(posterior: PosteriorResult | None) -> dict[str, Any] | None:
+    if posterior is None:
+        return None
+    samples, worst = posterior.samples, posterior.diagnostics
+    chains, draws = samples.draws.shape[:2]
+    return {
+        "method": samples.method,
+        "chains": chains,
+        "warmup": samples.warmup,
+        "draws": draws,
+        "seconds_by_chain": [round(float(seconds), 3) for seconds in samples.seconds],
+        "largest_r_hat": _finite(worst["r_hat"].max()),
+        "smallest_ess_bulk": _finite(worst["ess_bulk"].min()),
+        "smallest_ess_tail": _finite(worst["ess_tail"].min()),
+        "quality_check": list(posterior.verdict) or "passed",
+    }
+
+
+def _score(results: Results) -> dict[str, Any] | None:
+    score = results.score
+    if score is None:
+        return None
+    reason = {"reason": score.reason} if score.reason else {}
+    return {"name": results.run.validation, "score": _finite(score.value), **reason}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def peak_memory_mib() -> dict[str, float | None]:

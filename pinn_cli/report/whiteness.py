@@ -13,8 +13,6 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import kstwo
 
-LAGS = 20
-
 
 def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:
     """(lags,) autocorrelation of values (N,) about their mean at lags 1 to ``lags``; NaN where they are constant.

@@ -107,7 +107,7 @@ def asked_for(options: Namespace) -> Path | None:
 
 def _summary_text(summary: pandas.DataFrame) -> str:
     """The mean of the printed formula over all DOFs, a row per setting and estimator."""
-    from pinn_cli.report.terminal import percent
+    from pinn_cli.report.terminal.columns import percent
 
     overall = summary[summary["group"] == "all"]
     settings = [str(name) for name in overall.columns[: list(overall.columns).index("group")]]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pinn_cli.record.channels import Channel
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band, white_level
 
@@ -16,8 +17,8 @@ FINEST_SENSOR = 1e-6
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """A withheld channel, as predicted.
+class Agreement:
+    """How a withheld channel was predicted.
 
     Attributes:
         noise: Standard deviation of the channel's own white noise, in its unit.
@@ -35,7 +36,7 @@ class Prediction:
     excess: float
 
 
-def compared(measured: np.ndarray, mean: np.ndarray, std: np.ndarray, noise: float) -> Prediction:
+def compared(measured: np.ndarray, mean: np.ndarray, std: np.ndarray, noise: float) -> Agreement:
     """Score a prediction by its excess negative log density over one that knows the response, nats per sample.
 
     With e the error and v = std^2 + noise^2 the predicted variance of a measurement, the mean of
@@ -56,22 +57,20 @@ def compared(measured: np.ndarray, mean: np.ndarray, std: np.ndarray, noise: flo
     ratio = error**2 / variance
     excess = float(0.5 * np.mean(np.log(variance / noise**2) + ratio - 1.0))
     within = float(np.mean(ratio <= NINETY_FIVE_PERCENT**2))
-    return Prediction(
+    return Agreement(
         noise, square**0.5, float(np.mean(ratio)) ** 0.5 if known else np.nan, within if known else np.nan, excess
     )
 
 
-def channel_noise(record: Record, quantity: str, dof: int) -> float:
+def channel_noise(record: Record, channel: Channel) -> float:
     """White noise of a channel, read above the record's band or off its repeats: no setting of an estimator is in it.
 
     Args:
         record: With every sensor.
-        quantity: A quantity that is measured there.
-        dof: From 0.
+        channel: One of its own.
     """
-    column = getattr(record, quantity)[:, dof]
     if record.repeats is not None:
-        found = float(record.repeats.noise_of_mean(quantity)[dof])
+        found = float(record.repeats.noise_of_mean(channel.quantity)[channel.dof])
     else:
-        found = white_level(column, record.step, 1.5 * record_band(record))
-    return max(found, FINEST_SENSOR * float(np.sqrt(np.mean(column**2))))
+        found = white_level(channel.measured, record.step, 1.5 * record_band(record))
+    return max(found, FINEST_SENSOR * float(np.sqrt(np.mean(channel.measured**2))))

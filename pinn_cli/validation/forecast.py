@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import MINIMUM_SAMPLES, RESPONSE_QUANTITIES, Record, Response
+from pinn_cli.record.channels import channels
+from pinn_cli.record.record import MINIMUM_SAMPLES, Record, Response
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.scheme.problem import Problem
@@ -62,14 +63,14 @@ class Forecast(Validation):
             hint = f"with validation.blocks={self.blocks} there are {length} and {max(0, starts[0])}"
             raise InputError("validation.share", self.share, allowed, hint)
         for start in starts:
-            self._posed(start, problem, estimator)
+            self._up_to(start, problem, estimator)
 
     def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
         for start in self._starts(problem.record):
             try:
-                before = self._posed(start, problem, estimator)
+                before = self._up_to(start, problem, estimator)
                 found = estimator.training.solve(before, estimator.network, estimator.run)
                 forecast = _forecast(problem.record, found, estimator, start, start + self._length(problem.record))
             except (DivergenceError, OverflowsError, TooStiffError) as error:
@@ -87,30 +88,28 @@ class Forecast(Validation):
         """First sample of each block; what is left of the record lies before them."""
         return [len(record.time) - left * self._length(record) for left in range(self.blocks, 0, -1)]
 
-    def _posed(self, start: int, problem: Problem, estimator: Estimator) -> Problem:
+    def _up_to(self, start: int, problem: Problem, estimator: Estimator) -> Problem:
         """The same problem with the record up to a block."""
         return estimator.scheme.posed_again(problem, estimator.prescribed, problem.record.until(start))
 
     def _rows(self, record: Record, forecast: Response, start: int) -> list[dict[str, Any]]:
         rows = []
-        block = slice(start, start + self._length(record))
-        for quantity in RESPONSE_QUANTITIES:
-            for dof in np.flatnonzero(record.sensors(quantity)):
-                measured = getattr(record, quantity)[block, dof]
-                mean = getattr(forecast, quantity)[-len(measured) :, dof]
-                told = compared(measured, mean, np.full_like(mean, np.nan), channel_noise(record, quantity, int(dof)))
-                rows.append(
-                    {
-                        "validation": self.name,
-                        "withheld_from": record.time[start],
-                        "dof": int(dof) + 1,
-                        "quantity": quantity,
-                        "samples": len(measured),
-                        "noise_std": told.noise,
-                        "error_rms": told.error,
-                        "score": told.excess,
-                    }
-                )
+        for channel in channels(record):
+            measured = channel.measured[start : start + self._length(record)]
+            mean = channel.of(forecast)[-len(measured) :]
+            agreement = compared(measured, mean, np.full_like(mean, np.nan), channel_noise(record, channel))
+            rows.append(
+                {
+                    "validation": self.name,
+                    "withheld_from": record.time[start],
+                    "dof": channel.dof + 1,
+                    "quantity": channel.quantity,
+                    "samples": len(measured),
+                    "noise_std": agreement.noise,
+                    "error_rms": agreement.error,
+                    "score": agreement.excess,
+                }
+            )
         return rows
 
 

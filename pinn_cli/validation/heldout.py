@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pinn_cli.record.channels import channels
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
@@ -55,13 +56,13 @@ class HeldOut(Validation):
             if dof not in observed:
                 raise InputError("validation.dofs", self.dofs, f"observed DOFs: {', '.join(map(str, observed))}")
         for dof in self._withheld(problem.record):
-            self._posed_without(dof, problem, estimator)
+            self._without(dof, problem, estimator)
 
     def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
         for dof in self._withheld(problem.record):
-            reduced = self._posed_without(dof, problem, estimator)
+            reduced = self._without(dof, problem, estimator)
             try:
                 found = estimator.training.solve(reduced, estimator.network, estimator.run)
             except DivergenceError as error:
@@ -74,7 +75,7 @@ class HeldOut(Validation):
     def _withheld(self, record: Record) -> list[int]:
         return self.dofs or [int(dof) + 1 for dof in np.flatnonzero(record.observed)]
 
-    def _posed_without(self, dof: int, problem: Problem, estimator: Estimator) -> Problem:
+    def _without(self, dof: int, problem: Problem, estimator: Estimator) -> Problem:
         """The same problem without one DOF's response sensors."""
         record = problem.record
         left = {q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != dof] for q in RESPONSE_QUANTITIES}
@@ -82,22 +83,22 @@ class HeldOut(Validation):
 
     def _rows(self, record: Record, dof: int, found: Estimate) -> list[dict[str, Any]]:
         rows = []
-        for quantity in RESPONSE_QUANTITIES:
-            if not record.sensors(quantity)[dof - 1]:
+        for channel in channels(record):
+            if channel.dof != dof - 1:
                 continue
-            measured, mean, std = (getattr(x, quantity)[:, dof - 1] for x in (record, found.response, found.std))
-            told = compared(measured, mean, std, channel_noise(record, quantity, dof - 1))
+            mean, std = channel.of(found.response), channel.of(found.std)
+            agreement = compared(channel.measured, mean, std, channel_noise(record, channel))
             rows.append(
                 {
                     "validation": self.name,
                     "withheld_dof": dof,
-                    "quantity": quantity,
-                    "samples": len(measured),
-                    "noise_std": told.noise,
-                    "error_rms": told.error,
-                    "standardised_error_rms": told.standardised,
-                    "coverage_95_percent": 100.0 * told.coverage,
-                    "score": told.excess,
+                    "quantity": channel.quantity,
+                    "samples": len(channel.measured),
+                    "noise_std": agreement.noise,
+                    "error_rms": agreement.error,
+                    "standardised_error_rms": agreement.standardised,
+                    "coverage_95_percent": 100.0 * agreement.coverage,
+                    "score": agreement.excess,
                 }
             )
         return rows

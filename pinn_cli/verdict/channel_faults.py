@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -10,10 +11,9 @@ import numpy as np
 
 from pinn_cli.verdict.comparison import Comparison, compare, comparisons
 from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.units import unit_of
 
 if TYPE_CHECKING:
-    from pinn_cli.verdict.channel import Channel
+    from pinn_cli.record.channels import Channel
     from pinn_cli.verdict.prediction import Prediction
 
 # NMSE up to which a channel counts as predicted. Sensors with 10 dB of noise are at 0.1 with a right chain; a lightly
@@ -29,6 +29,21 @@ MENDS = 0.9
 MENDS_BY_MOVING = 0.3
 # Two factors or delays are the same within this share.
 SAME = 0.03
+# Off by no more than this share, a factor is that of a unit.
+UNIT_WITHIN = 0.03
+
+_UNITS = {
+    9.80665: ("9.80665", "g and m/s^2, or kgf and N"),
+    1e1: ("10", "a decade"),
+    1e2: ("100", "cm and m"),
+    1e3: ("1000", "mm and m, or kN and N"),
+    1e6: ("1e6", "um and m, or MN and N"),
+    25.4: ("25.4", "inches and mm"),
+    1 / 0.0254: ("1/0.0254", "inches and m"),
+    1 / 0.3048: ("1/0.3048", "feet and m"),
+    4.4482216: ("4.448", "pounds-force and N"),
+    2 * math.pi: ("2 pi", "Hz and rad/s"),
+}
 
 
 def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[Finding]:
@@ -38,9 +53,7 @@ def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[
         prediction: Of a chain that may be right.
         excused: Names of channels whose fault is known already, which are not compared.
     """
-    found = [c for c in comparisons(prediction) if c.channel.name not in excused]
-    if not found:
-        return []
+    found = comparisons(prediction, excused)
     own = {c.channel.name: explained(c) for c in found}
     faulty = [c for c in found if own[c.channel.name] is not None or c.misfit > REPRODUCED]
     if not faulty:
@@ -50,8 +63,7 @@ def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[
         if common is not None:
             return [common]
     moved = _exchanged(faulty, prediction) or _misplaced(faulty, prediction)
-    told = [own[c.channel.name] for c in faulty]
-    mended = [finding for finding in told if finding is not None]
+    mended = [finding for c in faulty if (finding := own[c.channel.name]) is not None]
     complete = len(mended) == len(faulty) and max(finding.left for finding in mended) <= REPRODUCED
     if moved is not None and (not complete or moved.left < max(finding.left for finding in mended)):
         return [moved]
@@ -80,7 +92,7 @@ def _factor(c: Comparison) -> Finding | None:
     if not _off(c):
         return None
     value, name = c.factor.value, c.channel.name
-    kind, text = _told_factor(value, c.factor.std)
+    kind, text = _factor_in_words(value, c.factor.std)
     reason = f"the {name} is {text} what the chain does under the measured force"
     return Finding(kind, name, f"{reason}; {_remedy(kind, c.channel.setting, value)}", left=c.factor.left)
 
@@ -92,7 +104,7 @@ def _off(c: Comparison) -> bool:
     return outside and c.factor.differs(1.0, 0.0, DEVIATIONS)
 
 
-def _told_factor(value: float, std: float) -> tuple[str, str]:
+def _factor_in_words(value: float, std: float) -> tuple[str, str]:
     """The kind of a factor, and the words for it."""
     unit = unit_of(value, std)
     if unit:
@@ -139,7 +151,7 @@ def _force_fault(found: Sequence[Comparison]) -> Finding | None:
     value = float(np.median([f.value for f in factors]))
     if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):
         left = max(f.left for f in factors)
-        kind, text = _told_factor(1 / value, factors[0].std)
+        kind, text = _factor_in_words(1 / value, factors[0].std)
         reason = f"every sensor says that the {name} is {text} what acts"
         remedy = _remedy(kind, "data.force", 1 / value)
         return Finding(kind, name, f"{reason}; {remedy}", left=left) if left <= REPRODUCED else None
@@ -192,3 +204,21 @@ def _odd_one_out(faulty: Sequence[Comparison], found: Sequence[Comparison]) -> l
     name = faulty[0].channel.name
     reason = f"the {name} alone is not what the chain does under the measured force"
     return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", left=faulty[0].misfit)]
+
+
+def unit_of(factor: float, std: float = 0.0) -> str:
+    """The factor and which two units were taken for each other: ``1/9.80665: g and m/s^2``; "" where no unit fits.
+
+    Args:
+        factor: Measured over expected.
+        std: Its standard deviation.
+    """
+    size, sign = abs(factor), "-" if factor < 0 else ""
+    allowed = min(UNIT_WITHIN, max(0.01, 4.0 * std / size)) if size else 0.0
+    for exact, (written, units) in _UNITS.items():
+        if abs(size / exact - 1) < allowed:
+            return f"{sign}{written}: {units}"
+        if abs(size * exact - 1) < allowed:
+            inverse = written[2:] if written.startswith("1/") else f"1/{written}"
+            return f"{sign}{inverse}: {units}"
+    return ""

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
-from pinn_cli.verdict.channel import Channel, channels
+from pinn_cli.record.channels import Channel, channels
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pinn_cli.verdict.prediction import Prediction
 
 # Lines next to zero frequency whose power says how far the mean of a residual may be off.
@@ -141,9 +143,15 @@ def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None)
     return Comparison(channel, own, expected, constant, power, record.force, record.step)
 
 
-def comparisons(prediction: Prediction) -> list[Comparison]:
-    """Every channel of the record against its own prediction."""
-    return [compare(channel, prediction) for channel in channels(prediction.record)]
+def comparisons(prediction: Prediction, excused: Sequence[str] = ()) -> list[Comparison]:
+    """Every channel of the record but the excused ones, by name, against its own prediction."""
+    return [compare(channel, prediction) for channel in channels(prediction.record, excused=excused)]
+
+
+def worst_misfit(prediction: Prediction | None, excused: Sequence[str] = ()) -> float:
+    """The largest NMSE of any channel but the excused ones; infinite without a prediction."""
+    misfits = [] if prediction is None else [c.misfit for c in comparisons(prediction, excused)]
+    return max(misfits) if misfits and np.isfinite(misfits).all() else np.inf
 
 
 def _sandwich(lines: np.ndarray, residual: np.ndarray) -> float:

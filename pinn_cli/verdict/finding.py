@@ -1,9 +1,10 @@
-"""One reason for a verdict."""
+"""A verdict and the reasons for it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 Word = Literal["sound", "questionable", "failed"]
 WORDS: tuple[Word, ...] = get_args(Word)
@@ -26,3 +27,36 @@ class Finding:
     text: str
     word: Word = "questionable"
     left: float = 0.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a run is worth.
+
+    Attributes:
+        word: ``sound``, ``questionable`` or ``failed``.
+        reasons: Likely causes first, then what else the numbers say; none of a sound run.
+    """
+
+    word: Word
+    reasons: tuple[Finding, ...] = ()
+
+    @classmethod
+    def of(cls, findings: Sequence[Finding]) -> Verdict:
+        """The worst word of all findings; each is told once."""
+        word: Word = max((finding.word for finding in findings), key=WORDS.index, default="sound")
+        return cls(word, tuple({finding.text: finding for finding in findings}.values()))
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing was found."""
+        return self.word == "sound"
+
+    def record(self) -> dict[str, Any]:
+        """The entries of run.json."""
+        return {"verdict": self.word, "reasons": [finding.text for finding in self.reasons]}
+
+
+def failed_if(condition: bool) -> Word:
+    """The word of a finding that is questionable at the least."""
+    return "failed" if condition else "questionable"

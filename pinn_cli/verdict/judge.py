@@ -6,25 +6,20 @@ makes a chain, the estimated or the prescribed one, do under the measured force 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from pinn_cli.record.spectrum import record_band
-from pinn_cli.verdict.baseline_findings import baseline_findings
+from pinn_cli.training.estimated_chain import estimated_chain
+from pinn_cli.verdict.chain_faults import mass_fault, time_unit_fault
 from pinn_cli.verdict.channel_faults import channel_faults
-from pinn_cli.verdict.estimated import estimated_chain
-from pinn_cli.verdict.finding import WORDS, Finding, Word
-from pinn_cli.verdict.mass_fault import mass_fault
-from pinn_cli.verdict.modes import Modes
+from pinn_cli.verdict.finding import Finding, Verdict
+from pinn_cli.verdict.modes import modes_of
 from pinn_cli.verdict.noise_findings import noise_findings
-from pinn_cli.verdict.parameter_findings import parameter_findings
-from pinn_cli.verdict.prediction import LINEAR, Prediction, is_linear, predicted
+from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
+from pinn_cli.verdict.prediction import Prediction, is_linear, predicted
 from pinn_cli.verdict.record_faults import record_faults
 from pinn_cli.verdict.refit_causes import refit_causes
 from pinn_cli.verdict.sensor_findings import sensor_findings
-from pinn_cli.verdict.time_unit import time_unit_fault
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,34 +31,6 @@ if TYPE_CHECKING:
 
 # Share of the Nyquist frequency up to which the report's free run follows the force well between its samples.
 WELL_SAMPLED = 0.5
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What a run is worth.
-
-    Attributes:
-        word: ``sound``, ``questionable`` or ``failed``.
-        reasons: Likely causes first, then what else the numbers say; none of a sound run.
-    """
-
-    word: Word
-    reasons: tuple[Finding, ...] = ()
-
-    @classmethod
-    def of(cls, findings: Sequence[Finding]) -> Verdict:
-        """The worst word of all findings; each is told once."""
-        word: Word = max((finding.word for finding in findings), key=WORDS.index, default="sound")
-        return cls(word, tuple({finding.text: finding for finding in findings}.values()))
-
-    @property
-    def sound(self) -> bool:
-        """Whether nothing was found."""
-        return self.word == "sound"
-
-    def record(self) -> dict[str, Any]:
-        """The entries of run.json."""
-        return {"verdict": self.word, "reasons": [finding.text for finding in self.reasons]}
 
 
 def judge(
@@ -80,7 +47,7 @@ def judge(
         baseline: Another estimator's solution of the same problem, where there is one.
         free_run: The estimated chain's response to the measured force, where the caller has it already.
     """
-    record, chain = problem.record, estimated_chain(problem, estimate)
+    record, chain = problem.record, estimated_chain(problem.chain, estimate.parameters)
     own = record_faults(record)
     excused = [finding.suspect for finding in own]
     prediction = _prediction(chain, record, estimate, free_run)
@@ -99,13 +66,8 @@ def judge(
 def _prediction(chain: Chain, record: Record, estimate: Estimate, free_run: Response | None) -> Prediction | None:
     """Of the estimated chain; a nonlinear one takes a second to simulate, which is saved where that was done."""
     if free_run is not None and not is_linear(chain) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
-        own = chain.parameters_like(np.empty(0))
-        return Prediction(free_run, record, Modes.of({name: own[name] for name in LINEAR}))
-    return predicted(chain, record, _start(estimate))
-
-
-def _start(estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    return estimate.response.displacement[0], estimate.response.velocity[0]
+        return Prediction(free_run, record, modes_of(chain))
+    return predicted(chain, record, (estimate.response.displacement[0], estimate.response.velocity[0]))
 
 
 def _causes(problem: Problem, estimated: Chain, excused: Sequence[str]) -> list[Finding]:

@@ -13,8 +13,9 @@ from pinn_cli.record.record import Response
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
-    from pinn_cli.verdict.channel import Channel
+    from pinn_cli.system.chain import Chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +100,11 @@ class Modes:
         basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
         size = np.abs(np.diag(triangle))
         return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]
+
+
+def modes_of(chain: Chain) -> Modes:
+    """Of the linear part of a chain."""
+    return Modes.of(chain.parameters_like(np.empty(0)))
 
 
 def _tridiagonal(x: np.ndarray) -> np.ndarray:

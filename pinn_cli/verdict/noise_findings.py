@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
-from pinn_cli.verdict.channel import Channel, channels
-from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.finding import Finding, failed_if
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
@@ -32,33 +32,30 @@ NOT_CONVERGED = "iteration limit"
 
 def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
-    found: list[Finding] = []
-    for channel in channels(problem.record):
-        found += [f for f in (_level(channel, estimate), _colour(channel, problem.record, estimate)) if f is not None]
+    seen = channels(problem.record)
+    found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
     return found + _discrepancy(problem.record, estimate) + _copied(problem.record, estimate) + _unfinished(estimate)
 
 
-def sigma(estimate: Estimate, quantity: str, dof: int) -> float:
-    """The noise level that was found for a sensor, in its unit; NaN where the training infers none."""
-    levels = estimate.summary.get(f"sigma_{quantity}")
-    value = levels[dof] if isinstance(levels, list) and dof < len(levels) else None
+def noise_found(estimate: Estimate, channel: Channel) -> float:
+    """Standard deviation of a sensor's noise that the training found, in its unit; NaN where it gives none."""
+    levels = estimate.summary.get(f"sigma_{channel.quantity}")
+    value = levels[channel.dof] if isinstance(levels, list | tuple | np.ndarray) and channel.dof < len(levels) else None
     return float("nan") if value is None else float(value)
 
 
 def _level(channel: Channel, estimate: Estimate) -> Finding | None:
     rms = float(np.std(channel.measured))
-    level = sigma(estimate, channel.quantity, channel.dof)
+    level = noise_found(estimate, channel)
     if not np.isfinite(level) or rms == 0:
         return None
     if level <= BOUND * rms:
         text = f"the noise found in the {channel.name} is at its lower bound ({level:.2g}): the record was copied"
-        return Finding(
-            "noise_at_bound", channel.name, f"{text}; use fewer knots (network.knots_per_period) or more sensors"
-        )
+        remedy = "use fewer knots (network.knots_per_period) or more sensors"
+        return Finding("noise_at_bound", channel.name, f"{text}; {remedy}")
     if level >= NOTHING_EXPLAINED * rms:
-        text = (
-            f"the noise found in the {channel.name} is {100 * level / rms:.0f} % of its rms: nothing of it is explained"
-        )
+        share = f"{100 * level / rms:.0f} % of its rms"
+        text = f"the noise found in the {channel.name} is {share}: nothing of it is explained"
         return Finding("nothing_explained", channel.name, f"{text}; check that sensor and the model", "failed")
     return None
 
@@ -95,11 +92,10 @@ def _discrepancy(record: Record, estimate: Estimate) -> list[Finding]:
     if ratio < LARGE_DISCREPANCY:
         return []
     cell = _numbers(estimate.summary.get("sigma_force"))
-    beside = f" and {max(levels) / max(cell):.3g} times the load cell's noise" if cell and max(cell) > 0 else ""
-    text = f"the discrepancy of the model is {100 * ratio:.0f} % of the measured force{beside}: the model does not hold"
-    remedy = "check masses, units and the law of the springs"
-    word = "failed" if ratio >= AS_LARGE_AS_FORCE else "questionable"
-    return [Finding("discrepancy", "model", f"{text}; {remedy}", word)]  # type: ignore[arg-type]
+    times_noise = f" and {max(levels) / max(cell):.3g} times the load cell's noise" if cell and max(cell) > 0 else ""
+    text = f"the discrepancy of the model is {100 * ratio:.0f} % of the measured force{times_noise}"
+    remedy = "the model does not hold; check masses, units and the law of the springs"
+    return [Finding("discrepancy", "model", f"{text}: {remedy}", failed_if(ratio >= AS_LARGE_AS_FORCE))]
 
 
 def _numbers(levels: Any) -> list[float]:

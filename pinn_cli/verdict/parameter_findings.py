@@ -1,4 +1,7 @@
-"""What the estimated parameters say of an estimate: far from where they were believed, not determined, out of band."""
+"""What the estimated parameters say of an estimate: far from where they were believed, not determined, out of band.
+
+And where an estimate and the baseline's differ by more than their standard deviations allow.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.modes import Modes
-from pinn_cli.verdict.prediction import LINEAR
+from pinn_cli.verdict.finding import Finding, failed_if
+from pinn_cli.verdict.modes import modes_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +31,8 @@ LARGE_SPREAD = 4.0
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 NAMED = 4
+# Standard deviations of the difference from a baseline, and the least difference worth a word, relative.
+APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
 
 
 def parameter_findings(problem: Problem, estimate: Estimate, chain: Chain) -> list[Finding]:
@@ -54,9 +58,9 @@ def _far_from_start(p: ParameterEstimate) -> Finding | None:
             return None
         where = "above" if decades > 0 else "below"
         text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} its start"
-        word = "failed" if abs(decades) > UNIT_DECADES else "questionable"
         remedy = f"check units and masses, or start elsewhere (scheme.initial.{p.name})"
-        return Finding("parameter", p.name, f"{text}, {p.prescribed:.4g}; {remedy}", word)  # type: ignore[arg-type]
+        word = failed_if(abs(decades) > UNIT_DECADES)
+        return Finding("parameter", p.name, f"{text}, {p.prescribed:.4g}; {remedy}", word)
     if p.prior_std > 0 and abs(p.estimate - p.prescribed) > MOST_MOVED * p.prior_std:
         text = f"{p.name} = {p.estimate:.4g} is more than {MOST_MOVED:.0f} prior standard deviations from its start"
         return Finding("parameter", p.name, f"{text}; start elsewhere (scheme.initial.{p.name})")
@@ -86,9 +90,9 @@ def _moved(believed: Sequence[ParameterEstimate]) -> list[Finding]:
     far = [(move, p) for move, p in moves if move > MOST_MOVED]
     if not far:
         return []
-    told = ", ".join(f"{p.name} by {move:.3g}" for move, p in far[:NAMED])
+    moves_named = ", ".join(f"{p.name} by {move:.3g}" for move, p in far[:NAMED])
     more = f" and {len(far) - NAMED} more" if len(far) > NAMED else ""
-    text = f"prescribed parameters moved by many of their prior standard deviations: {told}{more}"
+    text = f"prescribed parameters moved by many of their prior standard deviations: {moves_named}{more}"
     return [Finding("moved", far[0][1].name, f"{text}; check them, or declare them unknown")]
 
 
@@ -101,36 +105,53 @@ def _spread(estimate: Estimate) -> list[Finding]:
 
 
 def _frequencies(chain: Chain, record: Record) -> list[Finding]:
-    own = chain.parameters_like(np.empty(0))
-    frequencies = Modes.of({name: own[name] for name in LINEAR}).natural_frequencies
+    frequencies = modes_of(chain).natural_frequencies
     nyquist, least = 0.5 / record.step, 1.0 / record.duration
     above, below = int(np.sum(frequencies > nyquist)), int(np.sum(frequencies < least))
+    of_chain, suspect = "natural frequencies of the estimated chain are", "natural frequencies"
     found = []
     if above:
-        text = (
-            f"{above} of {len(frequencies)} natural frequencies of the estimated chain are above the Nyquist frequency"
-        )
-        told = f"{text}, {nyquist:.4g} Hz (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
-        found.append(
-            Finding(
-                "frequencies", "natural frequencies", told, "failed" if above == len(frequencies) else "questionable"
-            )
-        )
+        text = f"{above} of {len(frequencies)} {of_chain} above the Nyquist frequency, {nyquist:.4g} Hz"
+        text += f" (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
+        found.append(Finding("frequencies", suspect, text, failed_if(above == len(frequencies))))
     if below:
-        text = f"{below} natural frequencies of the estimated chain are below one period per record, {least:.4g} Hz"
-        told = f"{text}; check the time axis and the units"
-        found.append(
-            Finding(
-                "frequencies", "natural frequencies", told, "failed" if below == len(frequencies) else "questionable"
-            )
-        )
+        text = f"{below} {of_chain} below one period per record, {least:.4g} Hz; check the time axis and the units"
+        found.append(Finding("frequencies", suspect, text, failed_if(below == len(frequencies))))
     if np.isnan(frequencies).any():
-        found.append(
-            Finding(
-                "frequencies",
-                "natural frequencies",
-                "the estimated chain is unstable: it has a negative stiffness",
-                "failed",
-            )
-        )
+        text = "the estimated chain is unstable: it has a negative stiffness"
+        found.append(Finding("frequencies", suspect, text, "failed"))
     return found
+
+
+def baseline_findings(estimate: Estimate, baseline: Estimate | None) -> list[Finding]:
+    """Parameters and displacements that the two do not agree on; nothing without a baseline."""
+    return [] if baseline is None else _parameters_apart(estimate, baseline) + _displacements_apart(estimate, baseline)
+
+
+def _parameters_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
+    others, found = {p.name: p for p in baseline.parameters}, []
+    for p in estimate.parameters:
+        other = others.get(p.name)
+        if other is None:
+            continue
+        apart, allowed = abs(p.estimate - other.estimate), APART * float(np.hypot(p.std, other.std))
+        if apart > allowed and apart > LEAST_APART * max(abs(p.estimate), abs(other.estimate)):
+            theirs = f"the baseline's {other.estimate:.4g} +- {other.std:.2g}"
+            text = f"{p.name} is {p.estimate:.4g} +- {p.std:.2g}, and {theirs}"
+            found.append(Finding("baseline", p.name, f"{text}: one of them is wrong; look at the free run of each"))
+    return found
+
+
+def _displacements_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
+    ours, theirs = estimate.response.displacement, baseline.response.displacement
+    apart = np.sqrt(np.mean((ours - theirs) ** 2, axis=0))
+    allowed = APART * np.sqrt(np.mean(estimate.std.displacement**2 + baseline.std.displacement**2, axis=0))
+    size = np.maximum(np.std(ours, axis=0), np.std(theirs, axis=0))
+    dofs = np.flatnonzero((apart > allowed) & (apart > LEAST_RESPONSE_APART * size))
+    if not dofs.size:
+        return []
+    worst = int(dofs[np.argmax(apart[dofs] / size[dofs])])
+    named = ", ".join(str(dof + 1) for dof in dofs)
+    text = f"the displacement of DOF{'s' if dofs.size > 1 else ''} {named} is not the baseline's"
+    extent = f"{100 * apart[worst] / size[worst]:.0f} % of its rms apart on DOF {worst + 1}"
+    return [Finding("baseline", f"displacement of DOF {worst + 1}", f"{text}: {extent}; look at the free run")]

@@ -10,7 +10,7 @@ from scipy.fft import irfft, rfft
 from scipy.interpolate import make_interp_spline
 
 from pinn_cli.record.simulation import OverflowsError, simulate, substeps_needed
-from pinn_cli.verdict.modes import Modes
+from pinn_cli.verdict.modes import Modes, modes_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,7 +55,7 @@ def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None =
     parameters = chain.parameters_like(np.empty(0))
     if not all(np.isfinite(value).all() for value in parameters.values()) or (parameters["m"] <= 0).any():
         return None
-    modes = Modes.of({name: parameters[name] for name in LINEAR})
+    modes = modes_of(chain)
     if is_linear(chain):
         response = modes.response(record)
         finite = np.isfinite(response.displacement).all() and modes.stable

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.channels import Channel, channels, equal_runs
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.record.spectrum import periodogram
-from pinn_cli.verdict.channel import Channel, channels
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from pinn_cli.record.record import Record
 
 # A clipped channel has this share of its samples exactly at an extreme value, and at least so many of them.
@@ -22,8 +19,8 @@ CLIPPED_SHARE, CLIPPED_SAMPLES = 0.002, 8
 # A coarse converter puts many samples onto every level; onto the outermost no more than a few times as many as onto
 # the next (a sine wave: 2.4 times).
 CLIPPED_OVER_NEXT = 5
-# Equal samples in a row that make a dropout, if the channel moves on average by half its rms in that time.
-DROPOUT_SAMPLES, DROPOUT_MOTION = 8, 0.5
+# A run of equal samples is a dropout if the channel moves on average by this share of its rms in that time.
+DROPOUT_MOTION = 0.5
 # Levels of a converter so far apart, over the rms, are too coarse to tell.
 COARSE = 0.1
 # Share of its rms that some other channel must have meanwhile: else the structure may be at rest.
@@ -66,7 +63,7 @@ def _dropped_out(channel: Channel, record: Record) -> Finding | None:
     x = channel.measured
     if np.min(np.diff(np.unique(x))) > COARSE * np.std(x):  # levels so far apart that a channel rests on each
         return None
-    runs = [run for run in _equal_runs(x) if _moves_within(x, run[1] - run[0]) and _others_move(channel, record, *run)]
+    runs = [run for run in equal_runs(x) if _moves_within(x, run[1] - run[0]) and _others_move(channel, record, *run)]
     if not runs:
         return None
     samples = sum(end - begin for begin, end in runs)
@@ -77,14 +74,6 @@ def _dropped_out(channel: Channel, record: Record) -> Finding | None:
     return Finding("dropout", channel.name, f"{text}; cut these out with data.start and data.stop, or leave it out")
 
 
-def _equal_runs(x: np.ndarray) -> Iterator[tuple[int, int]]:
-    """First and last index + 1 of every run of `DROPOUT_SAMPLES` equal samples or more."""
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(x)) + 1, [len(x)]))
-    for begin, end in pairwise(edges):
-        if end - begin >= DROPOUT_SAMPLES:
-            yield int(begin), int(end)
-
-
 def _moves_within(x: np.ndarray, samples: int) -> bool:
     """Whether a channel moves, over so many samples, by a good part of its rms."""
     lag = max(1, min(samples // 2, len(x) // 2))
@@ -92,14 +81,8 @@ def _moves_within(x: np.ndarray, samples: int) -> bool:
 
 
 def _others_move(channel: Channel, record: Record, begin: int, end: int) -> bool:
-    for quantity in QUANTITIES:
-        for dof in np.flatnonzero(record.sensors(quantity)):
-            x = getattr(record, quantity)[:, dof]
-            if (quantity, int(dof)) != (channel.quantity, channel.dof) and np.std(x[begin:end]) > OTHERS_MOVE * np.std(
-                x
-            ):
-                return True
-    return False
+    others = channels(record, QUANTITIES, excused=[channel.name])
+    return any(np.std(c.measured[begin:end]) > OTHERS_MOVE * np.std(c.measured) for c in others)
 
 
 def _off_zero(channel: Channel, record: Record) -> Finding | None:

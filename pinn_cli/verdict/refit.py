@@ -14,10 +14,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
+from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.spectrum import periodogram, record_band
-from pinn_cli.verdict.channel import Channel, channels
 from pinn_cli.verdict.modes import Modes
-from pinn_cli.verdict.prediction import LINEAR
 
 if TYPE_CHECKING:
     import torch
@@ -109,11 +108,11 @@ def refitted(chain: Chain, record: Record, free: Sequence[Place], excused: Seque
         excused: Names of channels that are left out.
         levels: Whether the channels' levels are trusted (a mass is in doubt), or their shapes only (a channel is).
     """
-    seen = [c for c in channels(record) if c.name not in excused]
+    seen = channels(record, excused=excused)
     if not seen or not free:
         return None
     spectra = Spectra.of(record, seen, levels)
-    own = {name: value for name, value in chain.parameters_like(np.empty(0)).items() if name in LINEAR}
+    own = chain.linearised().parameters_like(np.empty(0))
     first = np.log([max(float(own[kind][dof]), 1e-300) for kind, dof in free])
     stiff = np.array([float(kind == "k") for kind, _ in free])
 

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.verdict.channel import channels
+from pinn_cli.record.channels import channels
+from pinn_cli.verdict.chain_faults import UNITS, mass_finding, unit_finding
 from pinn_cli.verdict.channel_faults import channel_faults, swap_finding
-from pinn_cli.verdict.comparison import comparisons
-from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.comparison import comparisons, worst_misfit
 from pinn_cli.verdict.prediction import is_linear, predicted
 from pinn_cli.verdict.refit import refitted
-from pinn_cli.verdict.time_unit import UNITS, unit_finding
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.chain import Chain
+    from pinn_cli.verdict.finding import Finding
     from pinn_cli.verdict.refit import Place
 
 # Free stiffnesses can make up for much: a cause must leave less than where the chain is prescribed, and this many times
@@ -39,92 +39,86 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
             spectra are not those of a linear one, and masses would be blamed for the difference.
         excused: Names of channels whose fault is known already.
     """
-    record = problem.record
     free = [(p.kind, p.index) for p in problem.uncertain if p.unknown and p.kind == "k"]
-    if not free or not is_linear(problem.chain) or not np.isfinite(record.force).all():
+    if not free or not is_linear(problem.chain) or not np.isfinite(problem.record.force).all():
         return []
-    as_given = _misfit(refitted(problem.chain, record, free, excused, levels=True), record, excused)
-    found = [_channel(problem.chain, record, free, excused, as_given)]
-    if as_given > LEFT:
-        found.append(_time_unit(problem.chain, record, free, excused, as_given))
-        if found == [None, None]:
-            found.append(_exchanged(problem.chain, record, free, excused, as_given))
-        if found[1] is None and found[-1] is None:
-            found += [_mass(problem.chain, record, free, dof, excused, as_given) for dof in range(problem.chain.ndof)]
-    causes = [cause for cause in found if cause is not None]
-    return [min(causes, key=lambda cause: cause.left)] if causes else []
+    return _Refits(problem.chain, problem.record, free, excused).causes()
 
 
-def _channel(
-    chain: Chain, record: Record, free: Sequence[Place], excused: Sequence[str], as_given: float
-) -> Finding | None:
-    fitted = refitted(chain, record, free, excused, levels=False)
-    prediction = None if fitted is None else predicted(fitted, record)
-    faults = [] if prediction is None else channel_faults(prediction, excused)
-    if (
-        prediction is None
-        or len(faults) != 1
-        or faults[0].left > min(LEFT, as_given / GAIN_BETTER)
-        or faults[0].kind == "sensor"
-    ):
+@dataclass(frozen=True, eq=False)
+class _Refits:
+    """Fits of the chain's free stiffnesses to a record that is put right in one way or another."""
+
+    chain: Chain
+    record: Record
+    free: Sequence[Place]
+    excused: Sequence[str]
+
+    def causes(self) -> list[Finding]:
+        """The best cause, or none."""
+        as_given = self.misfit(self.record)
+        found = [self.channel(as_given)]
+        if as_given > LEFT:
+            found.append(self.time_unit(as_given))
+            if found == [None, None]:
+                found.append(self.exchanged(as_given))
+            if found[1] is None and found[-1] is None:
+                found += [self.mass(dof, as_given) for dof in range(self.chain.ndof)]
+        causes = [cause for cause in found if cause is not None]
+        return [min(causes, key=lambda cause: cause.left)] if causes else []
+
+    def fitted(self, record: Record, more: Sequence[Place] = (), levels: bool = True) -> Chain | None:
+        """See `pinn_cli.verdict.refit.refitted`."""
+        return refitted(self.chain, record, [*self.free, *more], self.excused, levels)
+
+    def misfit(self, record: Record) -> float:
+        """The largest NMSE of any channel of a record once the stiffnesses are fitted to it."""
+        return self.misfit_of(self.fitted(record), record)
+
+    def misfit_of(self, chain: Chain | None, record: Record) -> float:
+        """The same of a chain; infinite without one."""
+        return worst_misfit(None if chain is None else predicted(chain, record), self.excused)
+
+    def channel(self, as_given: float) -> Finding | None:
+        """The fault of one channel."""
+        fitted = self.fitted(self.record, levels=False)
+        prediction = None if fitted is None else predicted(fitted, self.record)
+        faults = [] if prediction is None else channel_faults(prediction, self.excused)
+        if prediction is None or len(faults) != 1:
+            return None
+        (fault,) = faults
+        if fault.left > min(LEFT, as_given / GAIN_BETTER) or fault.kind == "sensor":
+            return None
+        others = [c.misfit for c in comparisons(prediction, self.excused) if c.channel.name not in fault.text]
+        return None if fault.kind != "swap" and max(others, default=0.0) > LEFT else fault
+
+    def time_unit(self, as_given: float) -> Finding | None:
+        """The time axis in another unit."""
+        for seconds in UNITS:
+            left = self.misfit(replace(self.record, time=self.record.time * seconds))
+            if left <= min(LEFT, as_given / BETTER):
+                return unit_finding(seconds, left)
         return None
-    named = faults[0].text
-    others = [
-        c.misfit for c in comparisons(prediction) if c.channel.name not in excused and c.channel.name not in named
-    ]
-    if faults[0].kind != "swap" and max(others, default=0.0) > LEFT:
-        return None
-    return faults[0]
 
+    def exchanged(self, as_given: float) -> Finding | None:
+        """Two sensors of one kind, with the columns of which swapped the fit is better than with any others'."""
+        pairs = combinations(channels(self.record, excused=self.excused), 2)
+        alike = [(a, b) for a, b in pairs if a.quantity == b.quantity]
+        best: Finding | None = None
+        for a, b in alike if len(alike) <= MOST_PAIRS else []:
+            values = getattr(self.record, a.quantity).copy()
+            values[:, [a.dof, b.dof]] = values[:, [b.dof, a.dof]]
+            left = self.misfit(replace(self.record, **{a.quantity: values}))
+            if left <= min(LEFT, as_given / BETTER, best.left if best else np.inf):
+                best = swap_finding(a, b, left)
+        return best
 
-def _time_unit(
-    chain: Chain, record: Record, free: Sequence[Place], excused: Sequence[str], as_given: float
-) -> Finding | None:
-    for seconds in UNITS:
-        scaled = replace(record, time=record.time * seconds)
-        left = _misfit(refitted(chain, scaled, free, excused, levels=True), scaled, excused)
-        if left <= min(LEFT, as_given / BETTER):
-            return unit_finding(seconds, left)
-    return None
-
-
-def _exchanged(
-    chain: Chain, record: Record, free: Sequence[Place], excused: Sequence[str], as_given: float
-) -> Finding | None:
-    """Two sensors of one kind, with the columns of which swapped the fit is better than with those of any others."""
-    seen = [c for c in channels(record) if c.name not in excused]
-    pairs = [(a, b) for a, b in combinations(seen, 2) if a.quantity == b.quantity]
-    best: Finding | None = None
-    for a, b in pairs if len(pairs) <= MOST_PAIRS else []:
-        values = getattr(record, a.quantity).copy()
-        values[:, [a.dof, b.dof]] = values[:, [b.dof, a.dof]]
-        swapped = replace(record, **{a.quantity: values})
-        left = _misfit(refitted(chain, swapped, free, excused, levels=True), swapped, excused)
-        if left <= min(LEFT, as_given / BETTER, best.left if best else np.inf):
-            best = swap_finding(a, b, left)
-    return best
-
-
-def _mass(
-    chain: Chain, record: Record, free: Sequence[Place], dof: int, excused: Sequence[str], as_given: float
-) -> Finding | None:
-    fitted = refitted(chain, record, [*free, ("m", dof)], excused, levels=True)
-    left = _misfit(fitted, record, excused)
-    if fitted is None or left > min(LEFT, as_given / BETTER):
-        return None
-    value = float(fitted.parameters["m"][dof])
-    factor = value / float(chain.parameters["m"][dof])
-    if 1 / LEAST_FACTOR < factor < LEAST_FACTOR:
-        return None
-    name = f"m_{dof + 1}"
-    reason = f"with {name} = {value:.4g} kg, {factor:.3g} times what is prescribed, a chain does what was measured"
-    return Finding("mass", name, f"{reason}; check system.m", left=left)
-
-
-def _misfit(chain: Chain | None, record: Record, excused: Sequence[str]) -> float:
-    """The largest NMSE of any channel; infinite without a prediction."""
-    prediction = None if chain is None else predicted(chain, record)
-    if prediction is None:
-        return np.inf
-    misfits = [c.misfit for c in comparisons(prediction) if c.channel.name not in excused]
-    return max(misfits) if misfits and np.isfinite(misfits).all() else np.inf
+    def mass(self, dof: int, as_given: float) -> Finding | None:
+        """Another mass of a DOF, counted from 0."""
+        fitted = self.fitted(self.record, [("m", dof)])
+        left = self.misfit_of(fitted, self.record)
+        if fitted is None or left > min(LEFT, as_given / BETTER):
+            return None
+        value = float(fitted.parameters["m"][dof])
+        factor = value / float(self.chain.parameters["m"][dof])
+        return None if 1 / LEAST_FACTOR < factor < LEAST_FACTOR else mass_finding(dof, value, factor, "a chain", left)

@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.channels import channels
+from pinn_cli.training.estimated_chain import estimated_chain
 from pinn_cli.verdict.comparison import Comparison, comparisons
-from pinn_cli.verdict.estimated import drawn_chain
-from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.noise_findings import sigma
+from pinn_cli.verdict.finding import Finding, failed_if
+from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import predicted
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.chain import Chain
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.prediction import Prediction
 
@@ -40,27 +42,25 @@ def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction
             return []
         text = "the estimated chain is unstable or too stiff for a free run; check units, masses and the time axis"
         return [Finding("free_run", "model", text, "failed")]
-    noise = {c.channel.name: _noise_share(c, estimate) for c in comparisons(prediction)}
-    bad = [c for c in comparisons(prediction) if c.misfit > max(GOOD, ALLOWED * noise[c.channel.name])]
+    every = comparisons(prediction)
+    noise = {c.channel.name: _noise_share(c, estimate) for c in every}
+    bad = [c for c in every if c.misfit > max(GOOD, ALLOWED * noise[c.channel.name])]
     if not bad:
         return []
     moved = _propagated(problem, estimate, prediction, bad)
-    return [
-        _told(c) for c in bad if c.misfit > ALLOWED * (noise[c.channel.name] + moved.get(c.channel.name, 0.0)) + GOOD
-    ]
+    excuse = {c.channel.name: noise[c.channel.name] + moved[c.channel.name] for c in bad}
+    return [_not_reproduced(c) for c in bad if c.misfit > ALLOWED * excuse[c.channel.name] + GOOD]
 
 
-def _told(c: Comparison) -> Finding:
+def _not_reproduced(c: Comparison) -> Finding:
     text = f"the free run does not reproduce the {c.channel.name}: NMSE {c.misfit:.2g}"
     remedy = "check that sensor and the parameters near it"
-    word = "failed" if c.misfit > NOT_AT_ALL else "questionable"
-    return Finding("free_run", c.channel.name, f"{text}; {remedy}", word)  # type: ignore[arg-type]
+    return Finding("free_run", c.channel.name, f"{text}; {remedy}", failed_if(c.misfit > NOT_AT_ALL))
 
 
 def _noise_share(c: Comparison, estimate: Estimate) -> float:
     """Of the sensor's noise in its mean square; what is called noise for half of it or more is no excuse."""
-    level = sigma(estimate, c.channel.quantity, c.channel.dof)
-    share = level**2 / c.power
+    share = noise_found(estimate, c.channel) ** 2 / c.power
     return share if np.isfinite(share) and share < 0.25 else 0.0
 
 
@@ -73,7 +73,7 @@ def _propagated(
     start = estimate.response.displacement[0], estimate.response.velocity[0]
     for _ in range(DRAWS):
         record = _disturbed(prediction.record, estimate, random)
-        other = predicted(drawn_chain(problem, estimate, random), record, start)
+        other = predicted(random_chain(problem, estimate, random), record, start)
         if other is None:
             continue
         for c in bad:
@@ -85,8 +85,25 @@ def _propagated(
 def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) -> Record:
     """The record with as much noise again on every measured force."""
     force = record.force.copy()
-    for dof in np.flatnonzero(record.sensors("force")):
-        level = sigma(estimate, "force", int(dof))
+    for cell in channels(record, ["force"]):
+        level = noise_found(estimate, cell)
         if np.isfinite(level):
-            force[:, dof] += level * random.normal(size=len(force))
+            force[:, cell.dof] += level * random.normal(size=len(force))
     return replace(record, force=force)
+
+
+def random_chain(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Chain:
+    """The estimated chain with every parameter off by its standard deviation at random, correlations allowed for.
+
+    Signs are kept: a stiffness that is known to itself has no negative values.
+    """
+    std = np.nan_to_num([p.std for p in estimate.parameters])
+    z = random.normal(size=len(std))
+    if estimate.correlation is not None and len(std):
+        values, vectors = np.linalg.eigh(np.nan_to_num(estimate.correlation))
+        z = vectors @ (np.sqrt(np.maximum(values, 0.0)) * z)
+    moved = [
+        replace(p, estimate=value) if (value := p.estimate + float(move)) * p.estimate > 0 else p
+        for p, move in zip(estimate.parameters, std * z, strict=True)
+    ]
+    return estimated_chain(problem.chain, moved)

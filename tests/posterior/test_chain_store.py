@@ -11,8 +11,7 @@ import pytest
 from toy_likelihoods import GaussianLikelihood, correlated
 
 from pinn_cli.posterior import chains
-from pinn_cli.posterior.chain_store import ChainStore, digest_of
-from pinn_cli.posterior.chains import sample_posterior
+from pinn_cli.posterior.chains import ChainStore, digest_of, sample_posterior
 from pinn_cli.posterior.nuts import NutsSettings, sample_chain
 from pinn_cli.posterior.target import Target
 from pinn_cli.system.priors import Gamma

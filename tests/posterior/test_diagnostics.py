@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.diagnostics import diagnose, divergences, verdict
-from pinn_cli.posterior.samples import PosteriorSamples
 
 COLUMNS = ["parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean"]
 

@@ -11,10 +11,10 @@ from bayesian_problems import Example, posed, solved
 from dense_model import DenseModel
 from small_problems import small_chain
 
+from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.conditional import Conditional
 from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
-from pinn_cli.posterior.samples import PosteriorSamples
 from pinn_cli.posterior.target import S_STD
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
@@ -104,7 +104,7 @@ def test_laplace_against_the_closed_form_under_normal_priors(unknown):
 
 def assert_found(posterior, which: str, unknown, tolerance: float, of_noise: float | None = None) -> None:
     both, priors = likelihoods(unknown), example(unknown).problem.priors
-    samples = posterior.find(both.marginal, both.conditional, priors, RunContext(seed=5))
+    samples = posterior.sample(both.marginal, both.conditional, priors, RunContext(seed=5))
     mean, std = conjugate(getattr(both, which), priors_of(example(unknown)))
     found_mean, found_std = moments(samples)
     off = np.abs(found_mean - mean) / std
@@ -222,7 +222,7 @@ def test_a_duffing_chain_against_an_exact_sampler_over_all_weights_and_parameter
     scheme = Bayesian(priors=VAGUE)
     found = solved(posed(small_chain("duffing", ndof=2), scheme, samples=257, duration=15.0, rms=6.0), 75)
     both = parameter_likelihoods(found.evidence, found.trained)
-    samples = Marginal(2, 300, 2000).find(both.marginal, both.conditional, found.problem.priors, RunContext())
+    samples = Marginal(2, 300, 2000).sample(both.marginal, both.conditional, found.problem.priors, RunContext())
     draws = hamiltonian(JointDensity(found), 8000, 0)[200:, -len(both.marginal.names) - 1 :]
     exact_mean, exact_std = draws.mean(axis=0), draws.std(axis=0)
     mean, std = moments(samples)

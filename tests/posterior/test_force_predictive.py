@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fake_posteriors import make_samples
 
-from pinn_cli.posterior.find import PREDICTED_DRAWS, PREDICTED_SAMPLES, force_predictive
+from pinn_cli.posterior.result import PREDICTED_DRAWS, PREDICTED_SAMPLES, force_predictive
 
 SAMPLES, DOFS = 5000, 2
 

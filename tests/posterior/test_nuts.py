@@ -23,7 +23,7 @@ FLAT = Normal(0.0, 1e6)
 def sampled(likelihood, priors, settings: NutsSettings = SETTINGS, chains: int = 2) -> np.ndarray:
     """Theta and s, (chains, draws, p + 1)."""
     target = Target(likelihood, priors)
-    x = np.stack([target.unwhitened(sample_chain(target, 0, chain, settings).q) for chain in range(chains)])
+    x = np.stack([target.whitening.coordinates(sample_chain(target, 0, chain, settings).q) for chain in range(chains)])
     return np.concatenate([target.parameters(x), x[..., -1:]], axis=-1)
 
 

@@ -35,7 +35,7 @@ PRIORS = {
 DESIGN = Spline(intervals=90)
 
 
-def drawn_chain(nonlinearity: str, ndof: int, generator: np.random.Generator) -> Chain:
+def random_chain(nonlinearity: str, ndof: int, generator: np.random.Generator) -> Chain:
     kinds = ("c", "k", *NONLINEARITIES[nonlinearity][1])
     priors = checked_priors({kind: PRIORS[kind] for kind in kinds})
     values = {kind: prior.sample(generator, ndof).tolist() for kind, prior in priors.items()}
@@ -47,7 +47,7 @@ def rank_and_distance(chain: Chain, seed: int) -> dict[str, tuple[float, float]]
     scheme = Bayesian(priors={kind: PRIORS[kind] for kind in chain.parameters if kind != "m"})
     problem, run = posed(chain, scheme, seed=seed, rms=6.0), RunContext(seed=seed)
     likelihoods = GaussNewton().solve(problem, DESIGN, run).likelihoods
-    samples = Laplace(DRAWS).find(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
+    samples = Laplace(DRAWS).sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
     out = {}
     for parameter, draws in zip(problem.uncertain, samples.draws[0].T, strict=True):
         truth = float(chain.parameters[parameter.kind][parameter.index])
@@ -60,7 +60,7 @@ def rank_and_distance(chain: Chain, seed: int) -> dict[str, tuple[float, float]]
 def test_ranks_of_the_truth_are_uniform(nonlinearity, ndof):
     rows = []
     for seed in range(PROBLEMS):
-        chain = drawn_chain(nonlinearity, ndof, np.random.default_rng([seed, 77]))
+        chain = random_chain(nonlinearity, ndof, np.random.default_rng([seed, 77]))
         rows.append(rank_and_distance(chain, seed))
     for name in rows[0]:
         ranks, distances = np.array([row[name] for row in rows]).T

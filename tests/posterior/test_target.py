@@ -7,8 +7,8 @@ import pytest
 from scipy import optimize
 from toy_likelihoods import Everywhere, GaussianLikelihood, RegressionLikelihood, correlated, slopes
 
-from pinn_cli.posterior.positivity import Softplus
 from pinn_cli.posterior.target import Target
+from pinn_cli.posterior.whitening import Softplus
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal
 
@@ -26,7 +26,7 @@ def test_gradients_are_those_of_the_values(target, seed):
     q = 2 * np.random.default_rng(seed).standard_normal(target.size)
     numeric = slopes(lambda q: target.potential(q)[0], q, np.full(target.size, 1e-5))
     np.testing.assert_allclose(target.potential(q)[1], numeric, rtol=1e-6, atol=1e-6)
-    x = target.unwhitened(q)
+    x = target.whitening.coordinates(q)
     numeric = slopes(lambda x: target.log_density(x)[0], x, 1e-5 / np.sqrt(np.diag(target.precision)))
     np.testing.assert_allclose(target.log_density(x)[1], numeric, rtol=1e-5, atol=1e-5)
 
@@ -43,7 +43,10 @@ def test_the_density_is_that_of_the_parameters_with_the_jacobian(target):
         prior = sum(float(p.log_density(t)) for p, t in zip(PRIORS, theta, strict=True))
         return LIKELIHOOD.evaluate(theta, x[-1])[0] + prior + float(np.log(slope).sum())
 
-    x, other = target.unwhitened(np.ones(5)), target.unwhitened(np.array([-1.0, 0.5, -2.0, 0.3, 1.0]))
+    x, other = (
+        target.whitening.coordinates(np.ones(5)),
+        target.whitening.coordinates(np.array([-1.0, 0.5, -2.0, 0.3, 1.0])),
+    )
     difference = target.log_density(x)[0] - target.log_density(other)[0]
     s_prior = -0.5 * (x[-1] ** 2 - other[-1] ** 2) / 100
     assert difference == pytest.approx(expected(x) - expected(other) + s_prior, rel=1e-6)
@@ -60,7 +63,7 @@ def test_the_mode_is_the_peak_and_the_coordinates_are_white_there(target):
 
 def test_a_likelihood_that_peaks_below_zero_has_its_posterior_above():
     target = Target(GaussianLikelihood([-3.0, 2.0], correlated([1.0, 1.0], 0.9)), [HalfNormal(10.0), HalfNormal(10.0)])
-    theta = target.parameters(target.unwhitened(np.random.default_rng(0).standard_normal((100, 3))))
+    theta = target.parameters(target.whitening.coordinates(np.random.default_rng(0).standard_normal((100, 3))))
     assert np.all(theta > 0)
     np.testing.assert_allclose(target.potential(np.zeros(3))[1], 0.0, atol=1e-5)
 

@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import pandas as pd
 import pytest
-from fake_posteriors import LABELS, UNITS, make_findings, make_record, make_samples, true_parameters
+from fake_posteriors import LABELS, make_record, make_result, make_samples, true_parameters
 
-from pinn_cli.report.bayesian_report import write_posterior
+from pinn_cli.record.record import Response, Truth
+from pinn_cli.report.results import Results, RunDescription
+from pinn_cli.report.run_report import write_posterior
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Duffing
+from pinn_cli.training.estimate import Estimate
 
 
 @pytest.fixture
 def reported(tmp_path):
-    def report(findings, record):
-        text = write_posterior(findings, record, true_parameters(), LABELS, UNITS, tmp_path)
-        return tmp_path, text
+    def report(posterior, record):
+        run = RunDescription("pe", 0, "cpu", 1, "", LABELS, True, "none", "none")
+        truth = Truth(Response.unknown(record.time, 2), true_parameters())
+        estimate = Estimate(truth.response, truth.response, [], pd.DataFrame(), {})
+        chain = build_chain(2, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
+        results = Results(run, chain, record, truth, estimate, posterior=posterior)
+        return tmp_path, write_posterior(results, tmp_path, figures=True)
 
     return report
 
 
 def test_every_file_is_written(reported):
     record = make_record()
-    directory, text = reported(make_findings(make_samples(), record, "12 divergences"), record)
+    directory, text = reported(make_result(make_samples(), record, "12 divergences"), record)
     names = {
         f"{name}.{kind}" for name in ("posterior_pairs", "trace", "ranks", "fitted_force") for kind in ("png", "pdf")
     }
@@ -31,6 +40,6 @@ def test_every_file_is_written(reported):
 
 
 def test_a_posterior_in_closed_form_has_neither_traces_nor_ranks(reported):
-    findings = make_findings(make_samples(statistics={}, method="laplace"))
-    directory, _ = reported(findings, make_record())
+    posterior = make_result(make_samples(statistics={}, method="laplace"))
+    directory, _ = reported(posterior, make_record())
     assert {path.stem for path in (directory / "figures").iterdir()} == {"posterior_pairs"}

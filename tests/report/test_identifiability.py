@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from small_estimates import parameter_estimate
 
-from pinn_cli.report.identifiability import (
-    COLUMNS,
+from pinn_cli.report.labels import LABELS
+from pinn_cli.report.parameters import (
+    IDENTIFIABILITY_COLUMNS,
     WELL_DETERMINED,
     any_unknown,
     correlation_table,
     identifiability_table,
     identifiability_warnings,
 )
-from pinn_cli.report.labels import LABELS
-from pinn_cli.report.terminal import MARK, WIDTH
+from pinn_cli.report.terminal.columns import MARK, WIDTH
 from pinn_cli.training.estimate import ParameterEstimate
 
 NAN = float("nan")
@@ -41,7 +41,7 @@ def test_numbers(make_case):
     parameters = [parameter("k_2"), parameter("k_4", -10.0, 1.0, 0.0), parameter("c_1", 1.0, 0.07, 0.075, False)]
     correlation = np.array([[1.0, 0.3, -0.4], [0.3, 1.0, 0.1], [-0.4, 0.1, 1.0]])
     table = identifiability_table(parameters, correlation, make_case().labels)
-    assert list(table) == [*LABELS, *COLUMNS]
+    assert list(table) == [*LABELS, *IDENTIFIABILITY_COLUMNS]
     np.testing.assert_allclose(table["std_ratio"], [0.015, NAN, 0.07 / 0.075])
     np.testing.assert_allclose(table["relative_std_percent"], [1.0, 10.0, 7.0])
     np.testing.assert_allclose(table["largest_correlation"], [-0.4, 0.3, -0.4])

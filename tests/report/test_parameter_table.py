@@ -7,7 +7,7 @@ import pytest
 from small_estimates import parameter_estimate
 
 from pinn_cli.report.labels import LABELS
-from pinn_cli.report.parameters import COLUMNS, parameter_table
+from pinn_cli.report.parameters import PARAMETER_COLUMNS, parameter_table
 from pinn_cli.training.estimated_chain import split_name
 
 
@@ -18,7 +18,7 @@ def test_error_is_relative_to_the_truth(make_case):
         parameter_estimate("kappa_1", 90.0, 0.0, 1, 2, 3),
     ]
     table = parameter_table(estimates, {"k": np.array([1.0, 15.0]), "kappa": np.array([0.0, 7.0])}, labels)
-    assert list(table) == [*LABELS, *COLUMNS]
+    assert list(table) == [*LABELS, *PARAMETER_COLUMNS]
     assert table.loc[0, ["true", "prescribed", "estimate"]].tolist() == [15.0, 16.0, 14.7]
     assert table.loc[0, "error_percent"] == pytest.approx(2.0)
     assert np.isnan(table.loc[1, "error_percent"])
@@ -43,7 +43,7 @@ def test_unknown_truth_is_empty(true, make_case):
 
 
 def test_no_parameters_leave_the_header(make_case):
-    assert list(parameter_table([], None, make_case().labels)) == [*LABELS, *COLUMNS]
+    assert list(parameter_table([], None, make_case().labels)) == [*LABELS, *PARAMETER_COLUMNS]
 
 
 def test_names():

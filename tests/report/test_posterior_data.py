@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_posteriors import DUFFING, LABELS, UNITS, make_findings, make_record, make_samples
+from fake_posteriors import DUFFING, LABELS, UNITS, make_record, make_result, make_samples
 
-from pinn_cli.posterior.findings import ForcePredictive
+from pinn_cli.posterior.result import ForcePredictive
 from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
 
 arviz = pytest.importorskip("arviz")
@@ -22,7 +22,7 @@ def _written(findings, record, path):
 
 def test_arviz_reads_every_group(tmp_path):
     samples, record = make_samples(forces=2), make_record()
-    findings = make_findings(samples, record)
+    findings = make_result(samples, record)
     data = _written(findings, record, tmp_path / "posterior.nc")
     assert set(data.groups()) == {"posterior", "prior", "posterior_predictive", "observed_data", "sample_stats"}
     assert list(data.posterior.data_vars) == [*DUFFING, "sigma_force"]
@@ -37,7 +37,7 @@ def test_arviz_reads_every_group(tmp_path):
 
 def test_arviz_summarises_it(tmp_path):
     record = make_record()
-    data = _written(make_findings(make_samples()), record, tmp_path / "posterior.nc")
+    data = _written(make_result(make_samples()), record, tmp_path / "posterior.nc")
     summary = arviz.summary(data, var_names=list(DUFFING), kind="diagnostics")
     assert list(summary.index) == list(DUFFING)
     assert (summary["r_hat"] < 1.05).all()
@@ -45,7 +45,7 @@ def test_arviz_summarises_it(tmp_path):
 
 def test_the_predicted_force_and_what_was_observed_of_it(tmp_path):
     samples, record = make_samples(forces=2), make_record()
-    findings = make_findings(samples, record)
+    findings = make_result(samples, record)
     data = _written(findings, record, tmp_path / "posterior.nc")
     predicted, observed = data.posterior_predictive["force"], data.observed_data["force"]
     assert predicted.dims == ("chain", "draw", "time", "dof")
@@ -60,12 +60,12 @@ def test_the_predicted_force_and_what_was_observed_of_it(tmp_path):
 def test_the_force_on_the_last_dof_is_its_own_column(tmp_path):
     record = make_record(dofs=3)
     samples = replace(make_samples(), force_dofs=np.array([3]))
-    data = _written(make_findings(samples, record), record, tmp_path / "posterior.nc")
+    data = _written(make_result(samples, record), record, tmp_path / "posterior.nc")
     np.testing.assert_array_equal(data.observed_data["force"][:, 0], record.force[::2, 2])
 
 
 def test_units_and_attributes(tmp_path):
-    findings = make_findings(make_samples())
+    findings = make_result(make_samples())
     record = make_record()
     labels = LABELS | {"snr_db": None}
     data = arviz.from_netcdf(
@@ -84,13 +84,13 @@ def test_units_and_attributes(tmp_path):
 
 
 def test_without_steps_and_prediction_their_groups_are_missing(tmp_path):
-    findings = make_findings(make_samples(statistics={}, method="laplace", chains=1))
+    findings = make_result(make_samples(statistics={}, method="laplace", chains=1))
     data = _written(findings, make_record(), tmp_path / "posterior.nc")
     assert set(data.groups()) == {"posterior", "prior"}
 
 
 def test_a_unit_that_is_unknown_is_left_out():
-    findings = make_findings(make_samples(("k_1",)))
+    findings = make_result(make_samples(("k_1",)))
     groups = posterior_groups(findings, make_record(), {}, LABELS)
     assert "units" not in groups["posterior"]["k_1"].attrs
 
@@ -101,5 +101,5 @@ def test_a_predicted_force_of_another_shape_is_refused():
 
 
 def test_arviz_is_not_imported():
-    code = "import sys, pinn_cli.report.bayesian_report; sys.exit('arviz' in sys.modules)"
+    code = "import sys, pinn_cli.report.run_report; sys.exit('arviz' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -7,21 +7,31 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from fake_posteriors import DUFFING, UNITS, make_predictive, make_record, make_samples, true_parameters
+import xarray as xr
+from fake_posteriors import DUFFING, LABELS, UNITS, make_predictive, make_record, make_result, make_samples
 from matplotlib.figure import Figure
 
 from pinn_cli.report.figures.force_predictive import PERIODS_SHOWN, force_predictive_figure, predictive_window
-from pinn_cli.report.figures.highest_density import grid_density, mass_levels
-from pinn_cli.report.figures.parameter_axis import ParameterAxis
-from pinn_cli.report.figures.posterior_pairs import (
-    PARAMETERS_SHOWN,
+from pinn_cli.report.figures.posterior import (
+    IN_PAIRS,
     correlation_text,
     most_correlated,
+    parameter_label,
     posterior_pairs_figure,
+    rank_figure,
+    trace_figure,
 )
-from pinn_cli.report.figures.posterior_trace import rank_figure, ranks, trace_figure
+from pinn_cli.report.posterior_data import posterior_groups
 
+TRUE = {f"{kind}_{i}": value for kind, value in (("c", 1.0), ("k", 15.0), ("kappa", 100.0)) for i in range(1, 5)}
 TWELVE = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 5)]
+
+
+def _groups(samples=None, **changes):
+    """The draws and the statistics, as ``posterior.nc`` has them."""
+    samples = samples or make_samples(**changes)
+    groups = posterior_groups(make_result(samples), make_record(), UNITS, LABELS)
+    return groups["posterior"], groups["sample_stats"]
 
 
 def _texts(figure: Figure) -> list[str]:
@@ -41,17 +51,17 @@ def _drawn(figure: Figure) -> Figure:
 @pytest.mark.parametrize("chains", [1, 4])
 def test_every_figure_is_drawn(names, chains):
     before = dict(mpl.rcParams)
-    samples = make_samples(names, chains, draws=60)
-    panels = min(len(names), PARAMETERS_SHOWN) ** 2
-    assert len(_drawn(posterior_pairs_figure(samples, true_parameters(4), UNITS)).axes) == panels
-    assert len(_drawn(trace_figure(samples, UNITS)).axes) == len(names)
-    assert len(_drawn(rank_figure(samples)).axes) == len(names)
+    draws, statistics = _groups(names=names, chains=chains, draws=60)
+    panels = min(len(names), IN_PAIRS) ** 2
+    assert len(_drawn(posterior_pairs_figure(draws, TRUE)).axes) == panels
+    assert len(_drawn(trace_figure(draws, statistics)).axes) == 2 * len(names)
+    assert len(_drawn(rank_figure(draws)).axes) == len(names)
     assert dict(mpl.rcParams) == before
 
 
 def test_pairs_show_truth_correlation_and_units():
-    figure = _drawn(posterior_pairs_figure(make_samples(), true_parameters(), UNITS))
-    panels = np.reshape(figure.axes, (6, 6))
+    figure = _drawn(posterior_pairs_figure(_groups()[0], TRUE))
+    panels = {_place(panel): panel for panel in figure.axes}
     assert panels[2, 4].texts[0].get_text().startswith("\N{MINUS SIGN}0.9")
     assert panels[5, 4].get_xlabel() == r"$\kappa_{1}$ (N/m$^{3}$)"
     assert panels[2, 0].get_ylabel() == "$k_{1}$ (N/m)"
@@ -62,41 +72,42 @@ def test_pairs_show_truth_correlation_and_units():
     assert panels[4, 2].get_xlim() == panels[2, 2].get_xlim() == panels[5, 2].get_xlim()
 
 
+def _place(panel) -> tuple[int, int]:
+    place = panel.get_subplotspec()
+    return place.rowspan.start, place.colspan.start
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.5, "0.50"), (-0.001, "0.00"), (-0.9983, "\N{MINUS SIGN}0.998"), (1.0, "1.00"), (np.nan, "-")],
+    [(0.5, "0.50"), (-0.001, "0.00"), (-0.9983, "\N{MINUS SIGN}0.998"), (1.0, "1.00")],
 )
 def test_a_correlation_is_written_1_only_where_it_is(value, text):
     assert correlation_text(value) == text
 
 
 def test_pairs_without_truth():
-    figure = posterior_pairs_figure(make_samples(), None)
+    figure = posterior_pairs_figure(_groups()[0])
     assert "true value" not in _texts(figure)
     assert not any(axes.lines for axes in figure.axes)
 
 
 def test_tick_labels_do_not_overlap():
     for names in (DUFFING, TWELVE):
-        figure = _drawn(posterior_pairs_figure(make_samples(names), true_parameters(4), UNITS))
+        figure = _drawn(posterior_pairs_figure(_groups(names=names)[0], TRUE))
         renderer = figure._get_renderer()
-        size = min(len(names), PARAMETERS_SHOWN)
-        for row in (-1, 0):
-            panels = np.reshape(figure.axes, (size, size))
-            labels = panels[-1, :] if row else panels[1:, 0]
-            boxes = [
-                label.get_window_extent(renderer)
-                for axes in labels
-                for label in (axes.get_xticklabels() if row else axes.get_yticklabels())
-                if label.get_text()
-            ]
-            assert len(boxes) >= size
+        size = min(len(names), IN_PAIRS)
+        panels = {_place(panel): panel for panel in figure.axes}
+        lowest = [label for i in range(size) for label in panels[size - 1, i].get_xticklabels()]
+        leftmost = [label for i in range(1, size) for label in panels[i, 0].get_yticklabels()]
+        for labels in (lowest, leftmost):
+            boxes = [label.get_window_extent(renderer) for label in labels if label.get_text()]
+            assert len(boxes) >= size - 1
             assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
 def test_many_parameters_show_the_most_correlated():
-    figure = posterior_pairs_figure(make_samples(TWELVE), true_parameters(4), UNITS)
-    assert _notes(figure) == [f"the {PARAMETERS_SHOWN} of 12 parameters that are most correlated with another"]
+    figure = posterior_pairs_figure(_groups(names=TWELVE)[0], TRUE)
+    assert f"the {IN_PAIRS} of 12 parameters that are most correlated with another" in _notes(figure)
     correlation = np.eye(12)
     correlation[1, 7] = correlation[7, 1] = -0.9
     correlation[3, 11] = correlation[11, 3] = 0.5
@@ -108,19 +119,19 @@ def test_many_parameters_show_the_most_correlated():
 def test_draws_that_do_not_move():
     draws = make_samples().draws.copy()
     draws[..., 0] = 1.0
-    samples = replace(make_samples(), draws=draws)
-    _drawn(posterior_pairs_figure(samples, true_parameters(), UNITS))
-    _drawn(trace_figure(samples, UNITS))
-    _drawn(rank_figure(samples))
+    draws, statistics = _groups(replace(make_samples(), draws=draws))
+    assert len(_drawn(posterior_pairs_figure(draws, TRUE)).axes) == 25
+    assert len(_drawn(trace_figure(draws, statistics)).axes) == 10
+    assert len(_drawn(rank_figure(draws)).axes) == 5
 
 
 def test_axes_show_the_truth_unless_it_is_far():
-    values = np.random.default_rng(0).normal(15.0, 0.1, 1000)
-    near = ParameterAxis.around("k_1", values, 15.6, UNITS)
-    assert near.limits[0] < 15.0 < 15.6 < near.limits[1]
-    far = ParameterAxis.around("k_1", values, 40.0, UNITS)
-    assert np.isnan(far.true)
-    assert far.limits[1] < 16.0
+    draws = _groups(names=("k_1",))[0]
+    near, far = (posterior_pairs_figure(draws, {"k_1": value}) for value in (15.4, 40.0))
+    assert near.axes[0].get_xlim()[1] > 15.4
+    assert "true value" in _texts(near)
+    assert far.axes[0].get_xlim()[1] < 16.0
+    assert "true value" not in _texts(far)
 
 
 @pytest.mark.parametrize(
@@ -128,56 +139,32 @@ def test_axes_show_the_truth_unless_it_is_far():
     [(1.0, "$k_{1}$ (N/m)"), (1e6, "$k_{1}$ ($10^{6}$ N/m)"), (1e-6, "$k_{1}$ ($10^{-6}$ N/m)")],
 )
 def test_large_and_small_values_have_a_power_of_ten(scale, label):
-    values = scale * np.random.default_rng(0).normal(15.0, 0.1, 1000)
-    axis = ParameterAxis.around("k_1", values, float("nan"), UNITS)
-    assert axis.label == label
-    assert 14.0 < axis.limits[0] * axis.factor < 15.0
-
-
-def test_regions_hold_their_share_of_a_gaussian():
-    generator = np.random.default_rng(0)
-    x = generator.standard_normal(20000)
-    pairs = np.stack([x, 100.0 * (-0.95 * x + np.sqrt(1.0 - 0.95**2) * generator.standard_normal(20000))], axis=1)
-    edges = [(-4.0, 4.0), (-400.0, 400.0)]
-    across, up, density = grid_density(pairs, *edges, cells=80)
-    assert density.sum() == pytest.approx(1.0, abs=0.01)
-    levels = mass_levels(density, (0.9, 0.5))
-    cells = density[np.searchsorted(across, pairs[:, 0]).clip(0, 79), np.searchsorted(up, pairs[:, 1]).clip(0, 79)]
-    assert [np.mean(cells >= level) for level in levels] == pytest.approx([0.9, 0.5], abs=0.06)
-
-
-def test_smoothing_keeps_a_ridge():
-    x = np.random.default_rng(0).standard_normal(4000)
-    x_grid, y_grid, density = grid_density(np.stack([x, -x], axis=1), (-4.0, 4.0), (-4.0, 4.0))
-    across, up = np.meshgrid(x_grid, y_grid, indexing="ij")
-    covariance = np.sum(density * across * up) / np.sqrt(np.sum(density * across**2) * np.sum(density * up**2))
-    assert covariance < -0.98
+    values = scale * np.random.default_rng(0).normal(15.0, 0.1, (2, 500))
+    draws = xr.Dataset({"k_1": (("chain", "draw"), values, {"units": "N/m"})})
+    assert parameter_label(draws["k_1"]) == (label, pytest.approx(1.0 / scale))
+    figure = _drawn(posterior_pairs_figure(draws))
+    assert 14.0 < float(figure.axes[0].get_xticklabels()[0].get_text()) < 16.0
 
 
 def test_divergent_iterations_are_marked():
     samples = make_samples(warmup=100)
     samples.statistics["diverging"][1, [10, 20]] = True
-    figure = trace_figure(samples, UNITS)
+    figure = trace_figure(*_groups(samples))
     assert "2 divergent" in _texts(figure)
-    np.testing.assert_array_equal(figure.axes[0].lines[-1].get_xdata(), [111, 121])
-    assert _texts(trace_figure(make_samples(), UNITS)) == [f"chain {i}" for i in range(1, 5)]
+    np.testing.assert_array_equal(figure.axes[1].lines[-1].get_xdata(), [111, 121])
+    assert _texts(trace_figure(*_groups())) == [f"chain {i}" for i in range(1, 5)]
 
 
 def test_shown_parameters_and_their_number():
-    samples = make_samples(TWELVE)
-    figure = trace_figure(samples, UNITS, shown=["k_2", "kappa_4", "c_1"])
-    assert [axes.get_ylabel().split("$")[1] for axes in figure.axes] == ["k_{2}", r"\kappa_{4}", "c_{1}"]
+    figure = trace_figure(*_groups(names=TWELVE), shown=["k_2", "kappa_4", "c_1"])
+    assert [axes.get_ylabel().split("$")[1] for axes in figure.axes[::2]] == ["c_{1}", "k_{2}", r"\kappa_{4}"]
     assert _notes(figure) == ["3 of 12 parameters"]
 
 
-def test_ranks_are_shared_by_equal_draws():
-    np.testing.assert_array_equal(ranks(np.array([[3.0, 1.0], [2.0, 2.0]])), [[4.0, 1.0], [2.5, 2.5]])
-
-
 def test_a_single_chain_is_compared_with_itself():
-    figure = rank_figure(make_samples(chains=1, draws=101))
+    figure = rank_figure(_groups(chains=1, draws=101)[0])
     assert figure.axes[0].get_ylabel() == "$c_{1}$, half"
-    assert list(figure.axes[0].get_yticks()) == [1, 2]
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["1", "2"]
 
 
 @pytest.mark.parametrize("dofs", [1, 2, 8])

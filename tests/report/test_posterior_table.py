@@ -19,7 +19,8 @@ from pinn_cli.report.posterior_table import (
     posterior_correlation,
     worst_sampled,
 )
-from pinn_cli.report.terminal import PARAMETERS_SHOWN, WIDTH, diagnostics_text
+from pinn_cli.report.terminal.columns import WIDTH
+from pinn_cli.report.terminal.parameters import PARAMETERS_SHOWN, diagnostics_text
 from pinn_cli.system.parameters import Parameter
 
 MANY = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 11)]
@@ -47,7 +48,7 @@ def test_estimates_make_the_parameter_table():
 
 
 def test_correlation():
-    correlation = posterior_correlation(make_samples())
+    correlation = posterior_correlation(make_samples().pooled)
     assert correlation[2, 4] == pytest.approx(CORRELATION, abs=0.03)
     assert abs(correlation[0, 1]) < 0.1
     np.testing.assert_array_equal(np.diag(correlation), 1.0)
@@ -57,7 +58,7 @@ def test_correlation():
 def test_correlation_beside_a_parameter_that_does_not_move():
     draws = make_samples().draws.copy()
     draws[..., 0] = 1.0
-    correlation = posterior_correlation(replace(make_samples(), draws=draws))
+    correlation = posterior_correlation(draws.reshape(-1, draws.shape[-1]))
     assert np.isnan(correlation[0, 1:]).all()
     assert np.isfinite(correlation[1:, 1:]).all()
 

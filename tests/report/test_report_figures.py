@@ -25,8 +25,15 @@ from pinn_cli.report.figures import (
 )
 from pinn_cli.report.figures.decimate import block_maximum, line_indices
 from pinn_cli.report.figures.response import PERIODS_SHOWN, shown_dofs, shown_window
+from pinn_cli.report.results import Results, RunDescription
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing, PowerDamping, VanDerPol
+
+
+def results(case, estimate=None):
+    run = RunDescription("small", 0, "cpu", 1, "", case.labels, True, "none", "none")
+    chain = build_chain(case.record.ndof, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
+    return Results(run, chain, case.record, case.truth, estimate or case.estimate)
 
 
 def _texts(figure):
@@ -36,7 +43,7 @@ def _texts(figure):
 def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
-    paths = write_figures(case.estimate, case.record, case.truth, tmp_path / "figures")
+    paths = write_figures(results(case), tmp_path / "figures")
     figures = ("response", "residuals", "error_map", "history", "parameters")
     names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
     assert [path.name for path in paths] == names
@@ -48,7 +55,7 @@ def test_all_figures_are_written(make_case, tmp_path):
 def test_nothing_to_draw_is_no_figure(make_case, tmp_path):
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
-    paths = write_figures(estimate, case.record, case.truth, tmp_path)
+    paths = write_figures(results(case, estimate), tmp_path)
     assert {path.stem for path in paths} == {"response", "residuals", "error_map"}
 
 
@@ -265,10 +272,10 @@ def test_a_large_correlation_matrix_has_no_numbers(make_case):
 def test_the_correlation_is_drawn_for_unknown_parameters_only(make_case, tmp_path):
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, history=pd.DataFrame({"iteration": [0]}), correlation=np.eye(3))
-    paths = write_figures(estimate, case.record, case.truth, tmp_path / "prescribed")
+    paths = write_figures(results(case, estimate), tmp_path / "prescribed")
     assert {path.stem for path in paths} == {"response", "residuals", "error_map", "parameters"}
     estimate = replace(estimate, parameters=_identified(case, "k_1"))
-    paths = write_figures(estimate, case.record, case.truth, tmp_path / "unknown")
+    paths = write_figures(results(case, estimate), tmp_path / "unknown")
     assert {path.stem for path in paths} == {"response", "residuals", "error_map", "parameters", "correlation"}
 
 

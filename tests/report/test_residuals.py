@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pinn_cli.record.channels import clipped_percent, constant_percent
 from pinn_cli.report.labels import LABELS
-from pinn_cli.report.residuals import COLUMNS, clipped_percent, constant_percent, residual_table
+from pinn_cli.report.residuals import COLUMNS, residual_table
 
 NOISE = 0.05
 

@@ -9,13 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from calls import SMALL
-from fake_posteriors import DUFFING, make_findings, make_samples
+from fake_posteriors import DUFFING, make_result, make_samples
 from small_estimates import parameter_estimate
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.report import figures, run_report
 from pinn_cli.report.labels import LABELS
-from pinn_cli.report.parameters import COLUMNS
+from pinn_cli.report.parameters import PARAMETER_COLUMNS
+from pinn_cli.report.results import Results
 from pinn_cli.runs.stages import Stages
 
 
@@ -34,7 +35,7 @@ def reported(composed, make_case, tmp_path, monkeypatch):
         changes = {"correlation": np.eye(len(parameters)), **changes}
         estimate = replace(case.estimate, parameters=parameters, **changes)
         config = RunConfig.read(composed(*SMALL))
-        results = run_report.Results(config.description, config.chain, case.record, case.truth, estimate)
+        results = Results(config.description, config.chain, case.record, case.truth, estimate)
         return tmp_path, run_report.write_report(results, tmp_path, Stages())
 
     return report
@@ -67,7 +68,7 @@ def test_a_training_without_correlation_writes_no_matrix(reported):
 @pytest.mark.parametrize("unknown", [(), ("k_2",)])
 def test_the_columns_of_parameters_csv_are_agreed(reported, unknown):
     directory, _ = reported(*unknown)
-    assert list(pd.read_csv(directory / "parameters.csv")) == [*LABELS, *COLUMNS]
+    assert list(pd.read_csv(directory / "parameters.csv")) == [*LABELS, *PARAMETER_COLUMNS]
 
 
 def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case, tmp_path, monkeypatch):
@@ -75,11 +76,9 @@ def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case
     case = make_case(ndof=3, observed=3)
     start = [parameter_estimate(name, 1.0, 1.0, 0.1, 0.9, 1.1) for name in DUFFING]
     samples = make_samples()
-    findings = make_findings(samples, None, "3 divergences")
+    posterior = make_result(samples, None, "3 divergences")
     config, estimate = RunConfig.read(composed(*SMALL)), replace(case.estimate, parameters=start)
-    results = run_report.Results(
-        config.description, config.chain, case.record, case.truth, estimate, posterior=findings
-    )
+    results = Results(config.description, config.chain, case.record, case.truth, estimate, posterior=posterior)
     text = run_report.write_report(results, tmp_path, Stages())
     table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
     assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))

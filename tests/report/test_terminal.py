@@ -14,7 +14,10 @@ from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import FreeRun, free_run_table
 from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.residuals import residual_table
-from pinn_cli.report.terminal import WIDTH, fitness_text, free_run_line, parameters_text, sensors_text
+from pinn_cli.report.terminal.columns import WIDTH
+from pinn_cli.report.terminal.fitness import fitness_text, free_run_line
+from pinn_cli.report.terminal.parameters import parameters_text
+from pinn_cli.report.terminal.run import sensors_text
 from pinn_cli.training.estimate import ParameterEstimate
 
 

@@ -7,6 +7,7 @@ import pytest
 from small_problems import measured as measured_record
 from small_problems import small_chain
 
+from pinn_cli.record.channels import channels
 from pinn_cli.validation.density import channel_noise, compared
 
 NOISE, SAMPLES = 0.1, 200_000
@@ -23,10 +24,10 @@ def measured(response: np.ndarray) -> np.ndarray:
 
 
 def test_the_true_response_scores_nothing(response: np.ndarray, measured: np.ndarray) -> None:
-    told = compared(measured, response, np.zeros(SAMPLES), NOISE)
-    assert told.excess == pytest.approx(0.0, abs=0.01)
-    assert told.standardised == pytest.approx(1.0, abs=0.01)
-    assert told.coverage == pytest.approx(0.95, abs=0.005)
+    agreement = compared(measured, response, np.zeros(SAMPLES), NOISE)
+    assert agreement.excess == pytest.approx(0.0, abs=0.01)
+    assert agreement.standardised == pytest.approx(1.0, abs=0.01)
+    assert agreement.coverage == pytest.approx(0.95, abs=0.005)
 
 
 def test_the_right_spread_scores_best(response: np.ndarray, measured: np.ndarray) -> None:
@@ -40,13 +41,17 @@ def test_the_right_spread_scores_best(response: np.ndarray, measured: np.ndarray
 
 def test_without_a_spread_it_is_the_logarithm_of_the_error(response: np.ndarray, measured: np.ndarray) -> None:
     predicted = response + 0.3 * np.random.default_rng(2).normal(size=SAMPLES)
-    told = compared(measured, predicted, np.full(SAMPLES, np.nan), NOISE)
-    assert told.excess == pytest.approx(np.log(told.error / NOISE))
-    assert np.isnan(told.coverage)
+    agreement = compared(measured, predicted, np.full(SAMPLES, np.nan), NOISE)
+    assert agreement.excess == pytest.approx(np.log(agreement.error / NOISE))
+    assert np.isnan(agreement.coverage)
 
 
 def test_no_prediction_has_no_score(measured: np.ndarray) -> None:
     assert np.isnan(compared(measured, np.full(SAMPLES, np.nan), np.zeros(SAMPLES), NOISE).excess)
+
+
+def channel(record, dof):
+    return next(c for c in channels(record, ["acceleration"]) if c.dof == dof)
 
 
 def test_the_noise_is_that_of_the_channel() -> None:
@@ -54,6 +59,6 @@ def test_the_noise_is_that_of_the_channel() -> None:
     noisy, clean = (measured_record(chain, snr_db=snr).record for snr in (20.0, None))
     for dof in np.flatnonzero(noisy.sensors("acceleration")):
         true = float(np.std(noisy.acceleration[:, dof] - clean.acceleration[:, dof]))
-        assert channel_noise(noisy, "acceleration", int(dof)) == pytest.approx(true, rel=0.3)
+        assert channel_noise(noisy, channel(noisy, dof)) == pytest.approx(true, rel=0.3)
         rms = float(np.sqrt(np.mean(clean.acceleration[:, dof] ** 2)))
-        assert 1e-6 * rms <= channel_noise(clean, "acceleration", int(dof)) < 0.01 * rms
+        assert 1e-6 * rms <= channel_noise(clean, channel(clean, dof)) < 0.01 * rms

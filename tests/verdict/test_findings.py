@@ -10,12 +10,11 @@ from frame_records import altered, measure
 from small_estimates import other_estimate
 
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.verdict.baseline_findings import baseline_findings
-from pinn_cli.verdict.estimated import drawn_chain, estimated_chain
+from pinn_cli.training.estimated_chain import estimated_chain
 from pinn_cli.verdict.noise_findings import noise_findings
-from pinn_cli.verdict.parameter_findings import parameter_findings
+from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted
-from pinn_cli.verdict.sensor_findings import sensor_findings
+from pinn_cli.verdict.sensor_findings import random_chain, sensor_findings
 
 
 def kinds(findings):
@@ -32,11 +31,11 @@ def with_parameter(given, which, **changes):
 
 
 def of_parameters(problem, estimate):
-    return kinds(parameter_findings(problem, estimate, estimated_chain(problem, estimate)))
+    return kinds(parameter_findings(problem, estimate, estimated_chain(problem.chain, estimate.parameters)))
 
 
 def of_sensors(problem, estimate):
-    prediction = predicted(estimated_chain(problem, estimate), problem.record)
+    prediction = predicted(estimated_chain(problem.chain, estimate.parameters), problem.record)
     return kinds(sensor_findings(problem, estimate, prediction))
 
 
@@ -163,10 +162,10 @@ def test_an_unstable_chain_has_no_free_run(right_estimate):
     assert sensor_findings(replace(problem, record=unknown), unstable, None) == []
 
 
-def test_drawn_chains_scatter_by_the_standard_deviations(right_estimate):
+def test_random_chains_scatter_by_the_standard_deviations(right_estimate):
     problem, estimate = right_estimate
     random = np.random.default_rng(0)
-    k = np.array([drawn_chain(problem, estimate, random).parameters["k"].numpy() for _ in range(400)])
+    k = np.array([random_chain(problem, estimate, random).parameters["k"].numpy() for _ in range(400)])
     assert k.mean(axis=0) == pytest.approx(15.0, abs=0.003)
     assert k.std(axis=0) == pytest.approx(0.01, rel=0.2)
 

@@ -10,8 +10,8 @@ import pytest
 from frame_records import altered
 from small_estimates import other_estimate
 
-from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.judge import Verdict, judge
+from pinn_cli.verdict.finding import Finding, Verdict
+from pinn_cli.verdict.judge import judge
 
 
 def test_a_right_estimate_of_a_good_record_is_sound(right_estimate):

@@ -7,7 +7,7 @@ import torch
 from frame_records import measure
 from small_problems import small_chain
 
-from pinn_cli.verdict.mass_fault import mass_fault
+from pinn_cli.verdict.chain_faults import mass_fault
 
 
 def with_mass(chain, dof, factor):

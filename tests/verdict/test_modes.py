@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from frame_records import measure
 
+from pinn_cli.record.channels import channels
 from pinn_cli.record.resimulation import resimulate
-from pinn_cli.verdict.channel import channels
 from pinn_cli.verdict.modes import Modes
 
 

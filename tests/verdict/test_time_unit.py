@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from pinn_cli.verdict.time_unit import time_unit_fault
+from pinn_cli.verdict.chain_faults import time_unit_fault
 
 
 @pytest.mark.parametrize(("scale", "told"), [(1e3, "milliseconds"), (1 / 60, "minutes")])

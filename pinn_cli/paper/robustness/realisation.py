@@ -9,9 +9,7 @@ import numpy as np
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
-from pinn_cli.report.beside import Beside, stacked
-from pinn_cli.report.fitness import fitness_table
-from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.estimate import RunContext
@@ -100,13 +98,9 @@ def _scored(config: RunConfig, prepared: PreparedProblem, stages: Stages) -> tup
     with stages("baseline"):
         smoothed = config.baseline.solve(prepared.problem, context)
     run = config.description
-    labels = run.labels_of(PINN)
-    fitness = fitness_table(estimate.response, truth.response, record.observed, labels)
-    parameters = parameter_table(estimate.parameters, truth.parameters, labels)
-    beside = Beside.of(run.baseline, run.labels_of(run.baseline), record, truth, smoothed)
-    if beside is not None:
-        fitness, parameters = stacked(fitness, beside.fitness), stacked(parameters, beside.parameters)
-    return fitness[~fitness["group"].str.startswith("dof_")], parameters
+    theirs = EstimatorTables.of(run.baseline, run, smoothed, record, truth) if smoothed else None
+    tables = EstimatorTables.of(PINN, run, estimate, record, truth).above(theirs)
+    return tables.fitness[~tables.fitness["group"].str.startswith("dof_")], tables.parameters
 
 
 def _nonlinear_strength(prepared: PreparedProblem) -> float | None:

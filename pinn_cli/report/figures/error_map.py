@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
@@ -16,12 +15,10 @@ from pinn_cli.report.figures.decimate import block_maximum
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from pinn_cli.record.record import Record, Response
     from pinn_cli.training.estimate import Estimate
-
-_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.45, 0.5, 0.3, 0.5, 0.5  # inch
-_ROW, _LOWEST, _HIGHEST = 0.16, 1.2, 2.4  # inch, of one DOF and of a panel
 
 
 def error_map_figure(estimate: Estimate, record: Record, truth: Response | None) -> Figure:
@@ -32,7 +29,8 @@ def error_map_figure(estimate: Estimate, record: Record, truth: Response | None)
     frame the DOFs with a response sensor.
     """
     with style.look():
-        figure, panels = _panels(record.ndof)
+        height = min(max(0.16 * record.ndof, 1.2), 2.4)
+        figure, panels = style.panels(2, 2, height, margins=(0.45, 0.5, 0.3, 0.5), gaps=(0.95, 0.5))
         for axes, quantity in zip(panels.flat, QUANTITIES, strict=True):
             values, meaning = _mapped(estimate, truth, quantity)
             _draw_map(figure, axes, record, values, quantity, meaning)
@@ -44,23 +42,6 @@ def error_map_figure(estimate: Estimate, record: Record, truth: Response | None)
         if any(axes.patch.get_hatch() for axes in panels.flat):
             figure.text(0.99, 0.01, "hatched: no truth", ha="right", va="bottom", fontsize=7)
     return figure
-
-
-def _panels(ndof: int) -> tuple[Figure, np.ndarray]:
-    panel = min(max(_ROW * ndof, _LOWEST), _HIGHEST)
-    height = _TOP + _BOTTOM + _GAP + 2.0 * panel
-    figure = Figure(figsize=(style.PAGE_WIDTH, height))
-    grid = figure.add_gridspec(
-        2,
-        2,
-        left=_LEFT / style.PAGE_WIDTH,
-        right=1.0 - _RIGHT / style.PAGE_WIDTH,
-        top=1.0 - _TOP / height,
-        bottom=_BOTTOM / height,
-        wspace=0.36,
-        hspace=_GAP / panel,
-    )
-    return figure, np.asarray(grid.subplots())
 
 
 def _mapped(estimate: Estimate, truth: Response | None, quantity: str) -> tuple[np.ndarray, str]:

@@ -5,32 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.figures.response import shown_dofs
+from pinn_cli.report.figures.response import periods_of, shown_dofs
 from pinn_cli.training.central_interval import CENTRAL_90
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-    from pinn_cli.posterior.findings import ForcePredictive
+    from pinn_cli.posterior.result import ForcePredictive
     from pinn_cli.record.record import Record
 
 PERIODS_SHOWN = 10
 
-_LEFT, _RIGHT, _TOP, _BOTTOM, _ROW, _GAP = 0.55, 0.1, 0.32, 0.4, 1.25, 0.12  # inch
-_DOTS: dict[str, Any] = {
-    "linestyle": "none",
-    "marker": ".",
-    "markersize": 4.0,
-    "markeredgewidth": 0,
-    "color": style.BLACK,
-    "zorder": 2.2,
-}
+_DOTS: dict[str, Any] = {**style.DOTS, "color": style.BLACK, "zorder": 2.2}
 _MEDIAN: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "zorder": 2.1}
 _BAND: dict[str, Any] = {"color": style.VERMILLION, "alpha": 0.25, "linewidth": 0, "zorder": 1.9}
 
@@ -54,7 +46,8 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
     window = predictive_window(median[:, rows])
     factor, prefix = style.unit_prefix(float(np.max(np.abs(observed), initial=0.0)), kilo=True)
     with style.look():
-        figure, panels = _panels(len(rows))
+        figure, grid = style.panels(len(rows), 1, 1.25, margins=(0.55, 0.1, 0.32, 0.4), gaps=(0.0, 0.12), sharex=True)
+        panels = grid[:, 0]
         for panel, row in zip(panels, rows, strict=True):
             lines = (factor * line[window, row] for line in (observed, lower, median, upper))
             _draw(panel, time[window], *lines)
@@ -80,28 +73,11 @@ def predictive_window(force: np.ndarray) -> slice:
     Args:
         force: (times, F).
     """
-    count = len(force)
-    signs = np.signbit(force)
-    periods = float(np.median((signs[1:] != signs[:-1]).sum(axis=0))) / 2.0
+    count, periods = len(force), periods_of(force)
     if periods <= PERIODS_SHOWN:
         return slice(0, count)
     half = max(round(count * PERIODS_SHOWN / periods / 2.0), 5)
     return slice(max(count // 2 - half, 0), count // 2 + half + 1)
-
-
-def _panels(rows: int) -> tuple[Figure, np.ndarray]:
-    height = _TOP + rows * (_ROW + _GAP) - _GAP + _BOTTOM
-    figure = Figure(figsize=(style.PAGE_WIDTH, height))
-    grid = figure.add_gridspec(
-        rows,
-        1,
-        left=_LEFT / style.PAGE_WIDTH,
-        right=1.0 - _RIGHT / style.PAGE_WIDTH,
-        top=1.0 - _TOP / height,
-        bottom=_BOTTOM / height,
-        hspace=_GAP / _ROW,
-    )
-    return figure, grid.subplots(sharex=True, squeeze=False)[:, 0]
 
 
 def _draw(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from pinn_cli.report.figures import style
@@ -14,6 +13,7 @@ from pinn_cli.report.figures.decimate import line_indices
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _MARKED = 60  # iterations up to which each is marked
 _PANELS = {"loss": "Loss term", "weight": r"Loss weight $\lambda$"}
@@ -30,18 +30,15 @@ def history_figure(history: pd.DataFrame) -> Figure:
         ValueError: If there is no such column.
     """
     columns = {kind: [str(name) for name in history if str(name).startswith(f"{kind}_")] for kind in _PANELS}
-    drawn = [kind for kind in _PANELS if columns[kind]]
-    if not drawn:
+    shown = [kind for kind in _PANELS if columns[kind]]
+    if not shown:
         raise ValueError(f"the history has no loss_* or weight_* column, only {', '.join(map(str, history))}")
-    terms = list(dict.fromkeys(_term(name) for kind in drawn for name in columns[kind]))
+    terms = list(dict.fromkeys(_term(name) for kind in shown for name in columns[kind]))
     with style.look():
-        height = 0.5 + 1.75 * len(drawn)
-        figure = Figure(figsize=(style.PAGE_WIDTH, height))
-        grid = figure.add_gridspec(
-            len(drawn), 1, left=0.08, right=0.70, top=1.0 - 0.1 / height, bottom=0.38 / height, hspace=0.1
-        )
-        panels = grid.subplots(sharex=True, squeeze=False)[:, 0]
-        for axes, kind in zip(panels, drawn, strict=True):
+        margins = (0.08 * style.PAGE_WIDTH, 0.3 * style.PAGE_WIDTH, 0.1, 0.38)
+        figure, grid = style.panels(len(shown), 1, 1.68, margins=margins, gaps=(0.0, 0.17), sharex=True)
+        panels = grid[:, 0]
+        for axes, kind in zip(panels, shown, strict=True):
             for name in columns[kind]:
                 _draw_term(axes, history, name, terms.index(_term(name)))
             _dress(axes, _PANELS[kind])

@@ -5,19 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.record import QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
-from pinn_cli.report.residuals import Channel, channels, measured, nmse_percent, noise_found, residual
+from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.report.whiteness import autocorrelation
+from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from pinn_cli.record.record import Record
     from pinn_cli.training.estimate import Estimate
@@ -28,7 +31,6 @@ BAND = 1.96  # standard deviations: white noise stays within them 95 % of the ti
 BINS = 300  # of a spectrum: more frequencies than these are averaged
 DECADES = 9  # that a spectrum shows at most, if that is enough to see the residual
 
-_LEFT, _RIGHT, _TOP, _BOTTOM, _ROW, _GAP = 0.62, 0.08, 0.56, 0.42, 1.05, 0.26  # inch
 _RESIDUAL: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
 _SIGNAL: dict[str, Any] = {"color": style.GREY, "alpha": 0.55, "linewidth": 0.6, "zorder": 1}
 _NOISE: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3}
@@ -46,12 +48,12 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
         estimate: Its response, and in its summary the noise found.
         record: The sensors, at least one.
     """
-    every = channels(record)
-    shown = _worst(estimate, record, every)
+    every = channels(record, QUANTITIES)
+    shown = _worst(estimate, every)
     with style.look():
-        height = _TOP + _BOTTOM + _ROW * len(shown) + _GAP * (len(shown) - 1)
-        figure = Figure(figsize=(style.PAGE_WIDTH, height))
-        panels = _panels(figure, len(shown), height)
+        figure, panels = style.panels(
+            len(shown), 3, 1.05, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.26), width_ratios=(1.3, 1.0, 0.8)
+        )
         for row, channel in zip(panels, shown, strict=True):
             _draw_row(row, estimate, record, channel)
         for axes, label in zip(panels[-1], ("Time $t$ (s)", "Frequency (Hz)", "Lag (samples)"), strict=True):
@@ -60,37 +62,22 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
             axes.annotate(title, (0.5, 1.0), xycoords="axes fraction", xytext=(0, 14), textcoords="offset points",
                           ha="center", fontsize=8.5)  # fmt: skip
         figure.align_ylabels(list(panels[:, 0]))
-        _legend(figure, estimate, shown, height, len(every))
+        _legend(figure, estimate, shown, len(every))
     return figure
 
 
-def _worst(estimate: Estimate, record: Record, every: list[Channel]) -> list[Channel]:
+def _worst(estimate: Estimate, every: list[Channel]) -> list[Channel]:
     """At most `ROWS_IN_FULL` sensors, in their order."""
     if len(every) <= ROWS_IN_FULL:
         return every
-    errors = [nmse_percent(residual(estimate.response, record, c), measured(record, c)) for c in every]
+    errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in every]
     kept = np.argsort(-np.nan_to_num(errors), kind="stable")[:ROWS_IN_FULL]
     return [every[i] for i in sorted(kept)]
 
 
-def _panels(figure: Figure, rows: int, height: float) -> np.ndarray:
-    grid = figure.add_gridspec(
-        rows,
-        3,
-        left=_LEFT / style.PAGE_WIDTH,
-        right=1.0 - _RIGHT / style.PAGE_WIDTH,
-        top=1.0 - _TOP / height,
-        bottom=_BOTTOM / height,
-        wspace=0.27,
-        hspace=_GAP / _ROW,
-        width_ratios=(1.3, 1.0, 0.8),
-    )
-    return np.asarray(grid.subplots(squeeze=False))
-
-
 def _draw_row(panels: np.ndarray, estimate: Estimate, record: Record, channel: Channel) -> None:
-    left, sigma = residual(estimate.response, record, channel), noise_found(estimate.summary, channel)
-    signal = measured(record, channel)
+    signal, left = channel.measured, channel.measured - channel.of(estimate.response)
+    sigma = noise_found(estimate, channel)
     history, spectrum, correlation = panels
     _draw_history(history, record.time, left, sigma, channel)
     _draw_spectrum(spectrum, left, signal, sigma, record.step)
@@ -148,26 +135,26 @@ def _binned(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _draw_correlation(axes: Axes, left: np.ndarray) -> None:
-    lags = min(LAGS_SHOWN, len(left) - 1)
-    bound = BAND / np.sqrt(len(left))
+    lags, bound = min(LAGS_SHOWN, len(left) - 1), BAND / np.sqrt(len(left))
+    correlation = autocorrelation(left, lags)
     axes.axhspan(-bound, bound, **_WHITE)
     axes.axhline(0.0, color=style.GREY, linewidth=0.5)
-    axes.vlines(np.arange(1, lags + 1), 0.0, autocorrelation(left, lags), color=style.BLUE, linewidth=1.0)
+    axes.vlines(np.arange(1, lags + 1), 0.0, correlation, color=style.BLUE, linewidth=1.0)
     axes.set_xlim(0, lags + 1)
-    reach = max(3.0 * bound, 1.15 * float(np.nanmax(np.abs(autocorrelation(left, lags)), initial=0.0)))
+    reach = max(3.0 * bound, 1.15 * float(np.nanmax(np.abs(correlation), initial=0.0)))
     axes.set_ylim(-reach, reach)
     axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
 
 
-def _legend(figure: Figure, estimate: Estimate, shown: list[Channel], height: float, count: int) -> None:
+def _legend(figure: Figure, estimate: Estimate, shown: list[Channel], count: int) -> None:
     handles: list[Line2D | Patch] = [
         Line2D([], [], label="measured less estimated", **_RESIDUAL),
         Line2D([], [], label="sensor", **_SIGNAL),
     ]
-    if any(np.isfinite(noise_found(estimate.summary, channel)) for channel in shown):
+    if any(np.isfinite(noise_found(estimate, channel)) for channel in shown):
         handles.append(Line2D([], [], label=r"noise found ($\pm$1.96 $\sigma$; level)", **_NOISE))
     handles.append(Patch(label="white noise, 95 %", **_WHITE))
     figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles))
     if count > len(shown):
         note = f"the {len(shown)} of {count} sensors with the largest NMSE"
-        figure.text(0.01, 0.01 / height, note, ha="left", va="bottom", fontsize=7)
+        figure.text(0.01, 0.002, note, ha="left", va="bottom", fontsize=7)

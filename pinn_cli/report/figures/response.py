@@ -26,8 +26,6 @@ BAND = 1.96  # standard deviations to either side of the estimate: 95 %
 POINTS = 400  # observations drawn in a panel at most
 PERIODS_IN_FULL, PERIODS_SHOWN = 100, 20  # a longer record shows a stretch from its middle, else it is a block of ink
 
-_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP, _ROW = 0.62, 0.08, 0.48, 0.46, 0.36, 0.72  # inch
-
 
 @dataclass(frozen=True)
 class _Sources:
@@ -70,20 +68,19 @@ def response_figure(
     The force has one scale for all DOFs, so that an estimated force where there is none is seen in proportion; its root
     mean square is written there.
     """
-    name, beside = baseline or ("", None)
+    name, other = baseline or ("", None)
     window = shown_window(record.time, estimate.response)
-    sources = _Sources(window, record.time[window], estimate.response, estimate.std, truth, linear, beside, record)
+    sources = _Sources(window, record.time[window], estimate.response, estimate.std, truth, linear, other, record)
     dofs = shown_dofs(record.ndof)
     with style.look():
-        height = _TOP + _BOTTOM + _ROW * len(dofs)
-        figure = Figure(figsize=(style.PAGE_WIDTH, height))
-        panels = _panels(figure, len(dofs), height)
+        margins = (0.62, 0.08, 0.48, 0.46)
+        figure, panels = style.panels(len(dofs), len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
         for column, quantity in enumerate(QUANTITIES):
             _draw_column(panels[:, column], sources, quantity, dofs)
         for row, dof in enumerate(dofs):
             panels[row, 0].set_ylabel(f"DOF {dof + 1}" + ("" if record.observed[dof] else "*"))
         figure.align_ylabels(list(panels[:, 0]))
-        _legend(figure, sources, dofs, height, {"truth": truth_label, "baseline": name.replace("_", " ")})
+        _legend(figure, sources, dofs, {"truth": truth_label, "baseline": name.replace("_", " ")})
     return figure
 
 
@@ -97,27 +94,17 @@ def shown_window(time: np.ndarray, response: Response) -> slice:
 
     A period is twice the mean distance of the velocity's changes of sign (the displacement's may ride on a drift).
     """
-    signs = np.signbit(response.velocity)
-    periods = float(np.median((signs[1:] != signs[:-1]).sum(axis=0))) / 2.0
-    samples = len(time)
+    periods, samples = periods_of(response.velocity), len(time)
     if periods <= PERIODS_IN_FULL:
         return slice(0, samples)
     half = int(samples * PERIODS_SHOWN / periods / 2.0)
     return slice(samples // 2 - half, samples // 2 + half + 1)
 
 
-def _panels(figure: Figure, rows: int, height: float) -> np.ndarray:
-    grid = figure.add_gridspec(
-        rows,
-        len(QUANTITIES),
-        left=_LEFT / style.PAGE_WIDTH,
-        right=1.0 - _RIGHT / style.PAGE_WIDTH,
-        top=1.0 - _TOP / height,
-        bottom=_BOTTOM / height,
-        wspace=_GAP * len(QUANTITIES) / (style.PAGE_WIDTH - _LEFT - _RIGHT - _GAP * (len(QUANTITIES) - 1)),
-        hspace=0.12,
-    )
-    return np.asarray(grid.subplots(squeeze=False))
+def periods_of(histories: np.ndarray) -> float:
+    """How many periods histories (N, n) have, the median of all: half the changes of sign."""
+    signs = np.signbit(histories)
+    return float(np.median((signs[1:] != signs[:-1]).sum(axis=0))) / 2.0
 
 
 def _draw_column(panels: np.ndarray, sources: _Sources, quantity: str, dofs: list[int]) -> None:
@@ -182,14 +169,7 @@ def _draw_lines(axes: Axes, sources: _Sources, quantity: str, dof: int, factor: 
 
 
 _LOOKS: dict[str, dict[str, Any]] = {
-    "observations": {
-        "linestyle": "none",
-        "marker": ".",
-        "markersize": 4.0,
-        "markeredgewidth": 0,
-        "color": style.SKY,
-        "zorder": 1.5,
-    },
+    "observations": {**style.DOTS, "color": style.SKY, "zorder": 1.5},
     "truth": {"linestyle": "-", "linewidth": 1.0, "color": style.BLACK, "zorder": 2.0},
     "linear": {"linestyle": "-.", "linewidth": 0.6, "color": style.BLUE, "zorder": 1.8},
     "baseline": {"linestyle": (0, (1, 1)), "linewidth": 0.8, "color": style.GREEN, "zorder": 2.3},
@@ -213,16 +193,14 @@ def _shown(response: Response | None, dofs: list[int]) -> bool:
     return response is not None and any(np.isfinite(getattr(response, name)[:, dofs]).any() for name in QUANTITIES)
 
 
-def _legend(figure: Figure, sources: _Sources, dofs: list[int], height: float, names: dict[str, str]) -> None:
-    titles = {"truth": names["truth"], "estimate": "estimate", "band": "95 % band"}
+def _legend(figure: Figure, sources: _Sources, dofs: list[int], names: dict[str, str]) -> None:
+    titles = {"truth": names["truth"], "estimate": "estimate", "std": "95 % band"}
     titles |= {"linear": "equivalent linear system", "baseline": names["baseline"]}
-    handles: list[Line2D | Patch] = []
-    for name, title in titles.items():
-        if not _shown(getattr(sources, "std" if name == "band" else name), dofs):
-            continue
-        handles.append(
-            Patch(label=title, **_BAND_LOOK) if name == "band" else Line2D([], [], label=title, **_LOOKS[name])
-        )
+    handles: list[Line2D | Patch] = [
+        Patch(label=title, **_BAND_LOOK) if name == "std" else Line2D([], [], label=title, **_LOOKS[name])
+        for name, title in titles.items()
+        if _shown(getattr(sources, name), dofs)
+    ]
     every = -(-len(sources.time) // POINTS)
     seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
     handles.append(Line2D([], [], label=seen, **{**_LOOKS["observations"], "markersize": 6}))
@@ -232,4 +210,4 @@ def _legend(figure: Figure, sources: _Sources, dofs: list[int], height: float, n
     if len(sources.time) < len(sources.record.time):
         first, last = sources.record.time[[0, -1]]
         notes.append(f"middle of the record from {first:g} s to {last:g} s")
-    figure.text(0.99, 0.01 / height, "; ".join(notes), ha="right", va="bottom", fontsize=7)
+    figure.text(0.99, 0.002, "; ".join(notes), ha="right", va="bottom", fontsize=7)

@@ -37,17 +37,14 @@ class Column:
         return f"{text:>{self.width}}" if self.width > 0 else f"{text:<{-self.width}}"
 
 
-def head_of(columns: Mapping[str, Column]) -> str:
-    """The headings of all columns."""
-    return "".join(column.align(column.title) for column in columns.values())
-
-
-def rows_of(columns: Mapping[str, Column], table: pd.DataFrame) -> list[str]:
-    """A line per row of the table, with the columns named."""
-    return [
+def table_lines(columns: Mapping[str, Column], table: pd.DataFrame) -> list[str]:
+    """The headings, a rule, and a line per row of the table, with the columns named."""
+    head = "".join(column.align(column.title) for column in columns.values())
+    rows = [
         "".join(column.align(column.text(row[name])) for name, column in columns.items()).rstrip()
         for row in table.to_dict(orient="records")
     ]
+    return [head, "-" * len(head), *rows]
 
 
 def marked_lines(sentence: str) -> list[str]:

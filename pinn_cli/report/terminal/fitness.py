@@ -68,8 +68,8 @@ def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
     """
     row = table[(table["against"] == "estimate") & (table["group"] == "all") & (table["quantity"] == "displacement")]
     agreement = percent(float(row["fitness_percent"].iloc[0]))
-    told = run.finding or f"the free run's displacements agree with the estimate's to {agreement} % (mean over DOFs)"
-    return textwrap.fill(told, WIDTH)
+    agrees = f"the free run's displacements agree with the estimate's to {agreement} % (mean over DOFs)"
+    return textwrap.fill(run.finding or agrees, WIDTH)
 
 
 def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:

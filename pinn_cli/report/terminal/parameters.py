@@ -6,16 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.posterior_table import worst_sampled
-from pinn_cli.report.terminal.columns import (
-    Column,
-    count,
-    head_of,
-    interval,
-    marked_lines,
-    number,
-    percent,
-    rows_of,
-)
+from pinn_cli.report.terminal.columns import Column, count, interval, marked_lines, number, percent, table_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +27,7 @@ def parameters_text(
 
     Args:
         table: From `pinn_cli.report.parameters.parameter_table`, of one run: what has a ``start`` was unknown.
-        warnings: From `pinn_cli.report.identifiability.identifiability_warnings`, of the same run.
+        warnings: From `pinn_cli.report.parameters.identifiability_warnings`, of the same run.
         baseline: Name and parameter table of another estimator. Where the truth is known it leaves no room for these.
 
     Returns:
@@ -48,7 +39,7 @@ def parameters_text(
     columns = dict(_COLUMNS)
     if table["true"].notna().any():
         columns |= _TRUTH
-    elif baseline is not None:
+    elif baseline is not None and len(baseline[1]):
         table, columns = _with_baseline(table, *baseline)
     sought = table["start"].notna()
     found = table[sought].assign(parameter=table.loc[sought, "parameter"] + " *")
@@ -56,9 +47,8 @@ def parameters_text(
     lines: list[str] = []
     for given, rows in (("start", found), ("prescribed", prescribed)):
         if len(rows):
-            head = head_of(shown := _given_as(given, columns))
-            rule = "-" * len(head)
-            lines += [*([rule] if lines else []), head, rule, *rows_of(shown, rows)]
+            head, rule, *cells = table_lines(_given_as(given, columns), rows)
+            lines += [*([rule] if lines else []), head, rule, *cells]
     lines += notes
     if len(found):
         lines += ["* unknown: identified from the record; start is where the search for it began", *_marks(warnings)]
@@ -114,8 +104,7 @@ def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> 
     if len(table) > PARAMETERS_SHOWN:
         table = table[table["parameter"].isin(worst_sampled(table, PARAMETERS_SHOWN))]
         notes.append(f"the {len(table)} of {len(diagnostics)} with the fewest effective draws; all: diagnostics.csv")
-    head = head_of(_DIAGNOSTICS)
-    return "\n".join([head, "-" * len(head), *rows_of(_DIAGNOSTICS, table), *notes, *_quality(diagnostics, verdict)])
+    return "\n".join([*table_lines(_DIAGNOSTICS, table), *notes, *_quality(diagnostics, verdict)])
 
 
 def _quality(diagnostics: pd.DataFrame, verdict: Sequence[str]) -> list[str]:

@@ -1,16 +1,18 @@
-"""From a trained network to all that is known about its unknown parameters."""
+"""All that is known about the unknown parameters of a trained network once they have been sampled."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.posterior.findings import ForcePredictive, PosteriorFindings
+from pinn_cli.posterior.diagnostics import diagnose, verdict
 
 if TYPE_CHECKING:
-    from pinn_cli.posterior.base import Posterior
-    from pinn_cli.posterior.samples import PosteriorSamples
+    import pandas as pd
+
+    from pinn_cli.posterior.base import Posterior, PosteriorSamples
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
     from pinn_cli.training.estimate import Estimate, RunContext
@@ -20,24 +22,64 @@ if TYPE_CHECKING:
 PREDICTED_DRAWS, PREDICTED_SAMPLES = 100, 2048
 
 
-def find_posterior(
+@dataclass(frozen=True, eq=False)
+class ForcePredictive:
+    """Draws of the measured forces from the posterior predictive distribution, for some of the draws and the times.
+
+    Attributes:
+        draws: (D,), which draws of every chain, counted from 0.
+        samples: (T,), which samples of the record, counted from 0, in equal steps.
+        force: (chains, D, T, F), N, with the noise that the record has (that of the mean of repeated measurements); the
+            DOFs are the posterior's ``force_dofs``.
+
+    Raises:
+        ValueError: The shape of ``force`` does not fit.
+    """
+
+    draws: np.ndarray
+    samples: np.ndarray
+    force: np.ndarray
+
+    def __post_init__(self) -> None:
+        if self.force.ndim != 4 or self.force.shape[1:3] != (len(self.draws), len(self.samples)):
+            expected = f"(chains, {len(self.draws)}, {len(self.samples)}, dofs)"
+            raise ValueError(f"the predicted force has shape {self.force.shape}; it must be {expected}")
+
+
+@dataclass(frozen=True, eq=False)
+class PosteriorResult:
+    """A posterior, whether its sampling can be trusted, and what it predicts.
+
+    Attributes:
+        samples: The draws.
+        diagnostics: One row per parameter: ``parameter``, ``mean``, ``std``, ``lower_90``, ``upper_90``, ``r_hat``,
+            ``ess_bulk``, ``ess_tail``, ``mcse_mean``; NaN where there was no sampling.
+        verdict: Why the quality check failed, one sentence each; none if it passed.
+        predictive: Of the measured forces; None where it was not drawn.
+    """
+
+    samples: PosteriorSamples
+    diagnostics: pd.DataFrame
+    verdict: tuple[str, ...] = ()
+    predictive: ForcePredictive | None = None
+
+
+def posterior_result(
     posterior: Posterior, problem: Problem, estimate: Estimate, run: RunContext
-) -> PosteriorFindings | None:
+) -> PosteriorResult | None:
     """Draw from the posterior of a problem whose parameters have priors; None for any other problem.
 
     Raises:
-        DivergenceError: See :meth:`Posterior.find`.
+        DivergenceError: See :meth:`Posterior.sample`.
     """
     if not problem.priors or estimate.likelihoods is None:
         return None
-    from pinn_cli.posterior.diagnostics import diagnose, verdict
-
     likelihoods = estimate.likelihoods
-    samples = posterior.find(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
+    samples = posterior.sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
     table = diagnose(samples)
     repeats = 1 if problem.record.repeats is None else problem.record.repeats.count
     predictive = force_predictive(likelihoods, samples, run.seed, repeats) if len(samples.force_dofs) else None
-    return PosteriorFindings(samples, table, tuple(verdict(table, samples)), predictive)
+    return PosteriorResult(samples, table, tuple(verdict(table, samples)), predictive)
 
 
 def force_predictive(

@@ -1,4 +1,4 @@
-"""A baseline's estimate beside the network's: rows, variables and text."""
+"""A baseline's estimate next to the network's: rows, variables and text."""
 
 from __future__ import annotations
 
@@ -6,40 +6,41 @@ from dataclasses import replace
 
 import pytest
 
-from pinn_cli.report.beside import Beside, stacked
 from pinn_cli.report.dataset import response_dataset
 from pinn_cli.report.figures import response_figure
-from pinn_cli.report.fitness import fitness_table
-from pinn_cli.report.parameters import parameter_table
-from pinn_cli.report.residuals import residual_table
-from pinn_cli.report.terminal import WIDTH
+from pinn_cli.report.results import RunDescription
+from pinn_cli.report.tables import EstimatorTables
+from pinn_cli.report.terminal.columns import WIDTH
+from pinn_cli.report.terminal.run import comparison_text
 
 
-def beside(case, estimate=None) -> Beside:
-    labels = case.labels | {"estimator": "kalman_smoother"}
-    estimate = estimate or case.estimate
-    fitness = fitness_table(estimate.response, case.truth.response, case.record.observed, labels)
-    parameters = parameter_table(estimate.parameters, None, labels)
-    return Beside("kalman_smoother", estimate, fitness, parameters, residual_table(estimate, case.record, None, labels))
+def tables(case, name, estimate=None) -> EstimatorTables:
+    labels = {label: value for label, value in case.labels.items() if label != "estimator"}
+    run = RunDescription("small", 0, "cpu", 1, "", labels, True, "none", "kalman_smoother")
+    return EstimatorTables.of(name, run, estimate or case.estimate, case.record, case.truth)
 
 
 def test_its_rows_lie_below_those_of_the_network(make_case):
     case = make_case(ndof=3)
-    ours = fitness_table(case.estimate.response, case.truth.response, case.record.observed, case.labels)
-    table = stacked(ours, beside(case).fitness)
-    assert list(table.columns) == list(ours.columns)
-    assert table["estimator"].tolist() == ["pinn"] * len(ours) + ["kalman_smoother"] * len(ours)
+    ours = tables(case, "pinn")
+    both = ours.above(tables(case, "kalman_smoother"))
+    for name in ("fitness", "parameters", "residuals"):
+        table, rows = getattr(both, name), len(getattr(ours, name))
+        assert list(table.columns) == list(getattr(ours, name).columns)
+        assert table["estimator"].tolist() == ["pinn"] * rows + ["kalman_smoother"] * rows
+    assert ours.above(None) is ours
 
 
 def test_no_parameters_in_either_leave_an_empty_table(make_case):
     case = make_case(ndof=3)
-    none = parameter_table([], None, case.labels)
-    assert list(stacked(none, none).columns) == list(none.columns)
+    none = tables(case, "pinn", replace(case.estimate, parameters=[]))
+    assert list(none.above(none).parameters.columns) == list(none.parameters.columns)
 
 
 def test_its_variables_carry_its_name(make_case):
     case = make_case(ndof=3)
-    dataset = beside(case).variables(response_dataset(case.estimate, case.record, case.truth.response, case.labels))
+    smoothed = ("kalman_smoother", case.estimate)
+    dataset = response_dataset(case.estimate, case.record, case.truth.response, case.labels, baseline=smoothed)
     for quantity in ("displacement", "velocity", "acceleration", "force"):
         assert dataset[f"{quantity}_kalman_smoother"].attrs["units"] == dataset[quantity].attrs["units"]
         assert dataset[f"{quantity}_kalman_smoother_std"].shape == dataset[quantity].shape
@@ -49,8 +50,9 @@ def test_its_variables_carry_its_name(make_case):
 def test_the_text_compares_both(make_case, worse):
     case = make_case(ndof=6)
     response = replace(case.estimate.response, displacement=worse * case.estimate.response.displacement)
-    ours = fitness_table(case.estimate.response, case.truth.response, case.record.observed, case.labels)
-    text = beside(case, replace(case.estimate, response=response)).text(ours, {"estimate": 1.26, "baseline": 12.0})
+    theirs = tables(case, "kalman_smoother", replace(case.estimate, response=response)).fitness
+    seconds = {"estimate": 1.26, "baseline": 12.0}
+    text = comparison_text(tables(case, "pinn").fitness, "kalman_smoother", theirs, seconds)
     lines = text.splitlines()
     assert max(map(len, lines)) <= WIDTH
     assert [line.split()[0] for line in lines[-2:]] == ["pinn", "kalman_smoother"]

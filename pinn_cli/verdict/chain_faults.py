@@ -1,29 +1,34 @@
-"""The storey whose mass, put right, makes the chain predict every sensor.
+"""What is wrong with the chain or with its clock: one mass, or the unit of the time axis.
 
-All storeys and factors are simulated at once from the start of the record: first over a few periods of the first mode,
-where a factor that is some per cent off still shows, then over more of it around the best.
+Of the masses, all storeys and factors are simulated at once from the start of the record: first over a few periods of
+the first mode, where a factor that is some per cent off still shows, then over more of it around the best.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
+from pinn_cli.record.channels import channels
 from pinn_cli.record.simulation import runge_kutta_step, substeps_needed
-from pinn_cli.verdict.channel import channels
 from pinn_cli.verdict.channel_faults import MENDS_BY_MOVING, REPRODUCED
-from pinn_cli.verdict.comparison import comparisons
+from pinn_cli.verdict.comparison import worst_misfit
 from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.modes import Modes
-from pinn_cli.verdict.prediction import LINEAR, force_between_samples, predicted
+from pinn_cli.verdict.modes import modes_of
+from pinn_cli.verdict.prediction import force_between_samples, predicted
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.system.chain import Chain
 
+# Seconds that the unit of the time axis may be long.
+UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
+# A highest natural frequency up to this times the Nyquist frequency may be seen in the record.
+SEEN = 1.3
 # Of a mass, from the least to the largest, 11 % apart: over ten periods the response of a chain whose frequency is 3 %
 # off is still half right.
 COARSE = np.geomspace(1 / 12, 12, 46)
@@ -34,6 +39,40 @@ MOST_STEPS = 12_000
 LEAST_FACTOR = 1.1
 # NMSE that counts as none: beyond it, one channel must not outweigh the others.
 FLOOR = 1e-3
+
+
+def time_unit_fault(chain: Chain, record: Record, excused: Sequence[str] = ()) -> Finding | None:
+    """The unit of time in which the chain predicts every sensor; None where seconds will do, or no unit does.
+
+    Args:
+        chain: Whose natural frequencies should be in the record's band, below its Nyquist frequency.
+        record: With its time as given.
+        excused: Names of channels that have a fault of their own.
+    """
+    if not np.isfinite(record.force).all() or in_band(chain, record):
+        return None
+    for seconds in UNITS:
+        scaled = replace(record, time=record.time * seconds)
+        if not in_band(chain, scaled) or (prediction := predicted(chain, scaled)) is None:
+            continue
+        left = worst_misfit(prediction, excused)
+        if left <= REPRODUCED:
+            return unit_finding(seconds, left)
+    return None
+
+
+def unit_finding(seconds: float, left: float) -> Finding:
+    """That the unit of the time axis is so many seconds long."""
+    reason = f"the chain does what was measured if the time is in {UNITS[seconds]}"
+    return Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed", left)
+
+
+def in_band(chain: Chain, record: Record) -> bool:
+    """Whether the record is sampled fast enough for the chain, and long enough for a period of its first mode."""
+    frequencies = modes_of(chain).natural_frequencies
+    if not np.isfinite(frequencies).all():
+        return False
+    return bool(frequencies[-1] < SEEN * 0.5 / record.step and frequencies[0] > 1.0 / record.duration)
 
 
 def mass_fault(
@@ -49,7 +88,7 @@ def mass_fault(
     """
     if not np.isfinite(record.force).all():
         return None
-    before = _misfits(chain, record, start, excused)
+    before = worst_misfit(predicted(chain, record, start), excused)
     dofs = np.repeat(np.arange(chain.ndof), len(COARSE))
     factors = np.tile(COARSE, chain.ndof)
     score = _scores(chain, record, dofs, factors, PERIODS, start, excused)
@@ -63,20 +102,17 @@ def mass_fault(
         factor = float(tried[np.argmin(score)])
     if 1 / LEAST_FACTOR < factor < LEAST_FACTOR:
         return None
-    left = _misfits(_with_mass(chain, dof, factor), record, start, excused)
+    left = worst_misfit(predicted(_with_mass(chain, dof, factor), record, start), excused)
     if left > REPRODUCED or left > MENDS_BY_MOVING * before:
         return None
-    name, value = f"m_{dof + 1}", float(chain.parameters["m"][dof]) * factor
-    reason = f"with {name} = {value:.4g} kg, {factor:.3g} times what is prescribed, the chain does what was measured"
+    return mass_finding(dof, float(chain.parameters["m"][dof]) * factor, factor, "the chain", left)
+
+
+def mass_finding(dof: int, mass: float, factor: float, which: str, left: float) -> Finding:
+    """That a chain with another mass of a DOF, counted from 0, does what was measured."""
+    name = f"m_{dof + 1}"
+    reason = f"with {name} = {mass:.4g} kg, {factor:.3g} times what is prescribed, {which} does what was measured"
     return Finding("mass", name, f"{reason}; check system.m", left=left)
-
-
-def _misfits(chain: Chain, record: Record, start: Sequence[np.ndarray] | None, excused: Sequence[str]) -> float:
-    """The largest NMSE of any channel; infinite where the chain is unstable."""
-    prediction = predicted(chain, record, start)
-    if prediction is None:
-        return np.inf
-    return max((c.misfit for c in comparisons(prediction) if c.channel.name not in excused), default=np.inf)
 
 
 def _with_mass(chain: Chain, dof: int, factor: float) -> Chain:
@@ -98,7 +134,7 @@ def _scores(
 
     A sum of logarithms lets one channel be bad where all others are right.
     """
-    seen = [c for c in channels(record) if c.name not in excused]
+    seen = channels(record, excused=excused)
     masses = np.tile(chain.parameters["m"].numpy().astype(float), (len(dofs), 1))
     masses[np.arange(len(dofs)), dofs] *= factors
     samples, substeps = _span(chain, record, masses, periods)
@@ -116,8 +152,7 @@ def _scores(
 
 def _span(chain: Chain, record: Record, masses: np.ndarray, periods: float) -> tuple[int, int]:
     """How many samples to follow, and in how many steps each."""
-    own = chain.parameters_like(np.empty(0))
-    first = float(np.nanmin(Modes.of({name: own[name] for name in LINEAR}).natural_frequencies))
+    first = float(np.nanmin(modes_of(chain).natural_frequencies))
     lightest = chain.with_parameters(m=torch.as_tensor(masses.min(axis=0)))
     substeps = max(1, -(-substeps_needed(lightest, record.step) // 2))  # twice the step: a per cent will do
     wanted = periods / (first * record.step) if first > 0 else len(record.time)

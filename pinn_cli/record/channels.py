@@ -1,0 +1,95 @@
+"""The channels of a record, one sensor each, and what of their samples a sensor has not followed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Record, Response
+
+# Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be
+# there by chance.
+CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One sensor and what it measured.
+
+    Attributes:
+        quantity: displacement, velocity, acceleration or force.
+        dof: Counted from 0.
+        measured: (N,), in the quantity's unit.
+    """
+
+    quantity: str
+    dof: int
+    measured: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """As sentences have it, the DOF counted from 1: ``acceleration of DOF 3``."""
+        return f"{self.quantity} of DOF {self.dof + 1}"
+
+    @property
+    def setting(self) -> str:
+        """Where a user gave it: ``data.acceleration, DOF 3``."""
+        return f"data.{self.quantity}, DOF {self.dof + 1}"
+
+    @property
+    def order(self) -> int:
+        """How often the displacement is differentiated."""
+        return RESPONSE_QUANTITIES.index(self.quantity)
+
+    def of(self, response: Response) -> np.ndarray:
+        """The same quantity of the same DOF in a response, (N,)."""
+        values: np.ndarray = getattr(response, self.quantity)[:, self.dof]
+        return values
+
+
+def channels(
+    record: Record, quantities: Sequence[str] = RESPONSE_QUANTITIES, excused: Sequence[str] = ()
+) -> list[Channel]:
+    """Every sensor of a record, quantity by quantity; a force that is known to be zero is none.
+
+    Args:
+        record: With its sensors.
+        quantities: Those whose sensors count.
+        excused: Names of channels that are left out.
+    """
+    every = [
+        Channel(quantity, int(dof), getattr(record, quantity)[:, dof])
+        for quantity in quantities
+        for dof in np.flatnonzero(record.sensors(quantity))
+    ]
+    return [channel for channel in every if channel.name not in excused]
+
+
+def clipped_percent(signal: np.ndarray) -> float:
+    """Share of samples (N,) that sit at the channel's own largest or least value, %; 0 of one or two.
+
+    A value that is the median is none that the channel was clipped at: a hammer's force rests at its least value.
+    """
+    clipped, rest = 0, np.median(signal)
+    for extreme in {float(signal.max()), float(signal.min())}:
+        count = int(np.sum(signal == extreme))
+        clipped += count if count > AT_EXTREME_BY_CHANCE and extreme != rest else 0
+    return 100.0 * clipped / len(signal)
+
+
+def constant_percent(signal: np.ndarray) -> float:
+    """Share of samples (N,) in runs of `CONSTANT_RUN` or more equal values, zeros included, %."""
+    return 100.0 * sum(end - begin for begin, end in equal_runs(signal)) / len(signal)
+
+
+def equal_runs(signal: np.ndarray) -> list[tuple[int, int]]:
+    """First and last index + 1 of every run of `CONSTANT_RUN` equal samples (N,) or more."""
+    edges = [0, *(np.flatnonzero(np.diff(signal)) + 1).tolist(), len(signal)]
+    return [(begin, end) for begin, end in pairwise(edges) if end - begin >= CONSTANT_RUN]

@@ -1,0 +1,271 @@
+"""The figures of a sampled posterior, by ArviZ: pairs of parameters, traces of the chains, and their ranks.
+
+ArviZ takes two seconds to import and brings pyplot along: it waits until a figure is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axis import XAxis
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
+
+from pinn_cli.posterior.diagnostics import import_arviz, two_chains
+from pinn_cli.report.figures import style
+from pinn_cli.report.posterior_table import posterior_correlation
+from pinn_cli.training.central_interval import CENTRAL_90
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+
+IN_PAIRS, IN_TRACES, CHAINS_SHOWN = 8, 12, 8  # parameters in either figure, and chains, at most
+REGIONS = (0.9, 0.7, 0.5, 0.3, 0.1)
+RANK_BINS = 20
+TAIL = 0.0005  # one draw in a thousand may widen an axis to no purpose
+MARGIN = 0.06  # of the span, on either side
+TRUTH_WITHIN = 2.0  # spans: a truth that is further off is left out, else the draws would be a line
+
+_TRUE: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2))}
+_BLUES = [to_hex(colour) for colour in colormaps["Blues"](np.linspace(0.22, 0.95, len(REGIONS)))]
+_TAILS, _BARS = _BLUES[0], _BLUES[2]
+
+
+def posterior_pairs_figure(draws: xr.Dataset, true: Mapping[str, float] | None = None) -> Figure:
+    """Histograms on the diagonal, joint densities below it, correlations above it; true values as dashed lines.
+
+    A histogram is pale outside the central 90 % interval. The contours of a joint density hold the `REGIONS` of
+    highest density. Chains are taken together. Of more than `IN_PAIRS` parameters, those are shown that are most
+    correlated with another one, and a line below says so; one whose draws are all the same is left out.
+
+    Args:
+        draws: The group ``posterior``: a variable over (chain, draw) for every parameter, with its unit.
+        true: Name of a parameter to its value, marked unless it is far off; or None.
+    """
+    names = _moving(draws)
+    pooled = {name: draws[name].to_numpy().ravel() for name in names}
+    correlation = posterior_correlation(np.stack(list(pooled.values()), axis=-1))
+    order = most_correlated(correlation, IN_PAIRS)
+    shown = [names[i] for i in order]
+    limits = {name: _limits(pooled[name], (true or {}).get(name, math.nan)) for name in shown}
+    side = min((style.PAGE_WIDTH - 0.7) / len(shown), 1.7) - 0.05  # inch
+    width = max(0.7 + len(shown) * (side + 0.05), 3.0)
+    left = 0.62 + (width - 0.7 - len(shown) * (side + 0.05)) / 2.0
+    with style.look():
+        figure, panels = style.panels(
+            len(shown), len(shown), side, width=width, margins=(left, left - 0.54, 0.3, 0.42), gaps=(0.05, 0.05)
+        )
+        _draw_pairs(draws[shown], panels)
+        for row, vertical in enumerate(shown):
+            _dress_marginal(panels[row, row], pooled[vertical])
+            for column, horizontal in enumerate(shown[: row + 1]):
+                _dress_axis(panels[row, column].xaxis, draws[horizontal], *limits[horizontal])
+                if column < row:
+                    _dress_axis(panels[row, column].yaxis, draws[vertical], *limits[vertical])
+                    place = panels[0, 0].get_gridspec()[column, row]
+                    _write_correlation(figure.add_subplot(place), correlation[order[row], order[column]])
+                panels[row, column].label_outer()
+        figure.align_labels()
+        _legend(figure, any(math.isfinite(value) for _, value in limits.values()), len(shown) > 1)
+        if len(shown) < len(names):
+            note = f"the {len(shown)} of {len(names)} parameters that are most correlated with another"
+            figure.text(0.99, 0.002, note, ha="right", va="bottom", fontsize=7)
+    return figure
+
+
+def _draw_pairs(draws: xr.Dataset, panels: np.ndarray) -> None:
+    """Densities below the diagonal and histograms on it; ArviZ takes the panels above it away."""
+    arviz = import_arviz()
+    histogram = {"kind": "hist", "hist_kwargs": {"bins": 40, "rwidth": 1.0, "color": _BARS}}
+    if len(draws.data_vars) == 1:
+        (values,) = draws.data_vars.values()
+        arviz.plot_dist(values.to_numpy().ravel(), ax=panels[0, 0], **histogram)
+        return
+    contours = {"colors": ["none", *_BLUES]}
+    lines = {"colors": [style.BLUE] + ["none"] * len(REGIONS), "linewidths": 0.5}
+    densities = {"hdi_probs": REGIONS, "fill_last": False, "contourf_kwargs": contours, "contour_kwargs": lines}
+    arviz.plot_pair(
+        draws, kind="kde", marginals=True, ax=panels, textsize=8, kde_kwargs=densities, marginal_kwargs=histogram
+    )
+
+
+def _dress_marginal(panel: Axes, values: np.ndarray) -> None:
+    lower, upper = np.quantile(values, CENTRAL_90)
+    for bar in panel.containers[0]:
+        if not lower <= bar.get_x() + bar.get_width() / 2.0 <= upper:
+            bar.set_facecolor(_TAILS)
+    panel.set(yticks=[], ylabel="")
+
+
+def _dress_axis(
+    axis: Axis, draws: xr.DataArray, limits: tuple[float | None, float | None] = (None, None), true: float = math.nan
+) -> None:
+    """Limits, name, a few ticks, and a line at the true value where that is finite."""
+    horizontal, panel = isinstance(axis, XAxis), axis.axes
+    (panel.set_xlim if horizontal else panel.set_ylim)(*limits)
+    if math.isfinite(true):
+        (panel.axvline if horizontal else panel.axhline)(true, **_TRUE)
+    label, factor = parameter_label(draws)
+    axis.set_label_text(label, fontsize=8)
+    low, high = axis.get_view_interval()
+    ticks = np.asarray(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    # A label at an end would run into the next panel's.
+    axis.set_major_locator(FixedLocator(list(ticks[np.abs(ticks - (low + high) / 2.0) < 0.4 * (high - low)])))
+    if factor != 1.0:
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:g}"))
+    axis.set_tick_params(labelsize=7 if len(panel.figure.axes) < 50 else 6)
+
+
+def _write_correlation(panel: Axes, value: float) -> None:
+    panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
+    colour = "white" if abs(value) > 0.65 else style.BLACK
+    panel.text(0.5, 0.5, correlation_text(value), transform=panel.transAxes, ha="center", va="center", color=colour)
+
+
+def correlation_text(value: float) -> str:
+    """Two decimals; more, up to four, rather than a 1 that is none."""
+    decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")  # + 0.0: no minus before a 0
+
+
+def _legend(figure: Figure, true: bool, joint: bool) -> None:
+    handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
+    if joint:
+        shares = ", ".join(f"{100 * share:.0f}" for share in reversed(REGIONS))
+        handles.append(
+            Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=f"regions holding {shares} %")
+        )
+    if true:
+        handles.append(Line2D([], [], label="true value", **_TRUE))
+    figure.legend(handles=handles, loc="upper center", ncols=len(handles), handlelength=2.2)
+
+
+def most_correlated(correlation: np.ndarray, most: int) -> list[int]:
+    """Positions of the parameters of the most correlated pairs, ``most`` of them at most, in increasing order.
+
+    Args:
+        correlation: (p, p).
+        most: Where p is no larger, all are taken.
+    """
+    count = len(correlation)
+    if count <= most:
+        return list(range(count))
+    rows, columns = np.triu_indices(count, 1)
+    strongest = np.argsort(-np.abs(correlation[rows, columns]), kind="stable")
+    taken = dict.fromkeys(int(i) for pair in zip(rows[strongest], columns[strongest], strict=True) for i in pair)
+    return sorted(list(taken)[:most])
+
+
+def _limits(values: np.ndarray, true: float) -> tuple[tuple[float, float], float]:
+    """Of the axis on which draws (draws,) and, if it is not far from them, the true value are seen; and that value."""
+    lower, upper = np.quantile(values, (TAIL, 1.0 - TAIL))
+    span = (upper - lower) or 1.0
+    if not lower - TRUTH_WITHIN * span <= true <= upper + TRUTH_WITHIN * span:
+        true = math.nan
+    lower, upper = np.fmin(lower, true), np.fmax(upper, true)
+    margin = MARGIN * ((upper - lower) or 1.0)
+    return (float(lower - margin), float(upper + margin)), true
+
+
+def parameter_label(draws: xr.DataArray) -> tuple[str, float]:
+    """Symbol and unit, with a power of a thousand for values from 10 000 on or below 0.01; and its inverse."""
+    magnitude = float(np.abs(draws).max())
+    power = 0 if 1e-2 <= magnitude < 1e4 or magnitude == 0.0 else 3 * math.floor(math.log10(magnitude) / 3.0)
+    unit = [rf"$10^{{{power}}}$"] * bool(power) + [style.raised(draws.attrs["units"])] * ("units" in draws.attrs)
+    symbol = style.parameter_symbol(str(draws.name))
+    return f"{symbol} ({' '.join(unit)})" if unit else symbol, 10.0**-power
+
+
+def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, shown: Sequence[str] | None = None) -> Figure:
+    """One row per parameter: its density and its draws over the iterations after warm-up, chain by chain.
+
+    Divergent iterations are marked at the foot of every panel.
+
+    Args:
+        draws: The group ``posterior``, whose attribute ``tuning_steps`` counts the iterations of the warm-up.
+        statistics: The group ``sample_stats``.
+        shown: Names of the parameters that have a row; None for the first `IN_TRACES`.
+    """
+    arviz, names, count = import_arviz(), _moving(draws), draws.sizes["chain"]
+    shown = [name for name in names if shown is None or name in shown][:IN_TRACES]
+    iteration = draws["draw"] + 1 + draws.attrs.get("tuning_steps", 0)
+    groups = [group.assign_coords(draw=iteration).isel(chain=slice(CHAINS_SHOWN)) for group in (draws, statistics)]
+    with style.look():
+        figure, panels = _rows(len(shown), 0.8, width_ratios=(1, 3))
+        arviz.plot_trace(
+            arviz.InferenceData(posterior=groups[0], sample_stats=groups[1]), shown, axes=panels, compact=False,
+            divergences="bottom", chain_prop={"color": style.CYCLE}, plot_kwargs={"textsize": 7, "linewidth": 0.8},
+            trace_kwargs={"alpha": 0.8, "linewidth": 0.4, "rasterized": True},
+        )  # fmt: skip
+        for (density, trace), name in zip(panels, shown, strict=True):
+            _dress_axis(trace.yaxis, draws[name])
+            _dress_axis(density.xaxis, draws[name])
+            density.set(title="", xlabel="", ylabel=trace.get_ylabel())
+            trace.set(title="", ylabel="")
+        panels[-1, 1].set_xlabel("Iteration")
+        for panel in panels[:-1, 1]:
+            panel.tick_params(labelbottom=False)
+        chains = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
+        divergent = int(statistics["diverging"].sum()) if "diverging" in statistics else 0
+        mark = Line2D([], [], color="k", marker="|", linestyle="none", markersize=6, label=f"{divergent} divergent")
+        _finish(figure, [*chains, *[mark][:divergent]], shown, names)
+    return figure
+
+
+def rank_figure(draws: xr.Dataset, shown: Sequence[str] | None = None) -> Figure:
+    """One panel per parameter: where each chain's draws stand among those of all, as one histogram per chain.
+
+    Chains that explore the same distribution have flat histograms, at the dashed lines (Vehtari, Gelman, Simpson,
+    Carpenter and Buerkner, Bayesian Analysis 16, 2021, section 4.2). A single chain is compared with itself, its first
+    half with its second.
+
+    Args:
+        draws: The group ``posterior``, at least two draws of every chain.
+        shown: Names of the parameters that have a panel; None for the first `IN_TRACES`.
+    """
+    names, kind = _moving(draws), "half" if draws.sizes["chain"] == 1 else "chain"
+    shown = [name for name in names if shown is None or name in shown][:IN_TRACES]
+    compared = {name: two_chains(draws[name].to_numpy())[:CHAINS_SHOWN] for name in shown}
+    chains = len(compared[shown[0]])
+    with style.look():
+        figure, panels = _rows(-(-len(shown) // 2), 0.3 + 0.2 * chains)
+        look = {"bar_kwargs": {"alpha": 0.75, "linewidth": 0.0}, "ref_line_kwargs": {"linewidth": 0.6}}
+        colours = [style.CYCLE[i % len(style.CYCLE)] for i in range(chains)]
+        import_arviz().plot_rank(compared, bins=RANK_BINS, colors=colours, ax=panels.ravel()[: len(shown)], **look)
+        for panel, name in zip(panels.ravel(), shown, strict=False):
+            symbol = style.parameter_symbol(name)
+            panel.set(title="", xlabel="", ylabel=f"{symbol}, {kind}", yticklabels=range(1, chains + 1))
+        for panel in panels.ravel()[len(shown) :]:
+            panel.remove()
+        figure.supxlabel("Rank among all draws", fontsize=8, y=0.01)
+        flat = Line2D([], [], color=style.BLACK, linewidth=0.6, linestyle="--", label="chains that agree")
+        _finish(figure, [flat], shown, names)
+    return figure
+
+
+def _moving(draws: xr.Dataset) -> list[str]:
+    """The parameters whose draws are not all the same; all of them where none moves."""
+    names = [str(name) for name in draws.data_vars if draws[name].dims == ("chain", "draw")]
+    return [name for name in names if draws[name].min() < draws[name].max()] or names
+
+
+def _rows(count: int, height: float, **options: Any) -> tuple[Figure, np.ndarray]:
+    """Rows of two panels each, of that height (inch)."""
+    return style.panels(count, 2, height, margins=(0.5, 0.15, 0.3, 0.42), gaps=(0.5, 0.2), **options)
+
+
+def _finish(figure: Figure, handles: list[Line2D], shown: Sequence[str], names: Sequence[str]) -> None:
+    figure.align_labels()
+    figure.legend(handles=handles, loc="upper center", ncols=len(handles))
+    if len(shown) < len(names):
+        figure.text(0.99, 0.005, f"{len(shown)} of {len(names)} parameters", ha="right", va="bottom", fontsize=7)

@@ -1,0 +1,175 @@
+"""All that a run prints at its end: of a simulated record its fitness first, of a measured one its sensors."""
+
+from __future__ import annotations
+
+import textwrap
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.record.record import QUANTITIES, UNITS
+from pinn_cli.report import published
+from pinn_cli.report.fitness import FORMULAS
+from pinn_cli.report.parameters import identifiability_warnings
+from pinn_cli.report.terminal.columns import WIDTH, Column, number, percent, table_lines
+from pinn_cli.report.terminal.fitness import fitness_text, free_run_line, free_run_text
+from pinn_cli.report.terminal.parameters import parameters_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pandas as pd
+
+    from pinn_cli.report.free_run import FreeRun
+    from pinn_cli.report.results import Results, RunDescription
+    from pinn_cli.report.tables import EstimatorTables
+    from pinn_cli.validation.base import Score
+    from pinn_cli.verdict.finding import Verdict
+
+SENSORS_SHOWN = 24
+_NOTES = (
+    "noise: standard deviation found; NMSE: mean square residual over the sensor's variance (0: perfect,",
+    "100: predicts nothing); free run: the same of the estimated system under the measured force;",
+    "in band: share of the sensor's power where it stands out of its noise; more: residuals.csv",
+)
+_SENSOR_COLUMNS = {
+    "sensor": Column("sensor", -16, str),
+    "unit": Column("unit", -6, str),
+    "residual_rms": Column("residual rms", 13, partial(number, digits=4)),
+    "sigma": Column("noise", 11, partial(number, digits=4)),
+    "nmse_percent": Column("NMSE (%)", 9, partial(number, digits=3)),
+    "free_run_nmse_percent": Column("free run (%)", 13, partial(number, digits=3)),
+    "band_share_percent": Column("in band (%)", 12, percent),
+}
+SCORE_UNITS = {
+    "heldout": "nats per withheld sample, 0 at best",
+    "forecast": "log of error over noise, 0 at best",
+    "evidence": "nats, up to a constant of the network",
+}
+
+
+def run_text(
+    results: Results,
+    tables: EstimatorTables,
+    baseline: EstimatorTables | None,
+    free_run: tuple[FreeRun, pd.DataFrame],
+    diagnostics: str,
+    verdict: Verdict | None,
+    seconds: Mapping[str, float],
+) -> str:
+    """All that a run prints, in paragraphs that an empty line parts; the verdict comes last.
+
+    A measured record is described sensor by sensor. Its fitness is printed only where sensors were held out, and its
+    free run against the sensors only in their table.
+
+    Args:
+        results: What came of it, the estimate with its posterior's parameters.
+        tables: Of the network.
+        baseline: Of the baseline, where there is one.
+        free_run: And its table.
+        diagnostics: The text of a posterior; "" without one.
+        verdict: Where there is one.
+        seconds: By stage.
+    """
+    run, estimate = results.run, results.estimate
+    warnings = identifiability_warnings(estimate.parameters, estimate.correlation)
+    their_residuals = (baseline.name, baseline.residuals) if baseline else None
+    their_parameters = (baseline.name, baseline.parameters) if baseline else None
+    known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
+    paragraphs = [
+        "" if run.simulated else sensors_text(tables.residuals, their_residuals),
+        parameters_text(tables.parameters, warnings, their_parameters),
+        fitness_text(tables.fitness, results.record.observed, _published(run)),
+        free_run_text(*free_run) if known else free_run_line(*free_run),
+        diagnostics,
+        "" if baseline is None else comparison_text(tables.fitness, baseline.name, baseline.fitness, seconds),
+        score_text(run.validation, results.score),
+        "" if verdict is None else verdict_text(verdict),
+    ]
+    return "\n\n".join(text for text in paragraphs if text)
+
+
+def _published(run: RunDescription) -> pd.DataFrame:
+    """The paper's values of the same case; none once a setting that makes it that case was changed."""
+    values, labels = published.fitness(), run.labels_of(estimator="pinn")
+    same = ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
+    return values[(values[same] == [labels[name] for name in same]).all(axis=1)]
+
+
+def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None = None) -> str:
+    """What is left of every sensor beside the noise found, sensor by sensor.
+
+    Args:
+        table: From `pinn_cli.report.residuals.residual_table`, of one run; of more than `SENSORS_SHOWN` sensors, those
+            with the largest NMSE are shown.
+        baseline: Name and table of another estimator, whose NMSE stands beside ours.
+    """
+    unit = table["quantity"].map(UNITS)
+    columns, shown = (
+        dict(_SENSOR_COLUMNS),
+        table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str), unit=unit),
+    )
+    if baseline is not None:
+        name, theirs = baseline
+        # Both have the same sensors in the same order.
+        shown["baseline"] = theirs["nmse_percent"].to_numpy()
+        columns["baseline"] = Column(f"{name} (%)", len(name) + 5, partial(number, digits=3))
+    notes = []
+    if len(shown) > SENSORS_SHOWN:
+        shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
+        notes.append(f"the {len(shown)} of {len(table)} sensors with the largest NMSE; all: residuals.csv")
+    # A column of dashes says nothing: there may be no free run, and a training may find no noise.
+    columns = {name: column for name, column in columns.items() if shown[name].notna().any()}
+    return "\n".join([*table_lines(columns, shown), *notes, *_NOTES])
+
+
+def comparison_text(ours: pd.DataFrame, name: str, theirs: pd.DataFrame, seconds: Mapping[str, float]) -> str:
+    """Both estimators' fitness over all DOFs and their seconds, in 100 columns.
+
+    Quantities that nobody can score are left out; of a record without any truth the seconds are left.
+
+    Args:
+        ours: The network's, from `pinn_cli.report.fitness.fitness_table`.
+        name: Of the baseline.
+        theirs: The baseline's, likewise.
+        seconds: By stage: ``estimate`` and ``baseline``.
+    """
+    scores = {"pinn": _over_all(ours), name: _over_all(theirs)}
+    stages = {"pinn": "estimate", name: "baseline"}
+    used = {each: f"{seconds[stage]:.1f}" if stage in seconds else "-" for each, stage in stages.items()}
+    known = np.any([np.isfinite(each).any(axis=1) for each in scores.values()], axis=0)
+    if not known.any():
+        return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())
+    columns = "".join(f"{heading:>9}" for heading in np.array(["displ.", "veloc.", "accel.", "force"])[known])
+    lines = [
+        f"{'':16}{'mean over DOFs, printed formula (%)':>36}   {'by range, as in the tables (%)':>36}",
+        f"{'estimator':<16}{columns:<36}   {columns:<36}{'seconds':>9}",
+    ]
+    lines.append("-" * len(lines[1]))
+    for each, values in scores.items():
+        halves = [f"{''.join(f'{percent(value):>9}' for value in half):<36}" for half in values[known].T]
+        lines.append(f"{each:<16}{'   '.join(halves)}{used[each]:>9}")
+    return "\n".join(lines)
+
+
+def _over_all(fitness: pd.DataFrame) -> np.ndarray:
+    """(quantities, formulas) of the group of all DOFs."""
+    every = fitness[fitness["group"] == "all"].set_index("quantity")
+    scores: np.ndarray = every.loc[list(QUANTITIES), list(FORMULAS)].to_numpy()
+    return scores
+
+
+def score_text(name: str, score: Score | None) -> str:
+    """The line of the validation; empty without one."""
+    if score is None:
+        return ""
+    value = f"{score.value:.5g}" if np.isfinite(score.value) else f"none: {score.reason}"
+    return f"validation score ({name}; {SCORE_UNITS.get(name, 'lower is better')}): {value}"
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """The verdict in one line, the last but one of a run; what is not sound has its reasons above it."""
+    folded = textwrap.TextWrapper(WIDTH, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False)
+    reasons = [folded.fill(finding.text) for finding in verdict.reasons]
+    return "\n".join([*reasons, f"verdict: {verdict.word}"])
