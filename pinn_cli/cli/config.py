@@ -168,7 +168,7 @@ class RunConfig:
             "case": self.case,
             "scheme": self.scheme.name,
             "ndof": self.chain.ndof,
-            "nonlinearity": self.chain.nonlinearity.name,
+            "nonlinearity": self.chain.nonlinearity_name,
             "model_error": self.model_error.name if self.source.simulated else None,
             "snr_db": self.source.snr_db,
             "seed": self.seed,

@@ -143,11 +143,14 @@ def simulate(
 def substeps_needed(chain: Chain, step: float) -> int:
     """Steps of Runge-Kutta per sample that resolve the linear chain's highest natural frequency and strongest damping.
 
-    Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated
-    chain may have negative ones. No number of steps is enough where a mass is zero: see :func:`has_equation_of_motion`.
+    Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by the sums over the connections at a mass, of a
+    chain by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated one may have negative ones. No number of steps is enough where a
+    mass is zero: see :func:`has_equation_of_motion`.
     """
     p = {name: np.abs(value) for name, value in chain.parameters_like(np.empty(0)).items()}
-    bounds = {name: np.max(2.0 * (p[name] + np.append(p[name][1:], 0.0)) / p["m"]) for name in ("k", "c")}
+    pull = abs(chain.incidence.matrix)
+    weight = np.maximum(2.0, np.asarray(pull.sum(axis=1)).reshape(-1))
+    bounds = {name: np.max(pull.T @ (weight * p[name]) / p["m"]) for name in ("k", "c")}
     rate = max(math.sqrt(bounds["k"]), float(bounds["c"]))
     return max(1, math.ceil(step * rate / STEP_TIMES_RATE))
 
@@ -246,4 +249,4 @@ def _check_finite(states: np.ndarray, time: np.ndarray, chain: Chain) -> None:
     # NaN compares false too.
     finite = (np.abs(states) < LARGEST_STATE).all(axis=(1, 2))
     if not finite.all():
-        raise OverflowsError(float(time[np.argmin(finite)]), len(time), chain.nonlinearity.name)
+        raise OverflowsError(float(time[np.argmin(finite)]), len(time), chain.nonlinearity_name)

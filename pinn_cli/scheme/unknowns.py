@@ -55,7 +55,7 @@ def _matching(pattern: Any, chain: Chain, names: Mapping[str, Parameter], settin
     if not found:
         kinds = ", ".join(chain.parameters)
         allowed = f"one of {kinds} with _1 to _{chain.ndof}, or a pattern such as k_* (any connection)"
-        raise InputError(setting, pattern, allowed, f"the estimator's model is a {chain.nonlinearity.name} chain")
+        raise InputError(setting, pattern, allowed, f"the estimator's model is a {chain.nonlinearity_name} chain")
     return found
 
 

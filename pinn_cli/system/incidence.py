@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, diags, vstack
+from scipy.sparse import csr_matrix, diags, hstack, vstack
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from pinn_cli.system.array_namespace import Array
 
@@ -28,9 +29,11 @@ class Incidence:
         shape: Connections C and coordinates n.
         touching: (n, F), the connections that pull at each coordinate, ascending; at the end C, which is none.
         sign: (n, F), their weights there, B'; 0 where there is none.
-        offsets: From a coordinate to those that are coupled with it by a connection, ascending; 0 is among them.
+        order: (n,), the coordinates such that those that are coupled stand near each other.
+        offsets: From a coordinate's place in that order to those of the ones that are coupled with it, ascending; 0 is
+            among them.
         coupled: (n, offsets) bool, which of those there are.
-        reach: The furthest distance between coordinates that one equation of motion contains.
+        reach: The furthest distance between places of coordinates that one equation of motion contains.
     """
 
     def __init__(self, matrix: csr_matrix) -> None:
@@ -114,25 +117,43 @@ class Incidence:
         return _padded(self.matrix.T.tocsr())[1]
 
     @cached_property
+    def order(self) -> np.ndarray:
+        """See the class: as they come, unless the reverse order of Cuthill and McKee makes a narrower band."""
+        natural = np.arange(self.shape[1])
+        coupling = csr_matrix(abs(self.matrix).T @ abs(self.matrix))
+        other = np.asarray(reverse_cuthill_mckee(coupling, symmetric_mode=True), dtype=np.int64)
+        row, column = coupling.nonzero()
+        rank = np.argsort(other)
+        return other if np.abs(rank[row] - rank[column]).max() < np.abs(row - column).max() else natural
+
+    @cached_property
+    def rank(self) -> np.ndarray:
+        """(n,), the place of every coordinate in :attr:`order`."""
+        return np.argsort(self.order)
+
+    @cached_property
     def offsets(self) -> tuple[int, ...]:
         """See the class."""
-        coupling = (abs(self.matrix).T @ abs(self.matrix)).tocoo()
-        return tuple(sorted({0, *(coupling.col - coupling.row).tolist()}))
+        row, column = (abs(self.matrix).T @ abs(self.matrix)).nonzero()
+        return tuple(sorted({0, *(self.rank[column] - self.rank[row]).tolist()}))
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """(n, offsets), the coordinates at those places; n where the order ends."""
+        at = self.rank[:, None] + np.array(self.offsets)
+        inside = (at >= 0) & (at < len(self.rank))
+        return np.where(inside, self.order[np.where(inside, at, 0)], len(self.rank))
 
     @cached_property
     def by_offset(self) -> np.ndarray:
-        """(n, F, offsets), B[c, i] B[c, i + d]: what connection c, of those touching i, couples i + d with i by."""
+        """(n, F, offsets), B[c, i] B[c, j]: what connection c, which touches i, couples i and neighbour j by."""
         connections, n = self.shape
-        at = np.arange(n)[:, None] + np.array(self.offsets)
-        inside = (at >= 0) & (at < n)
-        dense = {c: dict(zip(*_row(self.matrix, c), strict=True)) for c in range(connections)}
-        out = np.zeros((*self.touching.shape, len(self.offsets)))
-        for i, x in np.argwhere(self.touching < connections):
-            row = dense[self.touching[i, x]]
-            out[i, x] = [
-                self.sign[i, x] * row.get(j, 0.0) if ok else 0.0 for j, ok in zip(at[i], inside[i], strict=True)
-            ]
-        return out
+        padded = vstack([self.matrix, csr_matrix((1, n))], format="csr")
+        padded = hstack([padded, csr_matrix((connections + 1, 1))], format="csr")
+        touching = np.repeat(self.touching[:, :, None], len(self.offsets), axis=2)
+        beside = np.broadcast_to(self.neighbours[:, None], touching.shape)
+        weights = np.asarray(padded[touching.reshape(-1), beside.reshape(-1)]).reshape(touching.shape)
+        return self.sign[:, :, None] * weights
 
     @cached_property
     def coupled(self) -> np.ndarray:
@@ -153,11 +174,6 @@ class Incidence:
 def _as(x: Any, values: np.ndarray) -> Any:
     """Values as x is: an array of its dtype, or a tensor of its dtype and device."""
     return values.astype(x.dtype) if isinstance(x, np.ndarray) else torch.as_tensor(values).to(x)
-
-
-def _row(matrix: csr_matrix, row: int) -> tuple[list[int], list[float]]:
-    part = slice(matrix.indptr[row], matrix.indptr[row + 1])
-    return matrix.indices[part].tolist(), matrix.data[part].tolist()
 
 
 def _padded(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray]:

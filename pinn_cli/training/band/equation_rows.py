@@ -29,6 +29,7 @@ class RowPattern:
         like: A tensor of the dtype and device wanted.
 
     Attributes:
+        order: (n,), the DOFs in the order that the band has them in; offsets are counted in it.
         offsets: (D,), from a DOF to those of its slots.
         coupled: (n, D) bool, the slots that are used; the others hold zeros.
         places: (n, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
@@ -39,14 +40,14 @@ class RowPattern:
         incidence = structure.incidence
         self.structure, self.vector = structure, vector
         self.offsets, self.coupled, self.reach = incidence.offsets, incidence.coupled, incidence.reach
+        self.order, self.rank = incidence.order, incidence.rank
         self.own = self.offsets.index(0)
         self.count = vector.places
         self.places = self._places()
-        at = np.arange(structure.ndof)[:, None] + np.array(self.offsets)
-        outside = np.where(self.coupled, at, structure.ndof)
+        beside = np.where(self.coupled, incidence.neighbours, structure.ndof)
         self._neighbours, self._touching, self._own = (
             torch.as_tensor(index, device=like.device)
-            for index in (outside, incidence.touching, np.where(self.places < 0, self.count, self.places))
+            for index in (beside, incidence.touching, np.where(self.places < 0, self.count, self.places))
         )
         self._by_offset, self._sign = (torch.as_tensor(x).to(like) for x in (incidence.by_offset, self._signs()))
 

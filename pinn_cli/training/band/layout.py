@@ -46,9 +46,9 @@ class BandLayout:
         offsets, used = (
             (self.pattern.offsets, self.pattern.coupled) if coupled else ((0,), np.ones((self.ndof, 1), bool))
         )
-        dof = (np.arange(self.ndof)[:, None] + np.array(offsets))[None, :, :, None]
+        place = (self.pattern.rank[:, None] + np.array(offsets))[None, :, :, None]
         groups = feature.cpu().numpy()
-        position = self.positions(groups[:, None, None, :], dof)
+        position = self._position(groups[:, None, None, :], place)
         return np.where(used[None, :, :, None], position, -1).reshape(len(groups), self.ndof, -1)
 
     @cached_property
@@ -64,7 +64,10 @@ class BandLayout:
 
     def positions(self, feature: np.ndarray, dof: np.ndarray) -> np.ndarray:
         """Position of the weight of (feature, dof) in the vector of unknowns."""
-        return feature * self.ndof + dof if self.feature_first else dof * self.count + feature
+        return self._position(feature, self.pattern.rank[dof])
+
+    def _position(self, feature: np.ndarray, place: np.ndarray) -> np.ndarray:
+        return feature * self.ndof + place if self.feature_first else place * self.count + feature
 
     def band(self, blocks: Tensor) -> Tensor:
         """Sum local blocks (I, n, C, C) into the lower band (half_width + 1, size); [i - j, j] is entry [i, j]."""
@@ -89,10 +92,15 @@ class BandLayout:
 
     def unknowns(self, weights: Tensor) -> Tensor:
         """Readout weights (count, ndof) as the vector of unknowns (size,)."""
-        return (weights if self.feature_first else weights.T).reshape(-1)
+        placed = weights if self._natural else weights[:, torch.as_tensor(self.pattern.order, device=weights.device)]
+        return (placed if self.feature_first else placed.T).reshape(-1)
 
     def weights(self, unknowns: Tensor) -> Tensor:
         """Vector of unknowns (size,) as readout weights (count, ndof)."""
-        return (
-            unknowns.reshape(self.count, self.ndof) if self.feature_first else unknowns.reshape(self.ndof, self.count).T
-        )
+        by_feature = self.count, self.ndof
+        placed = unknowns.reshape(by_feature) if self.feature_first else unknowns.reshape(by_feature[::-1]).T
+        return placed if self._natural else placed[:, torch.as_tensor(self.pattern.rank, device=unknowns.device)]
+
+    @property
+    def _natural(self) -> bool:
+        return bool((self.pattern.order == np.arange(self.ndof)).all())

@@ -1,10 +1,10 @@
 """Normal equations of local features, summed diagonal by diagonal of the band.
 
-With the weights ordered by feature, then by DOF, the weight of (feature f, DOF j) stands at f n + j. A row of DOF i in
-knot interval g then touches weights at (g + b) n + i + d, with b among the features that are alive and d among
-the structure's offsets (of a chain -1, 0, 1). So
-one entry of all rows' local products, taken over intervals and DOFs, is one contiguous piece of one diagonal of the
-band: no index is looked up, and no local block is ever stored.
+With the weights ordered by feature, then by DOF in the band's order, the weight of (feature f, place j) stands at
+f n + j. A row of place i in knot interval g then touches weights at (g + b) n + i + d, with b among the features that
+are alive and d among the structure's offsets (of a chain -1, 0, 1). So one entry of all rows' local products, taken
+over intervals and DOFs, is one contiguous piece of one diagonal of the band: no index is looked up, and no local block
+is ever stored.
 """
 
 from __future__ import annotations
@@ -83,6 +83,7 @@ class TimeMajorSums:
         table *= np.broadcast_to(weight.cpu().numpy(), residual.shape) ** 0.5
         if averages is None:
             table *= segments.mask.cpu().numpy()[:, :, None]
+        table = self._in_order(table)
         first = (segments.feature[:, 0] // self.stride).cpu().numpy()
         for start, stop in _runs(first):
             for sample in range(table.shape[2]):
@@ -100,7 +101,7 @@ class TimeMajorSums:
             weight: (n,).
         """
         first = (segments.feature[:, 0] // self.stride).cpu().numpy()
-        products, moments, scale = gram.cpu().numpy(), moment.cpu().numpy(), weight.cpu().numpy()
+        products, moments, scale = gram.cpu().numpy(), *(self._in_order(x.cpu().numpy()) for x in (moment, weight))
         for start, stop in _runs(first):
             place = int(first[start]) * self.stride * self.n + self.margin
             for a in range(self.features):
@@ -131,6 +132,10 @@ class TimeMajorSums:
             table[:local, :, :, dofs] = slopes.permute(3, 0, 2, 1).cpu().numpy()
         return table
 
+    def _in_order(self, values: np.ndarray) -> np.ndarray:
+        """Values (..., n) of the DOFs in the band's order."""
+        return values if np.array_equal(self.pattern.order, np.arange(self.n)) else values[..., self.pattern.order]
+
     def _offsets(self) -> list[int]:
         """Of every local weight of a row, from the weight of the row's own DOF and the first feature alive."""
         return [b * self.n + d for d in self.pattern.offsets for b in range(self.features)]
@@ -159,8 +164,8 @@ class TimeMajorSums:
             return
         offsets, place = self._offsets(), first * self.stride * n + self.margin
         own = part[len(offsets) : -1].reshape(kinds, ends, *part.shape[1:])
-        places = np.moveaxis(self.pattern.places, 0, -1)  # (kinds, F, n)
-        used, step = places >= 0, self.stride * n
+        places = self._in_order(np.moveaxis(self.pattern.places, 0, -1))  # (kinds, F, n)
+        used, coupled, step = places >= 0, self._in_order(self.pattern.coupled.T), self.stride * n
         for x in range(ends):
             sums = np.einsum("kin,in->kn", own[:, x], part[-1])
             np.add.at(self.slope, places[:, x][used[:, x]], sums[used[:, x]])
@@ -172,7 +177,7 @@ class TimeMajorSums:
             for kind in range(kinds):
                 for a, offset in enumerate(offsets):
                     products = own[kind, x] * part[a]
-                    for i in np.flatnonzero(used[kind, x] & self.pattern.coupled[:, a // self.features]):
+                    for i in np.flatnonzero(used[kind, x] & coupled[a // self.features]):
                         start = place + offset + i
                         self._border[places[kind, x, i], start : start + step * part.shape[1] : step] += products[:, i]
 

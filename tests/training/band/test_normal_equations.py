@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from small_problems import NONLINEARITIES, small_chain
+from structures import braced, shuffled
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
@@ -145,6 +146,25 @@ def test_every_record(hold, unknown_force, sensors, through):
 
 def test_no_uncertain_parameters():
     assert_agrees(posed(random_record(3), through="both"))
+
+
+def of_structure(structure, design, through="derivative") -> NormalEquations:
+    record = random_record(structure.ndof)
+    uncertain = tuple(replace(p, prior_std=0.05 * p.prescribed) for p in structure.every_parameter())
+    return NormalEquations(design.build(record), Problem(structure, record, uncertain, through))
+
+
+@pytest.mark.parametrize("through", ["derivative", "both"])
+@pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
+@pytest.mark.parametrize("structure", [braced, shuffled])
+def test_structures_that_are_no_chains(structure, design, through):
+    assert_agrees(of_structure(structure(), design, through))
+
+
+@pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
+def test_a_chain_in_disorder_has_the_band_of_a_chain(design):
+    in_order, mixed = of_structure(small_chain(ndof=6), design), of_structure(shuffled(6), design)
+    assert mixed.layout.half_width == in_order.layout.half_width
 
 
 def some_unknown(equations: NormalEquations, positive: bool = False) -> NormalEquations:

@@ -1,0 +1,43 @@
+"""Structures that are no chains: braces, several laws, weighted connections, coordinates in any order."""
+
+from __future__ import annotations
+
+import torch
+
+from pinn_cli.system.connection import Duffing, Linear, VanDerPol
+from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.structure import ConnectionGroup, Structure
+
+
+def _numbers(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def braced() -> Structure:
+    """Three storeys with cubic springs, a brace from the ground to the second and one from first to third, and a damper
+    that feels eight tenths of one displacement and six of another."""
+    storeys = Incidence.between([{0: 1.0}, {0: -1.0, 1: 1.0}, {1: -1.0, 2: 1.0}], 3)
+    braces = Incidence.between([{1: 1.0}, {0: -1.0, 2: 1.0}], 3)
+    damper = Incidence.between([{0: 0.8, 2: -0.6}], 3)
+    parameters = {
+        "m": _numbers(10.0, 9.0, 8.0),
+        "c": _numbers(1.0, 1.1, 1.2, 0.4, 0.5, 0.3),
+        "k": _numbers(15.0, 14.0, 13.0, 6.0, 5.0, 2.0),
+        "kappa": _numbers(100.0, 90.0, 80.0),
+        "mu": _numbers(0.7),
+    }
+    groups = (
+        ConnectionGroup(Duffing(), storeys),
+        ConnectionGroup(Linear(), braces),
+        ConnectionGroup(VanDerPol(), damper),
+    )
+    return Structure(parameters, groups)
+
+
+def shuffled(ndof: int = 6) -> Structure:
+    """A chain whose coordinates are numbered first the odd ones, then the even ones."""
+    number = {place: i for i, place in enumerate([*range(0, ndof, 2), *range(1, ndof, 2)])}
+    ends = [{number[0]: 1.0}, *({number[i - 1]: -1.0, number[i]: 1.0} for i in range(1, ndof))]
+    values = torch.arange(1, ndof + 1, dtype=torch.float64)
+    parameters = {"m": 10.0 + values, "c": 1.0 + 0.1 * values, "k": 15.0 + values, "kappa": 100.0 + values}
+    return Structure(parameters, (ConnectionGroup(Duffing(), Incidence.between(ends, ndof)),))

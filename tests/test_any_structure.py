@@ -1,0 +1,34 @@
+"""Every estimator on structures that are no chains: braces, weighted connections, several laws, any order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_problems import measured
+from structures import braced, shuffled
+
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.report.fitness import fitness_percent
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
+
+ESTIMATORS = {
+    "spline": lambda problem: GaussNewton().solve(problem, Spline(), RunContext()),
+    "mlp": lambda problem: GaussNewton().solve(problem, Mlp(1, None, "sine", embedding="fourier"), RunContext()),
+    "smoother": lambda problem: KalmanSmoother().solve(problem, RunContext()),
+}
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("structure", [braced(), shuffled(4)], ids=["braced", "shuffled"])
+def test_the_motion_of_a_mass_without_a_sensor(structure, estimator):
+    measurements = measured(structure, "exact", snr_db=40.0, duration=12.0, samples=601)
+    scheme = SparseRecovery(unobserved=[structure.ndof])
+    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    found, truth = ESTIMATORS[estimator](problem).response, measurements.truth.response
+    for quantity in ("displacement", "velocity", "acceleration"):
+        scores = fitness_percent(getattr(found, quantity), getattr(truth, quantity))
+        assert np.all(scores > 98.0), (quantity, scores)
