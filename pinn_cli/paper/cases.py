@@ -46,9 +46,7 @@ MARGINAL = Variant("marginal", "marginal posterior, states uncertain", BESIDE)
 CONDITIONAL = Variant(
     "conditional", "conditional posterior, states held fixed as in the paper", ("posterior=conditional",)
 )
-LAPLACE = Variant(
-    "laplace", "Laplace's approximation of the marginal posterior, no sampling", ("posterior=laplace",)
-)  # fmt: skip
+LAPLACE = Variant("laplace", "Laplace's approximation of the marginal posterior, no sampling", ("posterior=laplace",))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import json
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import OmegaConf
 
@@ -73,12 +73,10 @@ def mark_finished(directory: Path, digest: str, process_seconds: float) -> None:
     write_json({"digest": digest, "process_seconds": process_seconds}, directory / FINISHED)
 
 
-def finished_run(directory: Path, digest: str) -> dict[str, Any] | None:
-    """What `mark_finished` wrote, if that was under the same digest; None where the run is to be made (again)."""
+def finished_run(directory: Path, digest: str) -> float | None:
+    """The seconds of a run that `mark_finished` marked under this digest; None where it is to be made (again)."""
     try:
         content = json.loads((directory / FINISHED).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return float(content["process_seconds"]) if content["digest"] == digest else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
-    if not isinstance(content, dict) or content.get("digest") != digest:
-        return None
-    return content if isinstance(content.get("process_seconds"), int | float) else None

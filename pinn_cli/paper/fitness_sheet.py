@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from pinn_cli.paper.cases import SMOOTHER
-from pinn_cli.paper.sheet import DASH, Cell, Mark, Row, Sheet, number
+from pinn_cli.paper.sheet import DASH, Cell, Row, Sheet, mark, number
 from pinn_cli.record.record import QUANTITIES
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     import pandas as pd
 
-    from pinn_cli.paper.cases import CaseTable, Variant
+    from pinn_cli.paper.cases import CaseTable
+
+    Columns = Mapping[str, Sequence[str]]  # group of DOFs to quantities
 
 GROUP_TITLES = {
     "all": "All DOFs",
@@ -37,41 +40,49 @@ def fitness_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
         table: With cells of fitness.
         comparison: From `pinn_cli.paper.comparison.compare_fitness`; variants that it lacks have no row.
     """
-    published = table.values
-    groups = tuple((group, QUANTITIES) for group in dict.fromkeys(published["group"]))
-    columns = [(group, quantity) for group, quantities in groups for quantity in quantities]
+    columns = dict.fromkeys(dict.fromkeys(table.values["group"]), QUANTITIES)
     rows: list[Row] = []
-    for case, cells in published.groupby("case", sort=False):
-        values = cells.set_index(["group", "quantity"])["fitness_percent"]
-        head = (case_title(cells.iloc[0].to_dict()), "published")
-        rows.append(Row(head, tuple(number(values.get(key, np.nan), ".2f") for key in columns), begins=True))
-        rows += _rows_of_ours(comparison[comparison["case"] == case], (*table.variants, SMOOTHER), columns)
-    spans = tuple((GROUP_TITLES.get(group, group), len(quantities)) for group, quantities in groups)
-    quantities = tuple(quantity for _, quantity in columns)
-    return Sheet(table.name, table.title, NOTE, ("Case", "Estimate"), spans, quantities, tuple(rows))
+    for case, published in table.values.groupby("case", sort=False):
+        cells = {key: Cell(f"{value:.2f}") for key, value in by_cell(published)["fitness_percent"].items()}
+        rows.append(fitness_row(case_title(published), "published", cells, columns))
+        printed = []
+        for source in (*table.variants, SMOOTHER):
+            ours = comparison[(comparison["case"] == case) & (comparison["variant"] == source.name)]
+            if len(ours):
+                found = by_cell(ours)
+                rows.append(fitness_row("", source.source, _compared(found), columns))
+                strict = {key: number(value, ".2f") for key, value in found["fitness_percent"].items()}
+                printed.append(fitness_row("", f"{source.source}, printed", strict, columns))
+        rows += printed
+    return laid_out(table.name, table.title, NOTE, columns, rows)
 
 
-def case_title(case: dict[Any, Any]) -> str:
-    """A case in a few words: 6 DOFs, Duffing, linear model, 50 dB."""
-    chain, model = _CHAINS[case["nonlinearity"]], _MODELS[case["model_error"]]
-    return f"{case['ndof']} DOFs, {chain}, {model}, {case['snr_db']:g} dB"
+def by_cell(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows by group of DOFs and quantity."""
+    return rows.set_index(["group", "quantity"])
 
 
-def _rows_of_ours(ours: pd.DataFrame, sources: tuple[Variant, ...], columns: list[tuple[str, str]]) -> list[Row]:
-    ranged, printed = [], []
-    for source in sources:
-        cells = ours[ours["variant"] == source.name].set_index(["group", "quantity"]).to_dict(orient="index")
-        if not cells:
-            continue
-        ranged.append(Row(("", source.source), tuple(_compared(cells.get(key)) for key in columns)))
-        strict = tuple(number(cells[key]["fitness_percent"], ".2f") if key in cells else Cell(DASH) for key in columns)
-        printed.append(Row(("", f"{source.source}, printed"), strict, secondary=True))
-    return ranged + printed
+def _compared(found: pd.DataFrame) -> dict[Any, Cell]:
+    ranged = found["range_fitness_percent"]
+    marks = (mark(ours, given, more_is_better=True) for ours, given in zip(ranged, found["published"], strict=True))
+    return {key: number(ours, ".2f", sign) for (key, ours), sign in zip(ranged.items(), marks, strict=True)}
 
 
-def _compared(cell: dict[Any, Any] | None) -> Cell:
-    if cell is None:
-        return Cell(DASH)
-    value = round(cell["range_fitness_percent"], 2)
-    mark: Mark = "worse" if cell["below_published"] else "better" if value > round(cell["published"], 2) else ""
-    return number(cell["range_fitness_percent"], ".2f", mark)
+def fitness_row(case: str, estimate: str, cells: Mapping[Any, Cell], columns: Columns) -> Row:
+    """One row, dashes where there is no cell; that of a case begins a block, those called printed are secondary."""
+    keys = [(group, quantity) for group, quantities in columns.items() for quantity in quantities]
+    found = tuple(cells.get(key, Cell(DASH)) for key in keys)
+    return Row((case, estimate), found, begins=bool(case), secondary=estimate.endswith(", printed"))
+
+
+def laid_out(name: str, title: str, note: str, columns: Columns, rows: Sequence[Row]) -> Sheet:
+    """Rows under groups of DOFs and quantities."""
+    groups = tuple((GROUP_TITLES.get(group, group), len(quantities)) for group, quantities in columns.items())
+    return Sheet(name, title, note, ("Case", "Estimate"), groups, tuple(chain(*columns.values())), tuple(rows))
+
+
+def case_title(published: pd.DataFrame) -> str:
+    """A case in a few words, from its published rows: 6 DOFs, Duffing, linear model, 50 dB."""
+    case = published.iloc[0]
+    system, model = _CHAINS[case["nonlinearity"]], _MODELS[case["model_error"]]
+    return f"{case['ndof']} DOFs, {system}, {model}, {case['snr_db']:g} dB"

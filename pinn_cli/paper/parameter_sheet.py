@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.paper.cases import SMOOTHER
-from pinn_cli.paper.sheet import Cell, Mark, Row, Sheet, number
+from pinn_cli.paper.sheet import Cell, Mark, Row, Sheet, mark, number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,12 +84,11 @@ def _published(row: Mapping[Any, Any] | None) -> list[Cell]:
 def _ours(row: Mapping[Any, Any] | None) -> list[Cell]:
     if row is None:
         return [Cell("")] * len(COLUMNS)
-    better = round(row["error_percent"], 2) < round(row["published_error_percent"], 2)
-    mark: Mark = "worse" if row["larger_error"] else "better" if better else ""
+    sign = mark(row["error_percent"], row["published_error_percent"])
     decimals = max(1 - math.floor(math.log10(row["std"])), 0) if row["std"] > 0.0 else None
     # To the second digit of its standard deviation.
     estimate = number(row["estimate"], ".5g" if decimals is None else f".{decimals}f")
-    return [Cell(""), estimate, number(row["error_percent"], ".2f", mark), number(row["std"], ".2g")]
+    return [Cell(""), estimate, number(row["error_percent"], ".2f", sign), number(row["std"], ".2g")]
 
 
 def wrong_values_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
@@ -116,8 +115,8 @@ def wrong_values_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
             rows.append(Row((name if begins else "", title), cells, begins))
         errors = {source.name: (block[source.name] - block["drawn"]).abs().round(2) for source in sources}
         for source in sources:
-            marks = [_nearer(errors, source.name, place) for place in block.index]
-            cells = tuple(number(value, ".2f", mark) for value, mark in zip(block[source.name], marks, strict=True))
+            signs = [_nearer(errors, source.name, place) for place in block.index]
+            cells = tuple(number(value, ".2f", sign) for value, sign in zip(block[source.name], signs, strict=True))
             rows.append(Row(("", f"{source.source}, estimate"), cells))
     count = int(kinds.value_counts().max())
     agree = int((comparison["drawn"].round(2) == comparison["published"]).sum())

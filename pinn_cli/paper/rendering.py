@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from pinn_cli.paper.sheet import Form, Sheet, written
+from pinn_cli.paper.symbols import Form, written
 from pinn_cli.runs.writing import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from pinn_cli.paper.sheet import Sheet
 
 SIGNS = {"better": "▲", "worse": "▼"}
 LATEX_MARKS = {"": "%s", "better": r"\textbf{%s}", "worse": r"\underline{%s}"}

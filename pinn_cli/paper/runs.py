@@ -131,10 +131,10 @@ def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRu
     found = []
     for run in planned:
         place = directory / run.name
-        known = finished_run(place, run_digest(run.overrides))
-        if known is not None:
+        seconds = finished_run(place, run_digest(run.overrides))
+        if seconds is not None:
             record = json.loads((place / "run.json").read_text(encoding="utf-8"))
-            found.append(FinishedRun(run, place, record, float(known["process_seconds"])))
+            found.append(FinishedRun(run, place, record, seconds))
     return found
 
 

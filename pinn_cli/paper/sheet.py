@@ -3,33 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Literal
 
 Mark = Literal["", "better", "worse"]
-Form = Literal["plain", "latex", "html"]
-
 DASH = "-"
-
-_QUANTITIES = {
-    "displacement": {"plain": "u", "latex": r"$\mathbf{u}$", "html": "<i>u</i>"},
-    "velocity": {"plain": "u̇", "latex": r"$\dot{\mathbf{u}}$", "html": "<i>u̇</i>"},
-    "acceleration": {"plain": "ü", "latex": r"$\ddot{\mathbf{u}}$", "html": "<i>ü</i>"},
-    "force": {"plain": "f", "latex": r"$\mathbf{f}$", "html": "<i>f</i>"},
-}
-_PARAMETER = re.compile(r"(m|c|k|kappa|mu)_(\d+)")
-_GREEK = {"kappa": "κ", "mu": "μ"}
-_LATEX = str.maketrans(
-    {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "κ": r"$\kappa$", "μ": r"$\mu$",
-     "–": "--", "±": r"$\pm$", "²": "$^2$", "³": "$^3$", "‖": r"$\|$", "·": r"$\cdot$"}
-)  # fmt: skip
-# Letters with a combining accent are two characters, which a translation by character cannot see.
-_ACCENTED = {"x̃": r"$\tilde{x}$", "x̄": r"$\bar{x}$"}
-_ACCENTS = re.compile(f"({'|'.join(_ACCENTED)})")
-_HTML = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"})
 
 
 @dataclass(frozen=True)
@@ -106,21 +85,7 @@ def number(value: float, pattern: str, mark: Mark = "") -> Cell:
     return Cell(format(value, pattern), mark) if math.isfinite(value) else Cell(DASH)
 
 
-def written(text: str, form: Form) -> str:
-    """Text for a form: names of quantities and parameters (``k_2/mu_2`` too) as symbols, all else escaped."""
-    names = text.split("/")
-    if all(name in _QUANTITIES or _PARAMETER.fullmatch(name) for name in names):
-        return "/".join(_symbol(name, form) for name in names)
-    if form == "latex":
-        return "".join(_ACCENTED.get(part, part.translate(_LATEX)) for part in _ACCENTS.split(text))
-    return text if form == "plain" else text.translate(_HTML)
-
-
-def _symbol(name: str, form: Form) -> str:
-    if name in _QUANTITIES:
-        return _QUANTITIES[name][form]
-    kind, _, connection = name.rpartition("_")
-    if form == "latex":
-        return rf"${f'{chr(92)}{kind}' if kind in _GREEK else kind}_{{{connection}}}$"
-    letter = _GREEK.get(kind, kind)
-    return f"{letter}_{connection}" if form == "plain" else f"<i>{letter}</i><sub>{connection}</sub>"
+def mark(ours: float, published: float, more_is_better: bool = False) -> Mark:
+    """How a value compares, at the two decimals that the paper prints; no mark where either is unknown."""
+    gain = (round(ours, 2) - round(published, 2)) * (1.0 if more_is_better else -1.0)
+    return "better" if gain > 0.0 else "worse" if gain < 0.0 else ""

@@ -36,29 +36,22 @@ def shortfalls(tables: Sequence[PaperTable], seeds: SeedScores) -> list[Shortfal
     """Those of the default variants, in the tables' order; what other draws of the noise say is among the reasons."""
     found: list[Shortfall] = []
     for table in tables:
-        if "below_published" in table.comparison:
-            found += _of_fitness(table, seeds.summary)
-        elif "larger_error" in table.comparison:
-            found += _of_parameters(table, seeds.parameter_summary)
+        rows, name = table.comparison, table.sheet.name.replace("table", "Table ")
+        for column, describe in (("below_published", _of_fitness), ("larger_error", _of_parameters)):
+            if column in rows:
+                worse = rows[(rows["variant"] == table.default) & rows[column].astype(bool)]
+                found += [Shortfall(name, *describe(row, rows, seeds)) for row in worse.to_dict(orient="records")]
     return found
 
 
-def _of_fitness(table: PaperTable, seeds: pd.DataFrame) -> list[Shortfall]:
-    rows = table.comparison
-    keys = ["case", "group", "quantity"]
-    smoother = rows[rows["variant"] == SMOOTHER.name].set_index(keys)["range_fitness_percent"]
-    below = rows[(rows["variant"] == table.default) & rows["below_published"].astype(bool)]
-    return [
-        Shortfall(
-            table.sheet.name.replace("table", "Table "),
-            f"{row['case']}, {GROUP_TITLES.get(row['group'], row['group'])}, {row['quantity']}",
-            f"{row['published']:.2f} %",
-            f"{row['range_fitness_percent']:.2f} %",
-            fitness_reason(row, float(smoother.get(tuple(row[key] for key in keys), float("nan"))))
-            + _over_seeds(seeds, {key: row[key] for key in keys}, "range_fitness_mean", round(row["published"], 2)),
-        )
-        for row in below.to_dict(orient="records")
-    ]
+def _of_fitness(row: dict[Any, Any], rows: pd.DataFrame, seeds: SeedScores) -> tuple[str, str, str, str]:
+    """All but the table's name."""
+    key = {name: row[name] for name in ("case", "group", "quantity")}
+    smoother = rows[rows["variant"] == SMOOTHER.name].set_index(list(key))["range_fitness_percent"]
+    reason = fitness_reason(row, float(smoother.get(tuple(key.values()), float("nan"))))
+    reason += _over_seeds(seeds.summary, key, "range_fitness_mean", round(row["published"], 2))
+    cell = f"{row['case']}, {GROUP_TITLES.get(row['group'], row['group'])}, {row['quantity']}"
+    return cell, f"{row['published']:.2f} %", f"{row['range_fitness_percent']:.2f} %", reason
 
 
 def fitness_reason(row: dict[Any, Any], smoother: float) -> str:
@@ -76,25 +69,13 @@ def fitness_reason(row: dict[Any, Any], smoother: float) -> str:
     return f"The smoother reaches {smoother:.2f} % on the same record: the shortfall is ours."
 
 
-def _of_parameters(table: PaperTable, seeds: pd.DataFrame) -> list[Shortfall]:
-    rows = table.comparison
-    larger = rows[(rows["variant"] == table.default) & rows["larger_error"].astype(bool)]
-    return [
-        Shortfall(
-            table.sheet.name.replace("table", "Table "),
-            f"{row['case']}, {row['parameter']}",
-            f"{row['published_error_percent']:g} % off",
-            f"{row['error_percent']:.2f} % off",
-            parameter_reason(row)
-            + _over_seeds(
-                seeds,
-                {key: row[key] for key in ("case", "parameter")},
-                "error_percent_mean",
-                -round(row["published_error_percent"], 2),
-            ),
-        )
-        for row in larger.to_dict(orient="records")
-    ]
+def _of_parameters(row: dict[Any, Any], rows: pd.DataFrame, seeds: SeedScores) -> tuple[str, str, str, str]:
+    """All but the table's name."""
+    published, key = row["published_error_percent"], {name: row[name] for name in ("case", "parameter")}
+    reason = parameter_reason(row) + _over_seeds(
+        seeds.parameter_summary, key, "error_percent_mean", -round(published, 2)
+    )
+    return f"{row['case']}, {row['parameter']}", f"{published:g} % off", f"{row['error_percent']:.2f} % off", reason
 
 
 def parameter_reason(row: dict[Any, Any]) -> str:

@@ -16,8 +16,9 @@ from pinn_cli.paper.__main__ import main
 from pinn_cli.paper.commands import make_figures, make_paper, make_table
 from pinn_cli.paper.figures import copy_figures, paper_figures
 from pinn_cli.paper.runs import CaseFailedError
-from pinn_cli.paper.sheet import Row, Sheet, number, written
+from pinn_cli.paper.sheet import Row, Sheet, number
 from pinn_cli.paper.shortfalls import fitness_reason, parameter_reason
+from pinn_cli.paper.symbols import written
 
 VOID = {"meta", "img", "br"}
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)

@@ -133,7 +133,7 @@ def test_what_says_nothing_certain_is_not_finished(tmp_path, content):
 
 def test_finished_says_digest_and_seconds(tmp_path):
     digests.mark_finished(tmp_path, "d", 3.0)
-    assert digests.finished_run(tmp_path, "d") == {"digest": "d", "process_seconds": 3.0}
+    assert digests.finished_run(tmp_path, "d") == 3.0
     assert json.loads((tmp_path / digests.FINISHED).read_text())["digest"] == "d"
 
 

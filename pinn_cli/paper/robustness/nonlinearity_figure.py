@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 
 from pinn_cli.paper.cases import SMOOTHER
 from pinn_cli.paper.robustness.realisation import PINN
@@ -45,25 +45,26 @@ def nonlinearity_figure(summary: pd.DataFrame) -> Figure:
     models = [name for name in _TITLES if name in set(summary["model_error"])]
     with style.look():
         figure = Figure(figsize=(style.PAGE_WIDTH, 8.4))
-        maps = figure.add_gridspec(3, len(models), left=0.11, right=0.9, top=0.955, bottom=0.317, wspace=0.07,
-                                   hspace=0.13)  # fmt: skip
-        curves = figure.add_gridspec(1, len(models), left=0.11, right=0.9, top=0.247, bottom=0.057, wspace=0.07)
+        halves = figure.add_gridspec(2, 1, height_ratios=(6.0, 2.4))
+        above, below = figure.add_subfigure(halves[0]), figure.add_subfigure(halves[1])
+        maps = above.subplots(3, len(models), sharex=True, sharey=True, squeeze=False)
+        above.subplots_adjust(left=0.11, right=0.9, top=0.938, bottom=0.055, wspace=0.07, hspace=0.13)
+        curves = below.subplots(1, len(models), sharey=True, squeeze=False)[0]
+        below.subplots_adjust(left=0.11, right=0.9, top=0.89, bottom=0.21, wspace=0.07)
         for column, model in enumerate(models):
             of_model = summary[summary["model_error"] == model]
-            for row, quantity in enumerate(RESPONSE_QUANTITIES):
-                axes = figure.add_subplot(maps[row, column])
+            for axes, quantity in zip(maps[:, column], RESPONSE_QUANTITIES, strict=True):
                 image = _heat_map(axes, of_model[of_model["quantity"] == quantity])
-                _label_map(axes, quantity if column == 0 else "", last=row == len(RESPONSE_QUANTITIES) - 1)
-                if row == 0:
-                    axes.set_title(_TITLES[model])
-                if row == 1 and column == len(models) - 1:
-                    _colour_bar(figure, axes, image)
-            axes = figure.add_subplot(curves[0, column])
-            _against_strength(axes, of_model[of_model["quantity"] == "displacement"], edge, legend=column == 0)
-            if column == 0:
-                axes.set_ylabel(r"error of $u$, 100 − fitness (%)")
-            else:
-                axes.tick_params(labelleft=False)
+            _against_strength(curves[column], of_model[of_model["quantity"] == "displacement"], edge)
+            maps[0, column].set_title(_TITLES[model])
+            maps[-1, column].set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
+        for axes, quantity in zip(maps[:, 0], RESPONSE_QUANTITIES, strict=True):
+            axes.set_ylabel(f"{quantity} {style.SYMBOLS[quantity]}\nforce rms (N)")
+        curves[0].set_ylabel(r"error of $u$, 100 − fitness (%)")
+        curves[0].legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
+        curves[0].text(0.98, 100.0, "no better than the mean", transform=curves[0].get_yaxis_transform(), ha="right",
+                       va="bottom", fontsize=6, color=style.GREY)  # fmt: skip
+        _colour_bar(above, maps[1, -1], image)
     return figure
 
 
@@ -99,45 +100,22 @@ def _percent(value: float) -> str:
     return f"{value:.2f}" if value > 99.0 else f"{value:.1f}" if value > 0.0 else "< 0"
 
 
-def _label_map(axes: Axes, quantity: str, last: bool) -> None:
-    if quantity:
-        axes.set_ylabel(f"{quantity} {style.SYMBOLS[quantity]}\nforce rms (N)")
-    else:
-        axes.tick_params(labelleft=False)
-    if last:
-        axes.set_xlabel(r"$\kappa$ (N/m$^3$)", labelpad=1)
-    else:
-        axes.tick_params(labelbottom=False)
-
-
-def _colour_bar(figure: Figure, axes: Axes, image: AxesImage) -> None:
+def _colour_bar(figure: SubFigure, axes: Axes, image: AxesImage) -> None:
     bar: Colorbar = figure.colorbar(image, cax=axes.inset_axes((1.06, -0.5, 0.06, 2.0)), extend="both")
     bar.set_label("our error, 100 − fitness (%)")
     bar.outline.set_linewidth(0.4)
     bar.ax.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
 
 
-def _against_strength(axes: Axes, cells: pd.DataFrame, edge: float, legend: bool) -> None:
-    looks = ((PINN, "ours", "o", style.BLUE, style.BLUE, 3.4), (SMOOTHER.name, SMOOTHER.title, "s", "none",
-             style.VERMILLION, 4.4))  # fmt: skip
-    for estimator, title, marker, face, colour, size in looks:
+def _against_strength(axes: Axes, cells: pd.DataFrame, edge: float) -> None:
+    ours: dict[str, Any] = {"marker": "o", "ms": 3.4, "mfc": style.BLUE, "mec": style.BLUE}
+    smoother: dict[str, Any] = {"marker": "s", "ms": 4.4, "mfc": "none", "mec": style.VERMILLION}
+    for estimator, title, look in ((PINN, "ours", ours), (SMOOTHER.name, SMOOTHER.title, smoother)):
         of = cells[cells["estimator"] == estimator]
         place = of["strength"].where(of["strength"] > 0.0, edge)
-        axes.plot(
-            place, 100.0 - of["fitness_percent"], marker, markersize=size, markerfacecolor=face, markeredgecolor=colour,
-            markeredgewidth=0.7, linestyle="none", label=title,
-        )  # fmt: skip
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlim=(0.5 * edge, 20.0),
-        ylim=(0.02, 2000.0),
-        xlabel=r"strength $\kappa\,\langle e^2\rangle/k$",
-    )
+        axes.plot(place, 100.0 - of["fitness_percent"], linestyle="none", markeredgewidth=0.7, label=title, **look)
+    axes.set(xscale="log", yscale="log", xlim=(0.5 * edge, 20.0), ylim=(0.02, 2000.0))
+    axes.set_xlabel(r"strength $\kappa\,\langle e^2\rangle/k$")
     axes.axhline(100.0, color=style.GREY, linewidth=0.6, linestyle=":")
     axes.grid(True, which="major")
     axes.set_axisbelow(True)
-    if legend:
-        axes.legend(loc="center left", handletextpad=0.2, borderaxespad=0.2)
-        axes.text(0.98, 100.0, "no better than the mean", transform=axes.get_yaxis_transform(), ha="right", va="bottom",
-                  fontsize=6, color=style.GREY)  # fmt: skip

@@ -6,11 +6,10 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.paper.cases import SMOOTHER
-from pinn_cli.paper.fitness_sheet import GROUP_TITLES, case_title
+from pinn_cli.paper.fitness_sheet import by_cell, case_title, fitness_row, laid_out
 from pinn_cli.paper.robustness.noise_seeds import FITNESS_TABLES, SEEDS
 from pinn_cli.paper.robustness.realisation import PINN
-from pinn_cli.paper.sheet import DASH, Cell, Mark, Row, Sheet
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.paper.sheet import DASH, Cell, Row, Sheet, mark
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,52 +41,34 @@ def seed_sheets(seeds: SeedScores) -> list[Sheet]:
 
 
 def _fitness_sheet(table: CaseTable, summary: pd.DataFrame) -> Sheet:
-    given = table.values
-    cells = set(zip(given["group"], given["quantity"], strict=True))
-    groups = {
-        group: [quantity for quantity in QUANTITIES if (group, quantity) in cells]
-        for group in dict.fromkeys(given["group"])
-    }
-    columns = [(group, quantity) for group, quantities in groups.items() for quantity in quantities]
+    columns = {str(group): list(dict.fromkeys(cells["quantity"])) for group, cells in table.values.groupby(
+               "group", sort=False)}  # fmt: skip
     rows: list[Row] = []
-    for case, values in given.groupby("case", sort=False):
+    for case, published in table.values.groupby("case", sort=False):
         ours = summary[summary["case"] == case]
-        if len(ours):
-            rows += _case_rows(values, ours, columns)
-    spans = tuple((GROUP_TITLES.get(group, group), len(quantities)) for group, quantities in groups.items())
-    return Sheet(
-        f"seeds_{table.name}", f"{table.title}, over noise seeds", NOTE.format(seeds=_seeds(summary)),
-        ("Case", "Estimate"), spans, tuple(quantity for _, quantity in columns), tuple(rows),
-    )  # fmt: skip
+        if ours.empty:
+            continue
+        errors = (100.0 - by_cell(published)["fitness_percent"]).to_dict()
+        cells = {key: Cell(f"{error:.2f}") for key, error in errors.items()}
+        rows.append(fitness_row(case_title(published), "published", cells, columns))
+        printed = []
+        for name, title in _TITLES.items():
+            found = by_cell(ours[ours["estimator"] == name]).to_dict("index")
+            if found:
+                ranged = {key: _spread(row, "range_error_percent", errors.get(key)) for key, row in found.items()}
+                rows.append(fitness_row("", title, ranged, columns))
+                strict = {key: _spread(row, "error_percent") for key, row in found.items()}
+                printed.append(fitness_row("", f"{title}, printed", strict, columns))
+        rows += printed
+    title = f"{table.title}, over noise seeds"
+    return laid_out(f"seeds_{table.name}", title, NOTE.format(seeds=_seeds(summary)), columns, rows)
 
 
-def _case_rows(values: pd.DataFrame, ours: pd.DataFrame, columns: list[tuple[str, str]]) -> list[Row]:
-    errors = (100.0 - values.set_index(["group", "quantity"])["fitness_percent"]).to_dict()
-    published_cells = tuple(Cell(f"{errors[key]:.2f}") if key in errors else Cell(DASH) for key in columns)
-    ranged, printed = [], []
-    for name, title in _TITLES.items():
-        found = ours[ours["estimator"] == name].set_index(["group", "quantity"]).to_dict("index")
-        if found:
-            by_range = (_against(found.get(key), "range_error_percent", errors.get(key)) for key in columns)
-            ranged.append(Row(("", title), tuple(by_range)))
-            strict = tuple(_against(found.get(key), "error_percent", None) for key in columns)
-            printed.append(Row(("", f"{title}, printed"), strict, secondary=True))
-    heads = (case_title(values.iloc[0].to_dict()), "published")
-    return [Row(heads, published_cells, begins=True), *ranged, *printed]
-
-
-def _against(row: Mapping[Any, Any] | None, column: str, given: float | None) -> Cell:
+def _spread(row: Mapping[Any, Any] | None, column: str, given: float | None = None) -> Cell:
     if row is None:
         return Cell(DASH)
     mean = row[f"{column}_mean"]
-    mark: Mark = "" if given is None or not math.isfinite(given) else _mark(mean, given)
-    return Cell(spread_text(mean, row[f"{column}_std"]), mark)
-
-
-def _mark(mean: float, given: float) -> Mark:
-    """Compared at the two decimals that the paper prints."""
-    ours, theirs = round(mean, 2), round(given, 2)
-    return "better" if ours < theirs else "worse" if ours > theirs else ""
+    return Cell(spread_text(mean, row[f"{column}_std"]), "" if given is None else mark(mean, given))
 
 
 def spread_text(mean: float, std: float) -> str:
@@ -101,10 +82,10 @@ def spread_text(mean: float, std: float) -> str:
 
 def _parameter_sheet(summary: pd.DataFrame) -> Sheet:
     rows: list[Row] = []
-    for case, values in FITNESS_TABLES[-1].values.groupby("case", sort=False):  # whose parameters are Tables 3 and 4
+    for case, published in FITNESS_TABLES[-1].values.groupby("case", sort=False):  # whose parameters are Tables 3 and 4
         ours = summary[summary["case"] == case]
         if len(ours):
-            rows += _parameter_rows(case_title(values.iloc[0].to_dict()), ours)
+            rows += _parameter_rows(case_title(published), ours)
     columns = ("k_2", "k_4", "kappa_2/mu_2", "kappa_4/mu_4", "Intervals (%)")
     return Sheet(
         "seeds_parameters", "Tables 3 and 4: errors of the unknown parameters (%), over noise seeds",
@@ -121,7 +102,7 @@ def _parameter_rows(title: str, ours: pd.DataFrame) -> list[Row]:
     for estimator, source in _TITLES.items():
         found = ours[ours["estimator"] == estimator].set_index("parameter").to_dict("index")
         if found:
-            values = [_against(found.get(name), "error_percent", first.get(name)) for name in names]
+            values = [_spread(found.get(name), "error_percent", first.get(name)) for name in names]
             held = sum(row["inside_90_percent"] for row in found.values()) / len(found)
             rows.append(Row(("", source), (*values, Cell(f"{held:.0f}"))))
     return rows
