@@ -46,12 +46,9 @@ def smoothed(prepared: PreparedProblem, seed: int, level: float | None = None) -
     """The smoother's estimate, with its process noise in N or, for None, the most probable one.
 
     Raises:
-        RuntimeError: It found none.
+        DivergenceError: It found none.
     """
-    estimate = KalmanSmoother(process_noise=level).solve(prepared.problem, RunContext("cpu", seed))
-    if estimate is None:
-        raise RuntimeError(f"no smoother's estimate with process noise {level}")
-    return estimate
+    return KalmanSmoother(process_noise=level).solve(prepared.problem, RunContext("cpu", seed))
 
 
 def measured(snr_db: float, seeds: int) -> Iterator[dict[str, object]]:
@@ -62,7 +59,7 @@ def measured(snr_db: float, seeds: int) -> Iterator[dict[str, object]]:
         for name, setting in (("uncertain", UNCERTAIN), ("fixed", FIXED)):
             config = RunConfig.read(compose_config([*drawn, setting]))
             prepared = prepare_problem(config)
-            ours = config.training.solve(prepared.problem, config.network, RunContext("cpu", seed))
+            ours = config.estimator.solve(prepared.problem, RunContext("cpu", seed))
             yield {"estimator": name, "snr_db": snr_db, "seed": seed, **errors(ours, prepared.truth.response)}
         fixed.append(prepared)
         found = smoothed(prepared, seed)

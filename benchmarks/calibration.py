@@ -55,7 +55,7 @@ def posteriors(
         measurements = config.source.measure(true)
         problem = config.scheme.problem(prescribed, config.observe(measurements.record))
         run = RunContext(seed=seed)
-        estimate = config.training.solve(problem, config.network, run)
+        estimate = config.estimator.solve(problem, run)
         assert estimate.likelihoods is not None
         for method in methods:
             start = time.perf_counter()

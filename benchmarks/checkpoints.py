@@ -62,7 +62,7 @@ def main() -> None:
     problem = config.scheme.problem(prescribed, config.observe(config.source.measure(true).record))
     with TemporaryDirectory(dir=".") as scratch:
         kept = Timed(Path(scratch), config.identity, config.checkpoint_every_s)
-        estimate = config.training.solve(problem, config.network, RunContext(directory=Path(scratch), checkpoints=kept))
+        estimate = config.estimator.solve(problem, RunContext(directory=Path(scratch), checkpoints=kept))
         size = (Path(scratch) / LAST).stat().st_size
     once = statistics.median(kept.packing) + statistics.median(kept.writing)
     step = float(estimate.history["seconds"].diff().min())

@@ -69,12 +69,13 @@ def _judged(composed: DictConfig, directory: Path) -> float | None:
 def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool, watch: Watch) -> str:
     """From the system to the report, which it returns as text."""
     with stages("imports"):
+        from pinn_cli.baseline.comparison import baseline_estimate
         from pinn_cli.posterior.result import posterior_result
         from pinn_cli.report.results import Results
         from pinn_cli.report.run_report import write_report
         from pinn_cli.runs.run_checkpoints import open_checkpoints
         from pinn_cli.training.estimate import RunContext
-        from pinn_cli.validation.base import Estimator
+        from pinn_cli.validation.base import Setup
     prepared = prepare_problem(config, stages)
     prescribed, problem = prepared.prescribed, prepared.problem
     with stages("estimate"):
@@ -83,15 +84,15 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
             directory, config.identity, config.resume, config.checkpoint_every_s, config.device
         )
         context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
-        estimator = Estimator(prescribed, config.scheme, config.network, config.training, context)
-        config.validation.check(problem, estimator)
-        estimate = config.training.solve(problem, config.network, replace(context, watch=watch))
+        setup = Setup(prescribed, config.scheme, config.estimator, context)
+        config.validation.check(problem, setup)
+        estimate = config.estimator.solve(problem, replace(context, watch=watch))
     with stages("posterior"):
         posterior = posterior_result(config.posterior, problem, estimate, context)
     with stages("validation"):
-        score = config.validation.score(problem, estimate, estimator)
+        score = config.validation.score(problem, estimate, setup)
     with stages("baseline"):
-        baseline = config.baseline.solve(problem, context)
+        baseline = baseline_estimate(config.baseline, problem, context)
     drawn = config.figures if config.figures is not None else not in_sweep
     linear = _linear_response(config, prepared.true) if drawn else None
     results = Results(

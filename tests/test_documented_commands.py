@@ -101,7 +101,7 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     record = config.observe(config.source.measure(config.model_error.chains(config.chain)[0]).record)
     problem = config.scheme.problem(config.model_error.chains(config.chain)[1], record)
     with pytest.raises(TrainingBeginsError):
-        config.training.solve(problem, config.network, RunContext())
+        config.estimator.solve(problem, RunContext())
 
 
 def test_there_are_commands_to_test() -> None:

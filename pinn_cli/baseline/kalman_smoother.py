@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 import pandas as pd
 
-from pinn_cli.baseline.base import Baseline
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import Levels, StateSpace
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.training.band.inference import inferred_sensor_noise
+from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
 
-log = logging.getLogger(__name__)
 
-
-class KalmanSmoother(Baseline):
+class KalmanSmoother(Estimator):
     """Smoothed states and parameters of the same model, from the same sensors (Sarkka 2013, chapter 10).
 
     Args:
@@ -48,8 +45,8 @@ class KalmanSmoother(Baseline):
         self.learn_spread = true_or_false("baseline.learn_spread", learn_spread)
         self.process_noise = None if process_noise is None else positive_number("baseline.process_noise", process_noise)
 
-    def solve(self, problem: Problem, run: RunContext) -> Estimate | None:
-        """See :meth:`Baseline.solve`."""
+    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+        """See :meth:`Estimator.solve`."""
         response, force = inferred_sensor_noise(problem, run.device)
         smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
         try:
@@ -61,8 +58,7 @@ class KalmanSmoother(Baseline):
             }
             return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
         except (FloatingPointError, np.linalg.LinAlgError) as error:
-            log.warning("baseline=kalman_smoother: no estimate, %s", error)
-            return None
+            raise DivergenceError(str(error)) from error
 
     def _last_pass(self, smoother: IteratedSmoother, levels: Levels) -> Pass:
         """The solution under the given process noise, or under the one that is found."""

@@ -25,7 +25,6 @@ from pinn_cli.settings.legal_values import positive_number, whole_number
 from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
-    from pinn_cli.baseline.base import Baseline
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Measurements, Record
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.chain import Chain
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.tracking.base import Tracking
-    from pinn_cli.training.base import Training
+    from pinn_cli.training.base import Estimator, Training
     from pinn_cli.validation.base import Validation
 
 VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict")
@@ -96,7 +95,7 @@ class RunConfig:
         training: How the problem is solved.
         posterior: How the distribution of the parameters is found, with scheme=bayesian.
         validation: How the estimate is scored without the truth.
-        baseline: What the network is compared with.
+        baseline: What the network is compared with; None: nothing.
         tracking: What else keeps a record of the run.
         identity: Which run this is, for its checkpoints and results.
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
@@ -117,7 +116,7 @@ class RunConfig:
     training: Training
     posterior: Posterior
     validation: Validation
-    baseline: Baseline
+    baseline: Estimator | None
     tracking: Tracking
     identity: Identity
     resume: str | None
@@ -148,8 +147,9 @@ class RunConfig:
         model_error = build(config.model_error, "model_error")
         chain = _chain(config)
         source = _source(config, chain, model_error, seed, base)
-        names = ("scheme", "network", "training", "posterior", "validation", "baseline")
+        names = ("scheme", "network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name) for name in names}
+        estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again |= {"figures": _figures(config), "strict": _strict(config)}
@@ -158,6 +158,13 @@ class RunConfig:
     def observe(self, record: Record) -> Record:
         """What the estimator may see: the scheme's choice of simulated sensors, or all of a measured record."""
         return self.scheme.observe(record) if self.source.simulated else record
+
+    @property
+    def estimator(self) -> Estimator:
+        """The network, and how it is trained."""
+        from pinn_cli.training.base import TrainedNetwork
+
+        return TrainedNetwork(self.training, self.network)
 
     @property
     def description(self) -> RunDescription:
@@ -175,7 +182,7 @@ class RunConfig:
         }
         return RunDescription(
             self.case, self.seed, self.device, self.threads, self.identity.configuration, labels,
-            self.source.simulated, self.validation.name, self.baseline.name,
+            self.source.simulated, self.validation.name, "none" if self.baseline is None else self.baseline.name,
         )  # fmt: skip
 
 

@@ -1,12 +1,40 @@
-"""What a training is."""
+"""What an estimator is, and what a training is: an estimator once it has a network."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
 
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import Estimate, RunContext
+
+
+class Estimator(ABC):
+    """From a problem to an estimate: a network that is trained, a Kalman smoother.
+
+    A new one to compare with the network is a file in ``pinn_cli/baseline`` and a file in ``conf/baseline``.
+
+    Attributes:
+        name: What the tables call it in their column ``estimator``.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+        """Motion, forces and parameters, with their uncertainty, from a record.
+
+        Raises:
+            InputError: The problem cannot be solved this way.
+            DivergenceError: The numbers left the finite ones.
+        """
+
+    @property
+    def gives_evidence(self) -> bool:
+        """Whether it says how probable the record is under its model, as ``log_evidence`` of its summary."""
+        return False
 
 
 class Training(ABC):
@@ -22,5 +50,28 @@ class Training(ABC):
         """
 
     def gives_evidence(self, design: NetworkDesign) -> bool:
-        """Whether it says how probable the record is under its model, as ``log_evidence`` of its summary."""
+        """See :attr:`Estimator.gives_evidence`, with a network of the given design."""
         return False
+
+
+@dataclass(frozen=True)
+class TrainedNetwork(Estimator):
+    """A physics-informed neural network.
+
+    Attributes:
+        training: How it is trained.
+        design: Of the network.
+    """
+
+    training: Training
+    design: NetworkDesign
+    name = "pinn"
+
+    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+        """See :meth:`Estimator.solve`."""
+        return self.training.solve(problem, self.design, run)
+
+    @property
+    def gives_evidence(self) -> bool:
+        """See :attr:`Estimator.gives_evidence`."""
+        return self.training.gives_evidence(self.design)

@@ -10,30 +10,27 @@ from typing import Any, ClassVar
 
 import pandas as pd
 
-from pinn_cli.network.base import NetworkDesign
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.chain import Chain
-from pinn_cli.training.base import Training
+from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
 
 
 @dataclass(frozen=True, eq=False)
-class Estimator:
+class Setup:
     """All that an estimate is made of but the measurements; there is no way from here to the truth.
 
     Attributes:
         prescribed: The chain that the user prescribes.
         scheme: How the problem is posed.
-        network: What is trained.
-        training: How.
+        estimator: How it is solved.
         run: The run that all this is part of.
     """
 
     prescribed: Chain
     scheme: Scheme
-    network: NetworkDesign
-    training: Training
+    estimator: Estimator
     run: RunContext
 
 
@@ -72,7 +69,7 @@ class Validation(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def check(self, problem: Problem, estimator: Estimator) -> None:
+    def check(self, problem: Problem, setup: Setup) -> None:
         """Refuse, before anything is trained, what cannot be scored.
 
         Raises:
@@ -80,11 +77,11 @@ class Validation(ABC):
         """
 
     @abstractmethod
-    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score | None:
+    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score | None:
         """The score; None where none was asked for.
 
         Args:
             problem: That was solved.
             estimate: Its solution.
-            estimator: That found it, to find others.
+            setup: That found it, to find others.
         """

@@ -7,7 +7,7 @@ import pandas as pd
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.validation.base import Estimator, Score, Validation
+from pinn_cli.validation.base import Score, Setup, Validation
 
 
 class EvidenceScore(Validation):
@@ -19,13 +19,13 @@ class EvidenceScore(Validation):
 
     name = "evidence"
 
-    def check(self, problem: Problem, estimator: Estimator) -> None:
+    def check(self, problem: Problem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
-        if not estimator.training.gives_evidence(estimator.network):
+        if not setup.estimator.gives_evidence:
             allowed = "used with training=gauss_newton (weights inferred) and network=spline or fourier"
             raise InputError("validation", self.name, allowed, "validation=heldout scores any training")
 
-    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
+    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         value = -float(estimate.summary["log_evidence"])
         return Score(value, pd.DataFrame([{"validation": self.name, "score": value}]))

@@ -21,7 +21,7 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.training.estimated_chain import estimated_chain
-from pinn_cli.validation.base import Estimator, Score, Validation
+from pinn_cli.validation.base import Score, Setup, Validation
 from pinn_cli.validation.density import channel_noise, compared
 
 log = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ class Forecast(Validation):
         self.blocks = whole_number("validation.blocks", blocks, least=1)
         self.share = fraction("validation.share", share)
 
-    def check(self, problem: Problem, estimator: Estimator) -> None:
+    def check(self, problem: Problem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
         unknown = np.flatnonzero(np.isnan(problem.record.force).any(axis=0)) + 1
         if unknown.size:
@@ -63,16 +63,16 @@ class Forecast(Validation):
             hint = f"with validation.blocks={self.blocks} there are {length} and {max(0, starts[0])}"
             raise InputError("validation.share", self.share, allowed, hint)
         for start in starts:
-            self._up_to(start, problem, estimator)
+            self._up_to(start, problem, setup)
 
-    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
+    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
         for start in self._starts(problem.record):
             try:
-                before = self._up_to(start, problem, estimator)
-                found = estimator.training.solve(before, estimator.network, estimator.run)
-                forecast = _forecast(problem.record, found, estimator, start, start + self._length(problem.record))
+                before = self._up_to(start, problem, setup)
+                found = setup.estimator.solve(before, setup.run)
+                forecast = _forecast(problem.record, found, setup, start, start + self._length(problem.record))
             except (DivergenceError, OverflowsError, TooStiffError) as error:
                 reason = f"with the record up to {problem.record.time[start]:.4g} s: {error}"
                 log.warning("no validation score: %s", reason)
@@ -88,9 +88,9 @@ class Forecast(Validation):
         """First sample of each block; what is left of the record lies before them."""
         return [len(record.time) - left * self._length(record) for left in range(self.blocks, 0, -1)]
 
-    def _up_to(self, start: int, problem: Problem, estimator: Estimator) -> Problem:
+    def _up_to(self, start: int, problem: Problem, setup: Setup) -> Problem:
         """The same problem with the record up to a block."""
-        return estimator.scheme.posed_again(problem, estimator.prescribed, problem.record.until(start))
+        return setup.scheme.posed_again(problem, setup.prescribed, problem.record.until(start))
 
     def _rows(self, record: Record, forecast: Response, start: int) -> list[dict[str, Any]]:
         rows = []
@@ -113,9 +113,9 @@ class Forecast(Validation):
         return rows
 
 
-def _forecast(record: Record, found: Estimate, estimator: Estimator, start: int, end: int) -> Response:
+def _forecast(record: Record, found: Estimate, setup: Setup, start: int, end: int) -> Response:
     """From shortly before a block to its end."""
     first = start - max(1, round(LEAD * start))
     state = found.response.displacement[first], found.response.velocity[first]
-    chain = estimated_chain(estimator.prescribed, found.parameters)
+    chain = estimated_chain(setup.prescribed, found.parameters)
     return resimulate(chain, record.until(end), state, first=first)

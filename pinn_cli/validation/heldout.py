@@ -19,7 +19,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.validation.base import Estimator, Score, Validation
+from pinn_cli.validation.base import Score, Setup, Validation
 from pinn_cli.validation.density import channel_noise, compared
 
 log = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class HeldOut(Validation):
             raise InputError("validation.dofs", dofs, "null or a list of observed DOFs, counted from 1")
         self.dofs = None if dofs is None else sorted({int(dof) for dof in given})
 
-    def check(self, problem: Problem, estimator: Estimator) -> None:
+    def check(self, problem: Problem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
         observed = np.flatnonzero(problem.record.observed) + 1
         if len(observed) < 2:
@@ -56,15 +56,15 @@ class HeldOut(Validation):
             if dof not in observed:
                 raise InputError("validation.dofs", self.dofs, f"observed DOFs: {', '.join(map(str, observed))}")
         for dof in self._withheld(problem.record):
-            self._without(dof, problem, estimator)
+            self._without(dof, problem, setup)
 
-    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> Score:
+    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
         for dof in self._withheld(problem.record):
-            reduced = self._without(dof, problem, estimator)
+            reduced = self._without(dof, problem, setup)
             try:
-                found = estimator.training.solve(reduced, estimator.network, estimator.run)
+                found = setup.estimator.solve(reduced, setup.run)
             except DivergenceError as error:
                 reason = f"without the sensors of DOF {dof}: {error}"
                 log.warning("no validation score: %s", reason)
@@ -75,11 +75,11 @@ class HeldOut(Validation):
     def _withheld(self, record: Record) -> list[int]:
         return self.dofs or [int(dof) + 1 for dof in np.flatnonzero(record.observed)]
 
-    def _without(self, dof: int, problem: Problem, estimator: Estimator) -> Problem:
+    def _without(self, dof: int, problem: Problem, setup: Setup) -> Problem:
         """The same problem without one DOF's response sensors."""
         record = problem.record
         left = {q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != dof] for q in RESPONSE_QUANTITIES}
-        return estimator.scheme.posed_again(problem, estimator.prescribed, record.keep(left))
+        return setup.scheme.posed_again(problem, setup.prescribed, record.keep(left))
 
     def _rows(self, record: Record, dof: int, found: Estimate) -> list[dict[str, Any]]:
         rows = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.validation.base import Estimator, Validation
+from pinn_cli.validation.base import Setup, Validation
 
 
 class NoValidation(Validation):
@@ -12,9 +12,9 @@ class NoValidation(Validation):
 
     name = "none"
 
-    def check(self, problem: Problem, estimator: Estimator) -> None:
+    def check(self, problem: Problem, setup: Setup) -> None:
         """Anything goes."""
 
-    def score(self, problem: Problem, estimate: Estimate, estimator: Estimator) -> None:
+    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> None:
         """Nothing to score."""
         return

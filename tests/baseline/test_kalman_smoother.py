@@ -10,8 +10,8 @@ import pytest
 from small_problems import NONLINEARITIES, QUANTITIES, accelerations, measured, relative_error, small_chain
 from small_problems import sped_up as faster
 
+from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
-from pinn_cli.baseline.none import NoBaseline
 from pinn_cli.baseline.state_space import Levels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
@@ -168,7 +168,7 @@ def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(
     monkeypatch.setattr(StateSpace, "linearise", broken)
     problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
     with caplog.at_level(logging.WARNING):
-        assert KalmanSmoother().solve(problem, RunContext()) is None
+        assert baseline_estimate(KalmanSmoother(), problem, RunContext()) is None
     assert "overflow at sample 3" in caplog.text
 
 
@@ -183,4 +183,4 @@ def test_settings_out_of_range(setting: str, value: object) -> None:
 
 def test_none_is_no_baseline() -> None:
     problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
-    assert NoBaseline().solve(problem, RunContext()) is None
+    assert baseline_estimate(None, problem, RunContext()) is None

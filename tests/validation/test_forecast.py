@@ -18,9 +18,9 @@ from pinn_cli.record.record import QUANTITIES, Record, Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.training.base import Training
+from pinn_cli.training.base import TrainedNetwork, Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.validation.base import Estimator
+from pinn_cli.validation.base import Setup
 from pinn_cli.validation.forecast import Forecast
 
 ONE = (
@@ -49,8 +49,8 @@ def problem() -> Problem:
     return SparseRecovery().problem(small_chain(), accelerations(measured(small_chain(), snr_db=30.0).record, (2,)))
 
 
-def estimator(training: Training) -> Estimator:
-    return Estimator(small_chain(), SparseRecovery(), Spline(), training, RunContext())
+def estimator(training: Training) -> Setup:
+    return Setup(small_chain(), SparseRecovery(), TrainedNetwork(training, Spline()), RunContext())
 
 
 def test_the_estimator_sees_what_lies_before_a_block_alone(problem: Problem) -> None:

@@ -20,9 +20,9 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.chain import Chain
-from pinn_cli.training.base import Training
+from pinn_cli.training.base import TrainedNetwork, Training
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.validation.base import Estimator
+from pinn_cli.validation.base import Setup
 from pinn_cli.validation.evidence import EvidenceScore
 from pinn_cli.validation.heldout import HeldOut
 
@@ -51,8 +51,8 @@ def record() -> Record:
     return accelerations(measured(small_chain(), snr_db=20.0).record, (1, 3))
 
 
-def estimator(training: Training, scheme=None) -> Estimator:
-    return Estimator(small_chain(), scheme or SparseRecovery(), Spline(), training, RunContext())
+def estimator(training: Training, scheme=None) -> Setup:
+    return Setup(small_chain(), scheme or SparseRecovery(), TrainedNetwork(training, Spline()), RunContext())
 
 
 def response_of() -> Response:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
 from pinn_cli.report.tables import EstimatorTables
@@ -94,9 +95,9 @@ def solve(realisation: Realisation) -> Scores:
 def _scored(config: RunConfig, prepared: PreparedProblem, stages: Stages) -> tuple[pd.DataFrame, pd.DataFrame]:
     record, truth, context = prepared.record, prepared.truth, RunContext(config.device, config.seed)
     with stages("estimate"):
-        estimate = config.training.solve(prepared.problem, config.network, context)
+        estimate = config.estimator.solve(prepared.problem, context)
     with stages("baseline"):
-        smoothed = config.baseline.solve(prepared.problem, context)
+        smoothed = baseline_estimate(config.baseline, prepared.problem, context)
     run = config.description
     theirs = EstimatorTables.of(run.baseline, run, smoothed, record, truth) if smoothed else None
     tables = EstimatorTables.of(PINN, run, estimate, record, truth).above(theirs)
