@@ -19,7 +19,6 @@ PARAMETER_COLUMNS = (
     "case", "variant", "parameter", "true", "published", "published_error_percent", "published_std", "estimate",
     "error_percent", "larger_error", "std", "lower_90", "upper_90", "truth_inside", "seconds", "process_seconds",
 )  # fmt: skip
-AUTHORS_SEED = 43810  # of the draws behind the paper's Table 1
 
 
 def compare_fitness(published: pd.DataFrame, scores: Sequence[CaseScores]) -> pd.DataFrame:
@@ -97,23 +96,10 @@ def compare_wrong_values(published: pd.DataFrame, scores: Sequence[CaseScores]) 
         variants, in the paper's order.
     """
     table = published.rename(columns={"true": "published"})[["parameter", "prescribed", "published"]]
-    table["drawn"] = _drawn_as_the_authors(table)
+    # The same in every run, of which an estimator knows nothing.
+    known = scores[0].parameters.set_index("parameter")["true"] if scores else pd.Series(dtype=float)
+    table["drawn"] = table["parameter"].map(known)
     table["difference"] = table["drawn"] - table["published"]
     for ours in scores:
         table[ours.variant] = table["parameter"].map(ours.parameters.set_index("parameter")["estimate"])
     return table
-
-
-def _drawn_as_the_authors(table: pd.DataFrame) -> list[float]:
-    from pinn_cli.report.parameters import true_value
-    from pinn_cli.system.building import build_chain
-    from pinn_cli.system.connection.duffing import Duffing
-    from pinn_cli.system.model_error import PerturbedModelError
-
-    symbols = table["parameter"].str.rpartition("_")[0]
-    prescribed = {str(symbol): list(group) for symbol, group in table.groupby(symbols)["prescribed"]}
-    # The mass is not perturbed, so any will do.
-    nominal = build_chain(len(prescribed["k"]), Duffing(), m=1.0, **prescribed)
-    true, _ = PerturbedModelError(seed=AUTHORS_SEED, draws="authors").chains(nominal)
-    drawn = {name: value.numpy() for name, value in true.parameters.items()}
-    return [true_value(name, drawn) for name in table["parameter"]]

@@ -120,7 +120,7 @@ def wrong_values_sheet(table: CaseTable, comparison: pd.DataFrame) -> Sheet:
             rows.append(Row(("", f"{source.source}, estimate"), cells))
     count = int(kinds.value_counts().max())
     agree = int((comparison["drawn"].round(2) == comparison["published"]).sum())
-    note = WRONG_VALUES_NOTE.format(agree=agree, count=len(comparison))
+    note = WRONG_VALUES_NOTE.format(agree=agree, count=int(comparison["drawn"].notna().sum()))
     columns = tuple(str(i) for i in range(1, count + 1))
     return Sheet(
         table.name, table.title, note, ("Parameter", "Value"), (("Connection", count),), columns, tuple(rows)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import compose_config
 from pinn_cli.paper.cases import TABLES
 from pinn_cli.paper.comparison import (
     FITNESS_COLUMNS,
@@ -16,6 +18,7 @@ from pinn_cli.paper.fitness_sheet import fitness_sheet
 from pinn_cli.paper.parameter_sheet import parameter_sheet, wrong_values_sheet
 from pinn_cli.paper.rendering import markdown
 from pinn_cli.paper.runs import CaseScores
+from pinn_cli.report.parameters import true_value
 
 TABLE1, TABLE2, TABLE3, *_ = TABLES
 NAN = float("nan")
@@ -38,11 +41,23 @@ def _parameters(error_percent: float = 1.0, std_percent: float = 1.0, case: str 
 
 
 def test_table1_agrees_with_the_paper():
-    table = compare_wrong_values(TABLE1.values, [])
-    assert list(table) == ["parameter", "prescribed", "published", "drawn", "difference"]
+    config = RunConfig.read(compose_config(["experiment=paper/sr_6dof_perturbed"]))
+    true, _ = config.model_error.chains(config.chain)
+    drawn = {name: values.numpy() for name, values in true.parameters.items()}
+    parameters = TABLE1.values[["parameter"]].assign(estimate=15.0)
+    parameters["true"] = [true_value(name, drawn) for name in parameters["parameter"]]
+    run = CaseScores("sr_6dof_perturbed", "uncertain", pd.DataFrame(), parameters, 3.0, 5.0)
+    table = compare_wrong_values(TABLE1.values, [run])
+    assert list(table) == ["parameter", "prescribed", "published", "drawn", "difference", "uncertain"]
     assert len(table) == 18
     assert table["difference"].abs().max() < 0.00501
     assert "18 of 18 agree" in markdown(wrong_values_sheet(TABLE1, table))
+
+
+def test_table1_without_a_run_has_the_published_values():
+    table = compare_wrong_values(TABLE1.values, [])
+    assert table["drawn"].isna().all()
+    assert "| k | prescribed | 15.00 |" in markdown(wrong_values_sheet(TABLE1, table))
 
 
 def test_fitness_is_marked_where_it_is_below():
