@@ -22,7 +22,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source, place = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(CHECKOUT / name, source)
-    for name in ("pinn_cli", "conf"):
+    for name in ("pinn_cli", "conf", "hydra_plugins"):
         shutil.copytree(CHECKOUT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     _pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(place), str(source))
     (built,) = place.glob("pinn_cli-*.whl")
@@ -51,7 +51,8 @@ def _pip(*arguments: str) -> None:
 
 def test_the_wheel_holds_every_module_config_and_data_file(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    modules = {p.relative_to(CHECKOUT).as_posix() for p in (CHECKOUT / "pinn_cli").rglob("*.py")}
+    places = (CHECKOUT / "pinn_cli", CHECKOUT / "hydra_plugins")
+    modules = {p.relative_to(CHECKOUT).as_posix() for place in places for p in place.rglob("*.py")}
     endings = ("*.csv", "*.yaml", "*.j2", "*.svg", "*.pdf")
     data = {p.relative_to(CHECKOUT).as_posix() for ending in endings for p in (CHECKOUT / "pinn_cli").rglob(ending)}
     configs = {f"pinn_cli/{p.relative_to(CHECKOUT).as_posix()}" for p in (CHECKOUT / "conf").rglob("*.yaml")}
