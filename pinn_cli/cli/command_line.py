@@ -90,7 +90,7 @@ class Jobs:
         return None
 
     def _in_sweep(self, config: DictConfig, directory: Path) -> float | None:
-        failure.forget(directory)
+        failure.clear(directory)
         try:
             return self.task(going_on(config))
         except Exception as error:

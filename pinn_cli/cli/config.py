@@ -20,7 +20,7 @@ from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.memory import keep_freed_memory, leave_without_collecting
 from pinn_cli.runs.resume import ALLOWED, NEVER
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.instantiation import build, check_targets, construct
+from pinn_cli.settings.instantiation import build, check_classes, construct
 from pinn_cli.settings.legal_values import positive_number, whole_number
 from pinn_cli.settings.suggestion import suggestion
 
@@ -137,7 +137,7 @@ class RunConfig:
         """
         config = _resolved(config)
         _check_names(config)
-        check_targets(config)
+        check_classes(config)
         identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
         case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
         keep_freed_memory()

@@ -10,7 +10,6 @@ import logging
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from tqdm import tqdm
 from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.nuts import STATISTICS, ChainDraws, NutsSettings, sample_chain
 from pinn_cli.posterior.target import Target
+from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import replacing
 from pinn_cli.system.priors import Prior
 from pinn_cli.training.estimate import RunContext
@@ -151,7 +151,7 @@ def digest_of(target: Target, settings: NutsSettings, seed: int) -> str:
     The likelihood is a black box: what it says at its peak and at a few probes about the mode stands for it.
     """
     likelihood = target.likelihood
-    said = [seed, settings, likelihood.names, target.priors, [(name, _version(name)) for name in PACKAGES]]
+    said = [seed, settings, likelihood.names, target.priors, [(name, package_version(name)) for name in PACKAGES]]
     probes = np.random.default_rng(0).standard_normal((PROBES, target.size))
     answers = [np.append(slope, value) for value, slope in map(target.potential, probes)]
     numbers = [likelihood.sigma_force, likelihood.peak, likelihood.curvature, target.mode, target.precision, *answers]
@@ -159,10 +159,3 @@ def digest_of(target: Target, settings: NutsSettings, seed: int) -> str:
     for array in numbers:
         digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:  # run from a checkout that was never installed
-        return None

@@ -5,7 +5,6 @@ It is written group by group with xarray: the layout is ArviZ's, and ArviZ itsel
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ import xarray as xr
 
 from pinn_cli.record.record import UNITS
 from pinn_cli.report.dataset import netcdf_attributes
+from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import replacing
 from pinn_cli.training.estimated_chain import split_name
 
@@ -127,7 +127,5 @@ def _dofs(samples: PosteriorSamples) -> tuple[np.ndarray, dict[str, str]]:
 
 
 def _library() -> dict[str, str]:
-    try:
-        return {"inference_library": "pinn-cli", "inference_library_version": version("pinn-cli")}
-    except PackageNotFoundError:  # run from a checkout that is not installed
-        return {"inference_library": "pinn-cli"}
+    installed = package_version("pinn-cli")
+    return {"inference_library": "pinn-cli", **({"inference_library_version": installed} if installed else {})}

@@ -7,9 +7,10 @@ import platform
 import subprocess
 import sys
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from pinn_cli.runs.identity import package_version
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -133,12 +134,4 @@ def git_revision() -> str | None:
 
 def package_versions() -> dict[str, str | None]:
     """Version of Python and of every package that a run computes with; None where one is not installed."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
-
-
-@cache
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+    return {"python": platform.python_version(), **{name: package_version(name) for name in PACKAGES}}

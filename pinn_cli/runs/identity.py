@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ class Identity:
         content = None if path is None else _content((base or Path()) / str(path))
         if content:
             settings["data.path"] = content
-        return cls(settings, {name: _version(name) for name in PACKAGES})
+        return cls(settings, {name: package_version(name) or "unknown" for name in PACKAGES})
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> Identity:
@@ -107,8 +108,10 @@ def _content(file: Path) -> str | None:
         return None
 
 
-def _version(package: str) -> str:
+@cache  # a sweep asks for them for every job
+def package_version(name: str) -> str | None:
+    """Of a package as it is installed; None where it is not, as a checkout that was never installed."""
     try:
-        return version(package)
-    except PackageNotFoundError:  # run from a checkout that was never installed
-        return "unknown"
+        return version(name)
+    except PackageNotFoundError:
+        return None

@@ -13,6 +13,7 @@ import shlex
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -134,17 +135,25 @@ def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
         config: Composed, without its `hydra` node.
         base: The folder that relative paths of its data start from.
     """
+    kept = read_record(directory).get("configuration")
+    try:
+        return kept is not None and kept == Identity.of(config, base).configuration
+    except (ValueError, OmegaConfBaseException):  # the run itself says what is wrong with its configuration
+        return False
+
+
+def read_record(directory: Path) -> dict[str, Any]:
+    """What `run.json` says of the run in a directory; empty where there is none, or it is damaged."""
     try:
         content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
-        identity = Identity.of(config, base)
-    except (OSError, ValueError, OmegaConfBaseException):  # the run itself says what is wrong with its configuration
-        return False
-    return isinstance(content, dict) and content.get("configuration") == identity.configuration
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def stored_score(directory: Path) -> float | None:
     """The validation score of a finished run; None where it has none."""
-    score = json.loads((directory / RESULT).read_text(encoding="utf-8")).get("validation", {}).get("score")
+    score = read_record(directory).get("validation", {}).get("score")
     return None if score is None else float(score)
 
 
@@ -154,7 +163,7 @@ def check_sound(directory: Path) -> None:
     Raises:
         NotSoundError: It is not, or the run has none; its first reason is told.
     """
-    content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
+    content = read_record(directory)
     if content.get("verdict") != "sound":
         reason = next(iter(content.get("reasons", ())), "run.json has no verdict: resume=never runs it again")
         raise NotSoundError(f"the verdict is {content.get('verdict')}, and strict=true: {reason}")

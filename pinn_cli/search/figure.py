@@ -79,8 +79,8 @@ def _slice(axes: Axes, values: pd.Series, above: pd.Series, setting: str, share:
         axes.set_xlim(-0.6, len(names) - 0.4)
         best = float((place + spread).iloc[int(above.argmin())])
     axes.plot([best], [0.0], "o", markersize=6, markerfacecolor="none", color=style.VERMILLION)
-    told = "" if math.isnan(share) else f"\nexplains {100 * share:.0f} %"
-    axes.set_title(f"{setting}{told}", fontsize=7)
+    explained = "" if math.isnan(share) else f"\nexplains {100 * share:.0f} %"
+    axes.set_title(f"{setting}{explained}", fontsize=7)
 
 
 def _scale(axes: Axes, above: pd.Series) -> None:

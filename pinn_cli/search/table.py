@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,9 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.runs.identity import is_left_out
+from pinn_cli.runs.resume import read_record
 from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.sweep.failure import Failure
 from pinn_cli.sweep.jobs import job_directories, stored_overrides
 
 if TYPE_CHECKING:
@@ -43,11 +44,12 @@ def trials_table(study: Study, directory: Path) -> pd.DataFrame:
 
 
 def _row(trial: FrozenTrial, job: Path | None, directory: Path) -> dict[str, Any]:
-    run = _read(job, "run.json")
+    run = {} if job is None else read_record(job)
+    failure = None if job is None else Failure.read(job)
     seconds = run.get("seconds", {}).get("total")
     if seconds is None and trial.duration is not None:
         seconds = trial.duration.total_seconds()
-    reason = _read(job, "failure.json").get("reason") or run.get("validation", {}).get("reason")
+    reason = failure.reason if failure else run.get("validation", {}).get("reason")
     ended = trial.state.name == "COMPLETE"
     return {
         "trial": trial.number,
@@ -58,14 +60,6 @@ def _row(trial: FrozenTrial, job: Path | None, directory: Path) -> dict[str, Any
         "reason": None if ended else reason,
         **trial.params,
     }
-
-
-def _read(job: Path | None, name: str) -> dict[str, Any]:
-    try:
-        content = {} if job is None else json.loads((job / name).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
 
 
 def _key(overrides: Iterable[str]) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from pinn_cli.settings.suggestion import suggestion
 PACKAGES = ("pinn_cli", "torch")
 
 
-def check_targets(node: object, setting: str = "") -> None:
+def check_classes(node: object, setting: str = "") -> None:
     """Refuse a configuration with a target outside this package and torch, before anything of it is built.
 
     Args:
@@ -36,10 +36,10 @@ def check_targets(node: object, setting: str = "") -> None:
         if "_target_" in node:
             _check_name(f"{setting}._target_", node["_target_"])
         for key in node:
-            check_targets(node._get_node(key), f"{setting}.{key!s}" if setting else str(key))
+            check_classes(node._get_node(key), f"{setting}.{key!s}" if setting else str(key))
     elif isinstance(node, ListConfig) and not node._is_none():
         for index in range(len(node)):
-            check_targets(node._get_node(index), f"{setting}[{index}]")
+            check_classes(node._get_node(index), f"{setting}[{index}]")
 
 
 def build(node: DictConfig, setting: str, /, **arguments: Any) -> Any:
@@ -53,7 +53,7 @@ def build(node: DictConfig, setting: str, /, **arguments: Any) -> Any:
     Raises:
         InputError: The target is none of ours, an entry is unknown or missing, or the class itself refuses a value.
     """
-    check_targets(node, setting)
+    check_classes(node, setting)
     target = node.get("_target_")
     if target is None:
         raise InputError(f"{setting}._target_", "(missing)", "the class that the node describes")

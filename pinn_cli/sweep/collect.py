@@ -55,8 +55,8 @@ class Collection:
     def text(self) -> str:
         """How many jobs there are of which kind, why some failed, and the mean fitness by setting."""
         counts = Counter(job.status for job in self.jobs)
-        told = [f"{counts[status]} {status}" for status in STATUSES if counts[status]]
-        lines = [f"{len(self.jobs)} jobs: {', '.join(told)}"]
+        counted = [f"{counts[status]} {status}" for status in STATUSES if counts[status]]
+        lines = [f"{len(self.jobs)} jobs: {', '.join(counted)}"]
         failed = [job for job in self.jobs if job.status == FAILED]
         lines += [f"  {job.directory.name}: {job.reason}" for job in failed[:FAILURES_SHOWN]]
         lines += [f"  and {len(failed) - FAILURES_SHOWN} more: jobs.csv"] if len(failed) > FAILURES_SHOWN else []

@@ -58,6 +58,6 @@ def status_of(error: Exception) -> int:
     return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), DEFECT)
 
 
-def forget(directory: Path) -> None:
-    """The job in that directory begins again."""
+def clear(directory: Path) -> None:
+    """Remove it: the job in that directory begins again."""
     (directory / FILE).unlink(missing_ok=True)

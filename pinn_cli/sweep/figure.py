@@ -68,13 +68,13 @@ def sweep_figure(summary: pd.DataFrame, settings: Sequence[str]) -> Figure | Non
 
 def _lines(overall: pd.DataFrame, setting: str, others: Sequence[str]) -> list[tuple[str, pd.DataFrame]]:
     """What is drawn against a setting: a label and the rows of the line, for each combination of the others."""
-    told = [name for name in others if len(overall[name].unique()) > 1]
+    varied = [name for name in others if len(overall[name].unique()) > 1]
     rows = overall.assign(x=pd.to_numeric(overall[setting])).sort_values("x", kind="stable")
-    if not told:
+    if not varied:
         return [("", rows)]
     return [
-        (", ".join(f"{_short(name)} {value}" for name, value in zip(told, values, strict=True)), part)
-        for values, part in rows.groupby(told, sort=False, dropna=False)
+        (", ".join(f"{_short(name)} {value}" for name, value in zip(varied, values, strict=True)), part)
+        for values, part in rows.groupby(varied, sort=False, dropna=False)
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pinn_cli.runs.resume import RESULT
+from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.directories import combinations, job_name, parse, swept_settings
@@ -59,7 +58,9 @@ class Job:
             return cls(directory, tuple(overrides), FAILED, failure.reason, failure.status)
         if not (directory / RESULT).is_file():
             return cls(directory, tuple(overrides), UNFINISHED)
-        return cls(directory, tuple(overrides), FINISHED, seconds=_seconds(directory))
+        return cls(
+            directory, tuple(overrides), FINISHED, seconds=read_record(directory).get("seconds", {}).get("total")
+        )
 
     @property
     def ended(self) -> bool:
@@ -159,13 +160,6 @@ def stored_overrides(directory: Path) -> tuple[str, ...]:
     except (OSError, UnicodeError, yaml.YAMLError):  # cut off while Hydra wrote it: the next start writes it anew
         content = None
     return tuple(map(str, content or ()))
-
-
-def _seconds(directory: Path) -> float | None:
-    try:
-        return float(json.loads((directory / RESULT).read_text(encoding="utf-8"))["seconds"]["total"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def _name(job: Path, sweep: Path) -> str:

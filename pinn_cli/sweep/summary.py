@@ -21,7 +21,7 @@ def is_seed(setting: str) -> bool:
     return re.fullmatch(r"(?:.*[._])?seeds?", setting) is not None
 
 
-def swept_settings(fitness: pd.DataFrame, swept: Sequence[str]) -> list[str]:
+def compared_settings(fitness: pd.DataFrame, swept: Sequence[str]) -> list[str]:
     """Those of a sweep's settings that are no seeds, in the order typed."""
     return [setting for setting in swept if setting in fitness and not is_seed(setting)]
 
@@ -38,7 +38,7 @@ def summarise(fitness: pd.DataFrame, swept: Sequence[str]) -> pd.DataFrame:
         standard deviation (over the draws, n - 1; empty for one) of both formulas, how many `seeds` they are over, and
         how many jobs with that setting `failed`. Where there is no truth there is no row.
     """
-    settings = swept_settings(fitness, swept)
+    settings = compared_settings(fitness, swept)
     by = [*settings, *_OF_A_ROW]
     finished = fitness[(fitness[STATUS] == FINISHED) & fitness["fitness_percent"].notna()]
     grouped = finished.groupby(by, sort=False, dropna=False)

@@ -48,20 +48,22 @@ def join_tables(directory: Path, name: str, jobs: Sequence[Job], settings: Seque
         The path written, or None if there is nothing to write.
     """
     tables = [_read(job.directory / name) if job.status == FINISHED else ([], []) for job in jobs]
-    told = name in _WITH_FAILURES
+    with_failures = name in _WITH_FAILURES
     own = list(dict.fromkeys(column for head, _ in tables for column in head))
     swept = [setting for setting in _all(settings) if setting not in own]
     rows: list[Row] = []
     for job, given, (head, cells) in zip(jobs, settings, tables, strict=True):
         leading = [given.get(setting, "") for setting in swept]
-        trailing = [job.status, job.reason] if told else []
+        trailing = [job.status, job.reason] if with_failures else []
         if head and head == own:
             rows += [[*leading, *row, *trailing] for row in cells]
         elif head:
             rows += [[*leading, *_reordered(head, row, own), *trailing] for row in cells]
-        elif told and job.status == FAILED:
+        elif with_failures and job.status == FAILED:
             rows.append([*leading, *(given.get(column, "") for column in own), *trailing])
-    return _write(directory / name, [*swept, *own, *([STATUS, REASON] if told else [])], rows) if rows else None
+    return (
+        _write(directory / name, [*swept, *own, *([STATUS, REASON] if with_failures else [])], rows) if rows else None
+    )
 
 
 def _write_jobs(directory: Path, jobs: Sequence[Job], settings: Sequence[Settings]) -> Path:

@@ -58,7 +58,7 @@ class Tracker(ABC):
         """Note how it ended, `FINISHED`, `FAILED` or `INTERRUPTED`, and why; nothing follows."""
 
     @abstractmethod
-    def forget(self) -> None:
+    def delete(self) -> None:
         """Take it away: its input was no use."""
 
 

@@ -82,9 +82,9 @@ class Followed:
         if ended and self._complete and status == FINISHED:
             self._keep(ended=True)
 
-    def forget(self) -> None:
+    def delete(self) -> None:
         """Leave no trace of it."""
-        self._tried(lambda tracker: tracker.forget())
+        self._tried(lambda tracker: tracker.delete())
         if self.tracker is not None:
             (self.directory / FILE).unlink(missing_ok=True)
 
@@ -130,7 +130,7 @@ def follow(tracking: Tracking, run: TrackedRun, resuming: bool) -> Iterator[Foll
         if known:
             followed.end(FAILED, str(error).partition("\n")[0])
         else:
-            followed.forget()
+            followed.delete()
         raise
     except Exception as error:
         followed.end(FAILED, str(error).partition("\n")[0] or type(error).__name__)

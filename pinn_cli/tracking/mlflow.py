@@ -176,8 +176,8 @@ class MlflowTracker(Tracker):
             _patiently(lambda tag=tag, value=value: self.client.set_tag(self.run, tag, value))  # type: ignore[misc]
         _patiently(lambda: self.client.set_terminated(self.run, STATUS[status]))
 
-    def forget(self) -> None:
-        """See :meth:`Tracker.forget`."""
+    def delete(self) -> None:
+        """See :meth:`Tracker.delete`."""
         _patiently(lambda: self.client.delete_run(self.run))
 
     def _log(self, metrics: Sequence[tuple[str, float, int]]) -> None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
 from pinn_cli.runs.lock import FILE as LOCK
-from pinn_cli.runs.tracking_state import FILE as TOLD
+from pinn_cli.runs.resume import read_record
+from pinn_cli.runs.tracking_state import FILE as STATE
 
 # Not copied: what only this program reads, and is large or gone when the run is, and what other trackers wrote.
-LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", TOLD, LOCK, "tensorboard", "chains")
+LEFT_OUT = ("checkpoint.pt", "checkpoint.previous.pt", STATE, LOCK, "tensorboard", "chains")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def _of(estimator: str) -> str:
 
 
 def _record(directory: Path) -> dict[str, float]:
-    record = json.loads((directory / "run.json").read_text(encoding="utf-8"))
+    record = read_record(directory)
     found = {f"seconds/{name}": value for name, value in record["seconds"].items()}
     numbers = record["training"].items()
     found |= {f"training/{name}": v for name, v in numbers if isinstance(v, int | float) and not isinstance(v, bool)}

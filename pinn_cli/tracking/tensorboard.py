@@ -99,8 +99,8 @@ class TensorboardTracker(Tracker):
         self.writer.add_text("status", f"{status}: {reason}" if reason else status)
         self.writer.close()
 
-    def forget(self) -> None:
-        """See :meth:`Tracker.forget`."""
+    def delete(self) -> None:
+        """See :meth:`Tracker.delete`."""
         self.writer.close()
         for events in self.place.glob("events.out.tfevents.*"):
             events.unlink()

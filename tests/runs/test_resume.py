@@ -140,7 +140,7 @@ def test_a_checkpoint_of_another_version_is_refused(
     pinn_run: PinnRun, interrupted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = contents(interrupted)
-    monkeypatch.setattr(identity, "_version", lambda package: "9.9")
+    monkeypatch.setattr(identity, "package_version", lambda package: "9.9")
     outcome = pinn_run("resume=run")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
     assert "torch=9.9 (was " in outcome.err

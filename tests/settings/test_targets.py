@@ -9,7 +9,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.instantiation import build, check_targets
+from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.power_damping import PowerDamping
 
@@ -45,7 +45,7 @@ def test_other_targets_are_refused(target: object, tmp_path: Path) -> None:
 def test_targets_are_checked_to_the_leaves_before_anything_is_built() -> None:
     config = node(network=node(layers=[node(activation=node(_target_="os.system", command="true"))]))
     with pytest.raises(InputError, match=r"network.layers\[0\].activation._target_=os.system"):
-        check_targets(config)
+        check_classes(config)
 
 
 def test_build_of_our_classes_and_torch_s() -> None:

@@ -8,7 +8,7 @@ import pytest
 from sweeps import made_sweep
 
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
-from pinn_cli.sweep.failure import FILE, Failure, forget
+from pinn_cli.sweep.failure import FILE, Failure, clear
 from pinn_cli.sweep.jobs import Sweep
 
 
@@ -63,9 +63,9 @@ def test_a_failure_is_kept(tmp_path: Path, error: Exception, status: int, reason
     assert kept is not None
     assert (kept.status, kept.reason) == (status, reason)
     assert type(error).__name__ in kept.traceback
-    forget(tmp_path)
+    clear(tmp_path)
     assert Failure.read(tmp_path) is None
-    forget(tmp_path)
+    clear(tmp_path)
 
 
 def test_a_failure_that_cannot_be_read_is_one(tmp_path: Path) -> None:

@@ -39,8 +39,8 @@ class Notes(Tracker):
     def end(self, status: str, reason: str) -> None:
         self.told.append(("end", status, reason))
 
-    def forget(self) -> None:
-        self.told.append(("forget",))
+    def delete(self) -> None:
+        self.told.append(("delete",))
 
 
 class Noting(Tracking):
@@ -83,7 +83,7 @@ def row(iteration: int) -> dict[str, float]:
         (DivergenceError("diverged at iteration 7"), ("end", "failed", "diverged at iteration 7")),
         (RuntimeError("a defect"), ("end", "failed", "a defect")),
         (KeyboardInterrupt("SIGINT"), ("end", "interrupted", "SIGINT")),
-        (InputError("seed", 2, "another"), ("forget",)),
+        (InputError("seed", 2, "another"), ("delete",)),
     ],
     ids=["done", "diverged", "a defect", "interrupted", "unusable"],
 )
@@ -94,7 +94,7 @@ def test_how_it_ends(job: TrackedRun, error: BaseException | None, told: tuple[o
         if error is not None:
             raise error
     assert tracking.opened[0].told[-1] == told
-    assert (job.directory / FILE).exists() == (told != ("forget",))
+    assert (job.directory / FILE).exists() == (told != ("delete",))
 
 
 def test_a_run_that_goes_on_is_the_same_tracked_run_and_no_row_comes_twice(job: TrackedRun) -> None:
