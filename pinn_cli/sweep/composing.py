@@ -68,9 +68,10 @@ class JobLoader(ConfigLoader):
                 OmegaConf.update(config, override.key_or_group, override.value(), merge=True)
         of_task = [override for override in parsed if not override.is_hydra_override()]
         config.hydra.overrides.task = [override.input_line for override in of_task]
-        named = config.hydra.job.config.override_dirname
-        lines = sorted(str(o.input_line) for o in of_task if o.key_or_group not in named.exclude_keys)
-        config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
+        if not OmegaConf.is_interpolation(config.hydra.job, "override_dirname"):  # as Hydra 1.4 has it
+            named = config.hydra.job.config.override_dirname
+            lines = sorted(str(o.input_line) for o in of_task if o.key_or_group not in named.exclude_keys)
+            config.hydra.job.override_dirname = named.item_sep.join(lines).replace("=", named.kv_sep)
         OmegaConf.copy_cache(from_config=master, to_config=config)
         return config
 
