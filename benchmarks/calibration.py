@@ -26,6 +26,7 @@ from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
 from pinn_cli.training.estimate import RunContext
 
@@ -61,14 +62,16 @@ def posteriors(
             start = time.perf_counter()
             samples = draws(method, estimate.likelihoods, problem, run)
             seconds = time.perf_counter() - start
-            yield scored(samples, measurements.truth).assign(seed=seed, method=method, seconds=seconds)
+            yield scored(samples, problem.uncertain, measurements.truth).assign(
+                seed=seed, method=method, seconds=seconds
+            )
 
 
-def scored(samples: PosteriorSamples, truth: Truth) -> pd.DataFrame:
+def scored(samples: PosteriorSamples, parameters: Sequence[Parameter], truth: Truth) -> pd.DataFrame:
     """Diagnostics of the parameters with their error and whether the 90 % interval holds the truth."""
     table = diagnose(samples)
     table = table[table["parameter"].isin(samples.names)].copy()
-    true = np.array([true_value(name, truth.parameters) for name in table["parameter"]])
+    true = np.array([true_value(parameter, truth.parameters) for parameter in parameters])
     table["error_percent"] = 100.0 * np.abs(table["mean"] / true - 1.0)
     table["holds"] = (table["lower_90"] <= true) & (true <= table["upper_90"])
     table["divergent"] = int(np.sum(samples.statistics.get("diverging", 0)))

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+from small_estimates import parameter_named
 
 from pinn_cli.posterior.base import PosteriorSamples
 from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
 from pinn_cli.record.record import Record
+from pinn_cli.system.parameters import Parameter
 
 DUFFING = ("c_1", "c_2", "k_1", "k_2", "kappa_1", "kappa_2")
-UNITS = {"m": "kg", "c": "N s/m", "k": "N/m", "kappa": "N/m^3"}
 LABELS: dict[str, object] = {
     "case": "pe", "estimator": "pinn", "scheme": "bayesian", "ndof": 2, "nonlinearity": "duffing",
     "model_error": "none", "snr_db": 20.0, "seed": 0,
@@ -23,6 +24,10 @@ CORRELATION = -0.9
 
 def true_parameters(ndof: int = 2) -> dict[str, np.ndarray]:
     return {symbol: np.full(ndof, value) for symbol, (value, _) in _VALUES.items()}
+
+
+def parameters_of(samples: PosteriorSamples) -> list[Parameter]:
+    return [parameter_named(name) for name in samples.names]
 
 
 def make_samples(

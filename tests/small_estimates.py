@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import QUANTITIES, Record, Response, Truth
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.connection import Duffing
+from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 
@@ -33,6 +34,13 @@ def _response(time: np.ndarray, ndof: int) -> Response:
     return Response(time, *motion, force)
 
 
+def parameter_named(name: str) -> Parameter:
+    """Of a Duffing chain: ``kappa_2``."""
+    kind, _, number = name.rpartition("_")
+    units, titles = LINEAR_UNITS | Duffing().units, LINEAR_TITLES | Duffing().titles
+    return Parameter(kind, int(number) - 1, unit=units.get(kind, ""), title=titles.get(kind, ""))
+
+
 def parameter_estimate(
     name: str,
     prescribed: float,
@@ -43,14 +51,17 @@ def parameter_estimate(
     prior_std: float = float("nan"),
     unknown: bool = False,
 ) -> ParameterEstimate:
-    kind, _, number = name.rpartition("_")
-    parameter = Parameter(kind, int(number) - 1, prescribed, prior_std, unknown=unknown)
-    return ParameterEstimate(parameter, estimate, std, lower_90, upper_90)
+    believed = replace(parameter_named(name), prescribed=prescribed, prior_std=prior_std, unknown=unknown)
+    return ParameterEstimate(believed, estimate, std, lower_90, upper_90)
 
 
 def other_estimate(given: ParameterEstimate, **changes: object) -> ParameterEstimate:
     """With other values of what was found, and of what was believed of the parameter."""
-    believed = {name: changes.pop(name) for name in ("kind", "prescribed", "prior_std", "unknown") if name in changes}
+    believed = {
+        name: changes.pop(name)
+        for name in ("kind", "prescribed", "prior_std", "unknown", "unit", "title")
+        if name in changes
+    }
     return replace(given, parameter=replace(given.parameter, **believed), **changes)
 
 

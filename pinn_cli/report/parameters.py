@@ -9,11 +9,11 @@ import pandas as pd
 
 from pinn_cli.report.labels import with_labels
 from pinn_cli.training.central_interval import HALF_WIDTH_90
-from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from pinn_cli.system.parameters import Parameter
     from pinn_cli.training.estimate import ParameterEstimate
 
 PARAMETER_COLUMNS = (
@@ -48,8 +48,8 @@ def parameter_table(
     """One row per system parameter (the content of ``parameters.csv``).
 
     Args:
-        estimates: Named ``k_2``, ``kappa_4``: the symbol and the connection, counted from 1.
-        true: Symbol to values (dof,), or None where the truth is unknown (a record from a rig).
+        estimates: One per parameter.
+        true: Kind to values (members,), or None where the truth is unknown (a record from a rig).
         labels: A value for each of `pinn_cli.report.labels.LABELS`.
 
     Returns:
@@ -59,18 +59,17 @@ def parameter_table(
     """
     rows = []
     for given in estimates:
-        truth = true_value(given.name, true)
+        truth = true_value(given.parameter, true)
         error = 100.0 * abs(given.estimate - truth) / abs(truth) if truth else np.nan
         given_as = (given.believed, given.start)
         rows.append((given.name, truth, *given_as, given.estimate, error, given.std, given.lower_90, given.upper_90))
     return with_labels(pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS)), labels)
 
 
-def true_value(name: str, true: Mapping[str, np.ndarray] | None) -> float:
-    """The true value of the parameter called ``name``; NaN where it is unknown."""
-    symbol, connection = split_name(name)
-    values = None if true is None else true.get(symbol)
-    return float("nan") if values is None else float(np.asarray(values)[connection - 1])
+def true_value(parameter: Parameter, true: Mapping[str, np.ndarray] | None) -> float:
+    """The true value of a parameter; NaN where it is unknown."""
+    values = None if true is None else true.get(parameter.kind)
+    return float("nan") if values is None else float(values[parameter.index])
 
 
 def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:

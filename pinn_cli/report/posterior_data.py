@@ -15,34 +15,28 @@ from pinn_cli.record.record import UNITS
 from pinn_cli.report.dataset import netcdf_attributes
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import replacing
-from pinn_cli.training.estimated_chain import split_name
+from pinn_cli.system.parameters import LINEAR_TITLES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pinn_cli.posterior.base import PosteriorSamples
     from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
     from pinn_cli.record.record import Record
+    from pinn_cli.system.parameters import Parameter
 
-_KINDS = {
-    "m": "mass of DOF",
-    "c": "damping of connection",
-    "k": "stiffness of connection",
-    "kappa": "Duffing coefficient of connection",
-    "mu": "nonlinear damping of connection",
-}
 _DRAWN = ("chain", "draw")
 
 
 def posterior_groups(
-    findings: PosteriorResult, record: Record, units: Mapping[str, str], attributes: Mapping[str, object]
+    findings: PosteriorResult, record: Record, parameters: Sequence[Parameter], attributes: Mapping[str, object]
 ) -> dict[str, xr.Dataset]:
     """The groups of an InferenceData.
 
     Args:
         findings: The draws and, where there is one, the force's posterior predictive.
         record: What the force is compared with.
-        units: Symbol of a parameter to its unit, ``{"k": "N/m"}``; one that is missing is written without.
+        parameters: Those that were drawn, in the order of the draws; one whose unit nobody knows is written without.
         attributes: Of the run: text, numbers and booleans; those that are None are left out.
 
     Returns:
@@ -55,8 +49,8 @@ def posterior_groups(
     samples = findings.samples
     groups = {
         "/": xr.Dataset(attrs={**netcdf_attributes(attributes), **_library(), "method": samples.method}),
-        "posterior": _posterior(samples, units),
-        "prior": _parameters(samples.prior[None], samples, units),
+        "posterior": _posterior(samples, parameters),
+        "prior": _parameters(samples.prior[None], parameters),
     }
     if findings.predictive is not None:
         groups["posterior_predictive"] = _predicted(findings.predictive, samples, record)
@@ -75,8 +69,8 @@ def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> 
     return Path(path)
 
 
-def _posterior(samples: PosteriorSamples, units: Mapping[str, str]) -> xr.Dataset:
-    dataset = _parameters(samples.draws, samples, units)
+def _posterior(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> xr.Dataset:
+    dataset = _parameters(samples.draws, parameters)
     noise = {"long_name": "standard deviation of the measured force's noise", "units": UNITS["force"]}
     dataset["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
     dataset["force_dof"] = ("force_dof", *_dofs(samples))
@@ -84,16 +78,17 @@ def _posterior(samples: PosteriorSamples, units: Mapping[str, str]) -> xr.Datase
     return dataset.assign_attrs(tuning_steps=samples.warmup, sampling_time=float(np.max(samples.seconds, initial=0.0)))
 
 
-def _parameters(draws: np.ndarray, samples: PosteriorSamples, units: Mapping[str, str]) -> xr.Dataset:
+def _parameters(draws: np.ndarray, parameters: Sequence[Parameter]) -> xr.Dataset:
     """(chains, draws, p) as a variable per parameter."""
-    variables = {name: (_DRAWN, draws[..., i], _description(name, units)) for i, name in enumerate(samples.names)}
+    variables = {p.name: (_DRAWN, draws[..., i], _description(p)) for i, p in enumerate(parameters)}
     return xr.Dataset(variables, _counted(*draws.shape[:2]), _library())
 
 
-def _description(name: str, units: Mapping[str, str]) -> dict[str, str]:
-    symbol, connection = split_name(name)
-    described = {"long_name": f"{_KINDS.get(symbol, f'{symbol} of connection')} {connection}"}
-    return described | ({"units": units[symbol]} if symbol in units else {})
+def _description(parameter: Parameter) -> dict[str, str]:
+    linear = parameter.kind in LINEAR_TITLES
+    title = parameter.title.lower() if linear else f"{parameter.title or parameter.kind} coefficient"
+    described = {"long_name": f"{title} of {parameter.owner}"}
+    return described | ({"units": parameter.unit} if parameter.unit else {})
 
 
 def _counted(chains: int, draws: int) -> dict[str, Any]:

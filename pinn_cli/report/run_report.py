@@ -100,11 +100,12 @@ def write_posterior(results: Results, directory: Path, figures: bool) -> str:
     if results.posterior is None:
         return ""
     posterior, labels = results.posterior, results.run.labels_of(estimator="pinn")
-    groups = posterior_groups(posterior, results.record, results.prescribed.units, labels)
+    parameters = [found.parameter for found in results.estimate.parameters]
+    groups = posterior_groups(posterior, results.record, parameters, labels)
     write_posterior_data(groups, directory / "posterior.nc")
     write_table(diagnostics_table(posterior.diagnostics, labels), directory / "diagnostics.csv")
     if figures:
         from pinn_cli.report.figures import write_posterior_figures
 
-        write_posterior_figures(posterior, groups, results.record, results.truth.parameters, directory / "figures")
+        write_posterior_figures(results, groups, directory / "figures")
     return diagnostics_text(posterior.diagnostics, posterior.verdict)

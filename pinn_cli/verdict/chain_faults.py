@@ -75,34 +75,31 @@ def in_band(chain: Chain, record: Record) -> bool:
     return bool(frequencies[-1] < SEEN * 0.5 / record.step and frequencies[0] > 1.0 / record.duration)
 
 
-def mass_fault(
-    chain: Chain, record: Record, start: Sequence[np.ndarray] | None = None, excused: Sequence[str] = ()
-) -> Finding | None:
+def mass_fault(chain: Chain, record: Record, excused: Sequence[str] = ()) -> Finding | None:
     """The mass that mends the prediction, and its factor; None where no single one does.
 
     Args:
         chain: Whose masses are doubted, one at a time.
         record: What was measured.
-        start: Displacement and velocity (n,) at the first sample; None: rest.
         excused: Names of channels that have a fault of their own.
     """
     if not np.isfinite(record.force).all():
         return None
-    before = worst_misfit(predicted(chain, record, start), excused)
+    before = worst_misfit(predicted(chain, record), excused)
     dofs = np.repeat(np.arange(chain.ndof), len(COARSE))
     factors = np.tile(COARSE, chain.ndof)
-    score = _scores(chain, record, dofs, factors, PERIODS, start, excused)
+    score = _scores(chain, record, dofs, factors, PERIODS, excused)
     if not np.isfinite(score).any():
         return None
     best = int(np.argmin(score))
     dof, factor = int(dofs[best]), float(factors[best])
     for periods, spread in ((PERIODS, 1.0), (MORE_PERIODS, 0.25)):
         tried = factor * FINE**spread
-        score = _scores(chain, record, np.full(len(tried), dof), tried, periods, start, excused)
+        score = _scores(chain, record, np.full(len(tried), dof), tried, periods, excused)
         factor = float(tried[np.argmin(score)])
     if 1 / LEAST_FACTOR < factor < LEAST_FACTOR:
         return None
-    left = worst_misfit(predicted(_with_mass(chain, dof, factor), record, start), excused)
+    left = worst_misfit(predicted(_with_mass(chain, dof, factor), record), excused)
     if left > REPRODUCED or left > MENDS_BY_MOVING * before:
         return None
     return mass_finding(dof, float(chain.parameters["m"][dof]) * factor, factor, "the chain", left)
@@ -127,7 +124,6 @@ def _scores(
     dofs: np.ndarray,
     factors: np.ndarray,
     periods: float,
-    start: Sequence[np.ndarray] | None,
     excused: Sequence[str],
 ) -> np.ndarray:
     """(H,) mean logarithm of the channels' NMSE for hypotheses of one mass each; infinite where there is none.
@@ -140,7 +136,7 @@ def _scores(
     samples, substeps = _span(chain, record, masses, periods)
     if not seen or samples < 4 * chain.ndof:
         return np.full(len(dofs), np.inf)
-    motion = _simulated(chain, record, masses, samples, substeps, start)
+    motion = _simulated(chain, record, masses, samples, substeps)
     total = np.zeros(len(dofs))
     for c in seen:
         measured = c.measured[:samples]
@@ -165,9 +161,8 @@ def _simulated(
     masses: np.ndarray,
     samples: int,
     substeps: int,
-    start: Sequence[np.ndarray] | None,
 ) -> np.ndarray:
-    """(samples, 3, H, n): displacement, velocity and acceleration of every hypothesis."""
+    """(samples, 3, H, n): displacement, velocity and acceleration of every hypothesis, from rest."""
     own = chain.parameters_like(np.empty(0))
     parameters = {**own, "m": masses}
 
@@ -176,7 +171,7 @@ def _simulated(
 
     step = record.step / substeps
     force = _half_steps(record, samples, substeps)
-    z = np.zeros((2, *masses.shape)) if start is None else np.tile(np.asarray(start)[:, None], (1, len(masses), 1))
+    z = np.zeros((2, *masses.shape))
     out = np.empty((samples, 3, *masses.shape))
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(samples):

@@ -14,7 +14,6 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.config_names import option_names
 from pinn_cli.record.record import QUANTITIES
 from pinn_cli.report import published
-from pinn_cli.report.parameters import true_value
 from pinn_cli.settings.errors import InputError
 
 REFERENCE_SIGNALS = Path(__file__).parents[3] / "shared" / "data" / "reference_signals"
@@ -72,8 +71,8 @@ def test_published_parameters_are_those_of_the_experiment(composed: Compose, tab
     for case, expected in rows.groupby("case"):
         config = RunConfig.read(composed(f"experiment=paper/{case}"))
         true, _ = config.model_error.chains(config.chain)
-        parameters = {name: value.numpy() for name, value in true.parameters.items()}
-        ours = [true_value(name, parameters) for name in expected["parameter"]]
+        values = {parameter.name: parameter.prescribed for parameter in true.every_parameter()}
+        ours = [values[name] for name in expected["parameter"]]
         np.testing.assert_allclose(ours, expected["true"], atol=0.006)
 
 

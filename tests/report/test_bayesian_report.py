@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 import pytest
-from fake_posteriors import LABELS, make_record, make_result, make_samples, true_parameters
+from fake_posteriors import LABELS, make_record, make_result, make_samples, parameters_of, true_parameters
 
 from pinn_cli.record.record import Response, Truth
 from pinn_cli.report.results import Results, RunDescription
 from pinn_cli.report.run_report import write_posterior
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
-from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 
 @pytest.fixture
@@ -19,7 +19,8 @@ def reported(tmp_path):
     def report(posterior, record):
         run = RunDescription("pe", 0, "cpu", 1, "", LABELS, True, "none", "none")
         truth = Truth(Response.unknown(record.time, 2), true_parameters())
-        estimate = Estimate(truth.response, truth.response, [], pd.DataFrame(), {})
+        parameters = [ParameterEstimate(parameter, 1.0) for parameter in parameters_of(posterior.samples)]
+        estimate = Estimate(truth.response, truth.response, parameters, pd.DataFrame(), {})
         chain = build_chain(2, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
         results = Results(run, chain, record, truth, estimate, posterior=posterior)
         return tmp_path, write_posterior(results, tmp_path, figures=True)

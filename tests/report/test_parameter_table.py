@@ -8,7 +8,6 @@ from small_estimates import parameter_estimate
 
 from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import PARAMETER_COLUMNS, parameter_table
-from pinn_cli.training.estimated_chain import split_name
 
 
 def test_error_is_relative_to_the_truth(make_case):
@@ -44,10 +43,3 @@ def test_unknown_truth_is_empty(true, make_case):
 
 def test_no_parameters_leave_the_header(make_case):
     assert list(parameter_table([], None, make_case().labels)) == [*LABELS, *PARAMETER_COLUMNS]
-
-
-def test_names():
-    assert split_name("kappa_12") == ("kappa", 12)
-    for wrong in ("k", "k_0", "k_x", "_1"):
-        with pytest.raises(ValueError, match="not a symbol and a connection"):
-            split_name(wrong)

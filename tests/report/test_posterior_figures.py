@@ -8,7 +8,16 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
-from fake_posteriors import DUFFING, LABELS, UNITS, make_predictive, make_record, make_result, make_samples
+from fake_posteriors import (
+    DUFFING,
+    LABELS,
+    make_predictive,
+    make_record,
+    make_result,
+    make_samples,
+    parameters_of,
+    true_parameters,
+)
 from matplotlib.figure import Figure
 
 from pinn_cli.report.figures.force_predictive import PERIODS_SHOWN, force_predictive_figure, predictive_window
@@ -22,16 +31,28 @@ from pinn_cli.report.figures.posterior import (
     trace_figure,
 )
 from pinn_cli.report.posterior_data import posterior_groups
+from pinn_cli.system.parameters import Parameter
 
-TRUE = {f"{kind}_{i}": value for kind, value in (("c", 1.0), ("k", 15.0), ("kappa", 100.0)) for i in range(1, 5)}
+TRUE = true_parameters(4)
 TWELVE = [f"{symbol}_{i}" for symbol in ("c", "k", "kappa") for i in range(1, 5)]
 
 
 def _groups(samples=None, **changes):
-    """The draws and the statistics, as ``posterior.nc`` has them."""
+    """The draws and the statistics, as ``posterior.nc`` has them, and the parameters."""
     samples = samples or make_samples(**changes)
-    groups = posterior_groups(make_result(samples), make_record(), UNITS, LABELS)
-    return groups["posterior"], groups["sample_stats"]
+    parameters = parameters_of(samples)
+    groups = posterior_groups(make_result(samples), make_record(), parameters, LABELS)
+    return groups["posterior"], groups["sample_stats"], parameters
+
+
+def _pairs(true=TRUE, **changes):
+    draws, _, parameters = _groups(**changes)
+    return posterior_pairs_figure(draws, parameters, true)
+
+
+def _trace(samples=None, **changes):
+    draws, statistics, parameters = _groups(samples, **changes)
+    return trace_figure(draws, statistics, parameters, len(parameters))
 
 
 def _texts(figure: Figure) -> list[str]:
@@ -51,16 +72,16 @@ def _drawn(figure: Figure) -> Figure:
 @pytest.mark.parametrize("chains", [1, 4])
 def test_every_figure_is_drawn(names, chains):
     before = dict(mpl.rcParams)
-    draws, statistics = _groups(names=names, chains=chains, draws=60)
+    draws, statistics, parameters = _groups(names=names, chains=chains, draws=60)
     panels = min(len(names), IN_PAIRS) ** 2
-    assert len(_drawn(posterior_pairs_figure(draws, TRUE)).axes) == panels
-    assert len(_drawn(trace_figure(draws, statistics)).axes) == 2 * len(names)
-    assert len(_drawn(rank_figure(draws)).axes) == len(names)
+    assert len(_drawn(posterior_pairs_figure(draws, parameters, TRUE)).axes) == panels
+    assert len(_drawn(trace_figure(draws, statistics, parameters, len(names))).axes) == 2 * len(names)
+    assert len(_drawn(rank_figure(draws, parameters, len(names))).axes) == len(names)
     assert dict(mpl.rcParams) == before
 
 
 def test_pairs_show_truth_correlation_and_units():
-    figure = _drawn(posterior_pairs_figure(_groups()[0], TRUE))
+    figure = _drawn(_pairs())
     panels = {_place(panel): panel for panel in figure.axes}
     assert panels[2, 4].texts[0].get_text().startswith("\N{MINUS SIGN}0.9")
     assert panels[5, 4].get_xlabel() == r"$\kappa_{1}$ (N/m$^{3}$)"
@@ -86,14 +107,14 @@ def test_a_correlation_is_written_1_only_where_it_is(value, text):
 
 
 def test_pairs_without_truth():
-    figure = posterior_pairs_figure(_groups()[0])
+    figure = _pairs(true=None)
     assert "true value" not in _texts(figure)
     assert not any(axes.lines for axes in figure.axes)
 
 
 def test_tick_labels_do_not_overlap():
     for names in (DUFFING, TWELVE):
-        figure = _drawn(posterior_pairs_figure(_groups(names=names)[0], TRUE))
+        figure = _drawn(_pairs(names=names))
         renderer = figure._get_renderer()
         size = min(len(names), IN_PAIRS)
         panels = {_place(panel): panel for panel in figure.axes}
@@ -106,7 +127,7 @@ def test_tick_labels_do_not_overlap():
 
 
 def test_many_parameters_show_the_most_correlated():
-    figure = posterior_pairs_figure(_groups(names=TWELVE)[0], TRUE)
+    figure = _pairs(names=TWELVE)
     assert f"the {IN_PAIRS} of 12 parameters that are most correlated with another" in _notes(figure)
     correlation = np.eye(12)
     correlation[1, 7] = correlation[7, 1] = -0.9
@@ -119,15 +140,14 @@ def test_many_parameters_show_the_most_correlated():
 def test_draws_that_do_not_move():
     draws = make_samples().draws.copy()
     draws[..., 0] = 1.0
-    draws, statistics = _groups(replace(make_samples(), draws=draws))
-    assert len(_drawn(posterior_pairs_figure(draws, TRUE)).axes) == 25
-    assert len(_drawn(trace_figure(draws, statistics)).axes) == 10
-    assert len(_drawn(rank_figure(draws)).axes) == 5
+    draws, statistics, parameters = _groups(replace(make_samples(), draws=draws))
+    assert len(_drawn(posterior_pairs_figure(draws, parameters, TRUE)).axes) == 25
+    assert len(_drawn(trace_figure(draws, statistics, parameters, 6)).axes) == 10
+    assert len(_drawn(rank_figure(draws, parameters, 6)).axes) == 5
 
 
 def test_axes_show_the_truth_unless_it_is_far():
-    draws = _groups(names=("k_1",))[0]
-    near, far = (posterior_pairs_figure(draws, {"k_1": value}) for value in (15.4, 40.0))
+    near, far = (_pairs({"k": np.array([value])}, names=("k_1",)) for value in (15.4, 40.0))
     assert near.axes[0].get_xlim()[1] > 15.4
     assert "true value" in _texts(near)
     assert far.axes[0].get_xlim()[1] < 16.0
@@ -140,29 +160,32 @@ def test_axes_show_the_truth_unless_it_is_far():
 )
 def test_large_and_small_values_have_a_power_of_ten(scale, label):
     values = scale * np.random.default_rng(0).normal(15.0, 0.1, (2, 500))
-    draws = xr.Dataset({"k_1": (("chain", "draw"), values, {"units": "N/m"})})
-    assert parameter_label(draws["k_1"]) == (label, pytest.approx(1.0 / scale))
-    figure = _drawn(posterior_pairs_figure(draws))
+    parameter = Parameter("k", 0, unit="N/m")
+    assert parameter_label(parameter, float(values.max())) == (label, pytest.approx(1.0 / scale))
+    figure = _drawn(posterior_pairs_figure(xr.Dataset({"k_1": (("chain", "draw"), values)}), [parameter]))
     assert 14.0 < float(figure.axes[0].get_xticklabels()[0].get_text()) < 16.0
 
 
 def test_divergent_iterations_are_marked():
     samples = make_samples(warmup=100)
     samples.statistics["diverging"][1, [10, 20]] = True
-    figure = trace_figure(*_groups(samples))
+    figure = _trace(samples)
     assert "2 divergent" in _texts(figure)
     np.testing.assert_array_equal(figure.axes[1].lines[-1].get_xdata(), [111, 121])
-    assert _texts(trace_figure(*_groups())) == [f"chain {i}" for i in range(1, 5)]
+    assert _texts(_trace()) == [f"chain {i}" for i in range(1, 5)]
 
 
 def test_shown_parameters_and_their_number():
-    figure = trace_figure(*_groups(names=TWELVE), shown=["k_2", "kappa_4", "c_1"])
+    draws, statistics, parameters = _groups(names=TWELVE)
+    shown = [parameter for parameter in parameters if parameter.name in ("k_2", "kappa_4", "c_1")]
+    figure = trace_figure(draws, statistics, shown, 12)
     assert [axes.get_ylabel().split("$")[1] for axes in figure.axes[::2]] == ["c_{1}", "k_{2}", r"\kappa_{4}"]
     assert _notes(figure) == ["3 of 12 parameters"]
 
 
 def test_a_single_chain_is_compared_with_itself():
-    figure = rank_figure(_groups(chains=1, draws=101)[0])
+    draws, _, parameters = _groups(chains=1, draws=101)
+    figure = rank_figure(draws, parameters, 6)
     assert figure.axes[0].get_ylabel() == "$c_{1}$, half"
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["1", "2"]
 

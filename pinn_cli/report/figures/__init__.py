@@ -13,18 +13,15 @@ from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure,
 from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
 from pinn_cli.report.figures.style import save
-from pinn_cli.report.parameters import any_unknown, true_value
+from pinn_cli.report.parameters import any_unknown
 from pinn_cli.report.posterior_table import worst_sampled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    import numpy as np
     import xarray as xr
 
-    from pinn_cli.posterior.result import PosteriorResult
-    from pinn_cli.record.record import Record
     from pinn_cli.report.results import Results
 
 
@@ -46,37 +43,37 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         figures["history"] = history_figure(estimate.history)
     if any(given.prescribed or given.unknown for given in estimate.parameters):
-        chain = results.prescribed
-        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters, chain.units, chain.titles)
+        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters)
     if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
         figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]
 
 
-def write_posterior_figures(
-    posterior: PosteriorResult,
-    groups: Mapping[str, xr.Dataset],
-    record: Record,
-    true: Mapping[str, np.ndarray] | None,
-    directory: Path,
-) -> list[Path]:
+def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], directory: Path) -> list[Path]:
     """Draw and save ``posterior_pairs`` and, where there is something to draw, ``trace``, ``ranks``, ``fitted_force``.
 
     Traces and ranks are those of the parameters with the fewest effective draws; draws that did not come step by step
     have neither.
 
+    Args:
+        results: With a posterior.
+        groups: Of ``posterior.nc``.
+        directory: Of the figures.
+
     Returns:
         The files written.
     """
-    samples, draws = posterior.samples, groups["posterior"]
-    figures = {
-        "posterior_pairs": posterior_pairs_figure(draws, {name: true_value(name, true) for name in samples.names})
-    }
-    if samples.statistics:
-        parameters = posterior.diagnostics[posterior.diagnostics["parameter"].isin(samples.names)]
-        shown = worst_sampled(parameters, IN_TRACES)
-        figures["trace"] = trace_figure(draws, groups["sample_stats"], shown)
-        figures["ranks"] = rank_figure(draws, shown)
+    posterior, draws = results.posterior, groups["posterior"]
+    if posterior is None:
+        return []
+    parameters = [found.parameter for found in results.estimate.parameters]
+    figures = {"posterior_pairs": posterior_pairs_figure(draws, parameters, results.truth.parameters)}
+    if "sample_stats" in groups:
+        worst = worst_sampled(posterior.diagnostics.head(len(parameters)), IN_TRACES)
+        shown = [parameter for parameter in parameters if parameter.name in worst]
+        figures["trace"] = trace_figure(draws, groups["sample_stats"], shown, len(parameters))
+        figures["ranks"] = rank_figure(draws, shown, len(parameters))
     if posterior.predictive is not None:
-        figures["fitted_force"] = force_predictive_figure(posterior.predictive, record, samples.force_dofs)
+        force_dofs = posterior.samples.force_dofs
+        figures["fitted_force"] = force_predictive_figure(posterior.predictive, results.record, force_dofs)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]

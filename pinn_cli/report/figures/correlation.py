@@ -53,18 +53,18 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
         bar = figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.1 / side, 0.0, 0.12 / side, 1.0)))
         bar.outline.set_linewidth(0.4)
         bar.set_label("Posterior correlation")
-        _name_rows(axes, [estimates[i].name for i in order])
+        _name_rows(axes, [estimates[i].parameter.symbol for i in order])
         _part(axes, unknown, count)
         if count <= ANNOTATED:
             _annotate(axes, shown)
     return figure
 
 
-def _name_rows(axes: Axes, names: Sequence[str]) -> None:
-    kept = range(0, len(names), math.ceil(len(names) / LABELLED))
-    labels = [style.parameter_symbol(names[i]) for i in kept]
-    size = 8.0 if len(names) <= ANNOTATED else 6.0
-    axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(names) <= ANNOTATED else 90)
+def _name_rows(axes: Axes, symbols: Sequence[str]) -> None:
+    kept = range(0, len(symbols), math.ceil(len(symbols) / LABELLED))
+    labels = [symbols[i] for i in kept]
+    size = 8.0 if len(symbols) <= ANNOTATED else 6.0
+    axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(symbols) <= ANNOTATED else 90)
     axes.set_yticks(kept, labels, fontsize=size)
     axes.tick_params(length=0)
 

@@ -19,6 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from pinn_cli.posterior.diagnostics import import_arviz, two_chains
 from pinn_cli.report.figures import style
+from pinn_cli.report.parameters import true_value
 from pinn_cli.report.posterior_table import posterior_correlation
 from pinn_cli.training.central_interval import CENTRAL_90
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+
+    from pinn_cli.system.parameters import Parameter
 
 IN_PAIRS, IN_TRACES, CHAINS_SHOWN = 8, 12, 8  # parameters in either figure, and chains, at most
 REGIONS = (0.9, 0.7, 0.5, 0.3, 0.1)
@@ -41,7 +44,9 @@ _BLUES = [to_hex(colour) for colour in colormaps["Blues"](np.linspace(0.22, 0.95
 _TAILS, _BARS = _BLUES[0], _BLUES[2]
 
 
-def posterior_pairs_figure(draws: xr.Dataset, true: Mapping[str, float] | None = None) -> Figure:
+def posterior_pairs_figure(
+    draws: xr.Dataset, parameters: Sequence[Parameter], true: Mapping[str, np.ndarray] | None = None
+) -> Figure:
     """Histograms on the diagonal, joint densities below it, correlations above it; true values as dashed lines.
 
     A histogram is pale outside the central 90 % interval. The contours of a joint density hold the `REGIONS` of
@@ -49,15 +54,16 @@ def posterior_pairs_figure(draws: xr.Dataset, true: Mapping[str, float] | None =
     correlated with another one, and a line below says so; one whose draws are all the same is left out.
 
     Args:
-        draws: The group ``posterior``: a variable over (chain, draw) for every parameter, with its unit.
-        true: Name of a parameter to its value, marked unless it is far off; or None.
+        draws: The group ``posterior``: a variable over (chain, draw) for every parameter.
+        parameters: At least one.
+        true: Kind to values (members,), marked unless they are far off; or None.
     """
-    names = _moving(draws)
-    pooled = {name: draws[name].to_numpy().ravel() for name in names}
+    moving = _moving(draws, parameters)
+    pooled = {p: draws[p.name].to_numpy().ravel() for p in moving}
     correlation = posterior_correlation(np.stack(list(pooled.values()), axis=-1))
     order = most_correlated(correlation, IN_PAIRS)
-    shown = [names[i] for i in order]
-    limits = {name: _limits(pooled[name], (true or {}).get(name, math.nan)) for name in shown}
+    shown = [moving[i] for i in order]
+    limits = {p: _limits(pooled[p], true_value(p, true)) for p in shown}
     side = min((style.PAGE_WIDTH - 0.7) / len(shown), 1.7) - 0.05  # inch
     width = max(0.7 + len(shown) * (side + 0.05), 3.0)
     left = 0.62 + (width - 0.7 - len(shown) * (side + 0.05)) / 2.0
@@ -65,20 +71,20 @@ def posterior_pairs_figure(draws: xr.Dataset, true: Mapping[str, float] | None =
         figure, panels = style.panels(
             len(shown), len(shown), side, width=width, margins=(left, left - 0.54, 0.3, 0.42), gaps=(0.05, 0.05)
         )
-        _draw_pairs(draws[shown], panels)
+        _draw_pairs(draws[[p.name for p in shown]], panels)
         for row, vertical in enumerate(shown):
             _dress_marginal(panels[row, row], pooled[vertical])
             for column, horizontal in enumerate(shown[: row + 1]):
-                _dress_axis(panels[row, column].xaxis, draws[horizontal], *limits[horizontal])
+                _dress_axis(panels[row, column].xaxis, pooled[horizontal], horizontal, *limits[horizontal])
                 if column < row:
-                    _dress_axis(panels[row, column].yaxis, draws[vertical], *limits[vertical])
+                    _dress_axis(panels[row, column].yaxis, pooled[vertical], vertical, *limits[vertical])
                     place = panels[0, 0].get_gridspec()[column, row]
                     _write_correlation(figure.add_subplot(place), correlation[order[row], order[column]])
                 panels[row, column].label_outer()
         figure.align_labels()
         _legend(figure, any(math.isfinite(value) for _, value in limits.values()), len(shown) > 1)
-        if len(shown) < len(names):
-            note = f"the {len(shown)} of {len(names)} parameters that are most correlated with another"
+        if len(shown) < len(moving):
+            note = f"the {len(shown)} of {len(moving)} parameters that are most correlated with another"
             figure.text(0.99, 0.002, note, ha="right", va="bottom", fontsize=7)
     return figure
 
@@ -108,14 +114,18 @@ def _dress_marginal(panel: Axes, values: np.ndarray) -> None:
 
 
 def _dress_axis(
-    axis: Axis, draws: xr.DataArray, limits: tuple[float | None, float | None] = (None, None), true: float = math.nan
+    axis: Axis,
+    values: np.ndarray,
+    parameter: Parameter,
+    limits: tuple[float | None, float | None] = (None, None),
+    true: float = math.nan,
 ) -> None:
     """Limits, name, a few ticks, and a line at the true value where that is finite."""
     horizontal, panel = isinstance(axis, XAxis), axis.axes
     (panel.set_xlim if horizontal else panel.set_ylim)(*limits)
     if math.isfinite(true):
         (panel.axvline if horizontal else panel.axhline)(true, **_TRUE)
-    label, factor = parameter_label(draws)
+    label, factor = parameter_label(parameter, float(np.abs(values).max()))
     axis.set_label_text(label, fontsize=8)
     low, high = axis.get_view_interval()
     ticks = np.asarray(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
@@ -177,16 +187,14 @@ def _limits(values: np.ndarray, true: float) -> tuple[tuple[float, float], float
     return (float(lower - margin), float(upper + margin)), true
 
 
-def parameter_label(draws: xr.DataArray) -> tuple[str, float]:
+def parameter_label(parameter: Parameter, magnitude: float) -> tuple[str, float]:
     """Symbol and unit, with a power of a thousand for values from 10 000 on or below 0.01; and its inverse."""
-    magnitude = float(np.abs(draws).max())
     power = 0 if 1e-2 <= magnitude < 1e4 or magnitude == 0.0 else 3 * math.floor(math.log10(magnitude) / 3.0)
-    unit = [rf"$10^{{{power}}}$"] * bool(power) + [style.raised(draws.attrs["units"])] * ("units" in draws.attrs)
-    symbol = style.parameter_symbol(str(draws.name))
-    return f"{symbol} ({' '.join(unit)})" if unit else symbol, 10.0**-power
+    unit = [rf"$10^{{{power}}}$"] * bool(power) + [style.raised(parameter.unit)] * bool(parameter.unit)
+    return f"{parameter.symbol} ({' '.join(unit)})" if unit else parameter.symbol, 10.0**-power
 
 
-def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, shown: Sequence[str] | None = None) -> Figure:
+def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence[Parameter], number: int) -> Figure:
     """One row per parameter: its density and its draws over the iterations after warm-up, chain by chain.
 
     Divergent iterations are marked at the foot of every panel.
@@ -194,22 +202,23 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, shown: Sequence[str]
     Args:
         draws: The group ``posterior``, whose attribute ``tuning_steps`` counts the iterations of the warm-up.
         statistics: The group ``sample_stats``.
-        shown: Names of the parameters that have a row; None for the first `IN_TRACES`.
+        parameters: That have a row, `IN_TRACES` at most.
+        number: Of all parameters, said below where it is more than these.
     """
-    arviz, names, count = import_arviz(), _moving(draws), draws.sizes["chain"]
-    shown = [name for name in names if shown is None or name in shown][:IN_TRACES]
+    arviz, count, shown = import_arviz(), draws.sizes["chain"], _moving(draws, parameters)
     iteration = draws["draw"] + 1 + draws.attrs.get("tuning_steps", 0)
     groups = [group.assign_coords(draw=iteration).isel(chain=slice(CHAINS_SHOWN)) for group in (draws, statistics)]
     with style.look():
         figure, panels = _rows(len(shown), 0.8, width_ratios=(1, 3))
+        data = arviz.InferenceData(posterior=groups[0], sample_stats=groups[1])
         arviz.plot_trace(
-            arviz.InferenceData(posterior=groups[0], sample_stats=groups[1]), shown, axes=panels, compact=False,
+            data, [p.name for p in shown], axes=panels, compact=False,
             divergences="bottom", chain_prop={"color": style.CYCLE}, plot_kwargs={"textsize": 7, "linewidth": 0.8},
             trace_kwargs={"alpha": 0.8, "linewidth": 0.4, "rasterized": True},
         )  # fmt: skip
-        for (density, trace), name in zip(panels, shown, strict=True):
-            _dress_axis(trace.yaxis, draws[name])
-            _dress_axis(density.xaxis, draws[name])
+        for (density, trace), parameter in zip(panels, shown, strict=True):
+            for axis in (trace.yaxis, density.xaxis):
+                _dress_axis(axis, draws[parameter.name].to_numpy(), parameter)
             density.set(title="", xlabel="", ylabel=trace.get_ylabel())
             trace.set(title="", ylabel="")
         panels[-1, 1].set_xlabel("Iteration")
@@ -218,11 +227,11 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, shown: Sequence[str]
         chains = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
         divergent = int(statistics["diverging"].sum()) if "diverging" in statistics else 0
         mark = Line2D([], [], color="k", marker="|", linestyle="none", markersize=6, label=f"{divergent} divergent")
-        _finish(figure, [*chains, *[mark][:divergent]], shown, names)
+        _finish(figure, [*chains, *[mark][:divergent]], len(shown), number)
     return figure
 
 
-def rank_figure(draws: xr.Dataset, shown: Sequence[str] | None = None) -> Figure:
+def rank_figure(draws: xr.Dataset, parameters: Sequence[Parameter], number: int) -> Figure:
     """One panel per parameter: where each chain's draws stand among those of all, as one histogram per chain.
 
     Chains that explore the same distribution have flat histograms, at the dashed lines (Vehtari, Gelman, Simpson,
@@ -231,32 +240,30 @@ def rank_figure(draws: xr.Dataset, shown: Sequence[str] | None = None) -> Figure
 
     Args:
         draws: The group ``posterior``, at least two draws of every chain.
-        shown: Names of the parameters that have a panel; None for the first `IN_TRACES`.
+        parameters: That have a panel, `IN_TRACES` at most.
+        number: Of all parameters, said below where it is more than these.
     """
-    names, kind = _moving(draws), "half" if draws.sizes["chain"] == 1 else "chain"
-    shown = [name for name in names if shown is None or name in shown][:IN_TRACES]
-    compared = {name: two_chains(draws[name].to_numpy())[:CHAINS_SHOWN] for name in shown}
-    chains = len(compared[shown[0]])
+    shown, kind = _moving(draws, parameters), "half" if draws.sizes["chain"] == 1 else "chain"
+    compared = {p.name: two_chains(draws[p.name].to_numpy())[:CHAINS_SHOWN] for p in shown}
+    chains = len(compared[shown[0].name])
     with style.look():
         figure, panels = _rows(-(-len(shown) // 2), 0.3 + 0.2 * chains)
         look = {"bar_kwargs": {"alpha": 0.75, "linewidth": 0.0}, "ref_line_kwargs": {"linewidth": 0.6}}
         colours = [style.CYCLE[i % len(style.CYCLE)] for i in range(chains)]
         import_arviz().plot_rank(compared, bins=RANK_BINS, colors=colours, ax=panels.ravel()[: len(shown)], **look)
-        for panel, name in zip(panels.ravel(), shown, strict=False):
-            symbol = style.parameter_symbol(name)
-            panel.set(title="", xlabel="", ylabel=f"{symbol}, {kind}", yticklabels=range(1, chains + 1))
+        for panel, parameter in zip(panels.ravel(), shown, strict=False):
+            panel.set(title="", xlabel="", ylabel=f"{parameter.symbol}, {kind}", yticklabels=range(1, chains + 1))
         for panel in panels.ravel()[len(shown) :]:
             panel.remove()
         figure.supxlabel("Rank among all draws", fontsize=8, y=0.01)
         flat = Line2D([], [], color=style.BLACK, linewidth=0.6, linestyle="--", label="chains that agree")
-        _finish(figure, [flat], shown, names)
+        _finish(figure, [flat], len(shown), number)
     return figure
 
 
-def _moving(draws: xr.Dataset) -> list[str]:
+def _moving(draws: xr.Dataset, parameters: Sequence[Parameter]) -> list[Parameter]:
     """The parameters whose draws are not all the same; all of them where none moves."""
-    names = [str(name) for name in draws.data_vars if draws[name].dims == ("chain", "draw")]
-    return [name for name in names if draws[name].min() < draws[name].max()] or names
+    return [p for p in parameters if draws[p.name].min() < draws[p.name].max()] or list(parameters)
 
 
 def _rows(count: int, height: float, **options: Any) -> tuple[Figure, np.ndarray]:
@@ -264,8 +271,8 @@ def _rows(count: int, height: float, **options: Any) -> tuple[Figure, np.ndarray
     return style.panels(count, 2, height, margins=(0.5, 0.15, 0.3, 0.42), gaps=(0.5, 0.2), **options)
 
 
-def _finish(figure: Figure, handles: list[Line2D], shown: Sequence[str], names: Sequence[str]) -> None:
+def _finish(figure: Figure, handles: list[Line2D], shown: int, number: int) -> None:
     figure.align_labels()
     figure.legend(handles=handles, loc="upper center", ncols=len(handles))
-    if len(shown) < len(names):
-        figure.text(0.99, 0.005, f"{len(shown)} of {len(names)} parameters", ha="right", va="bottom", fontsize=7)
+    if shown < number:
+        figure.text(0.99, 0.002, f"{shown} of {number} parameters", ha="right", va="bottom", fontsize=7)

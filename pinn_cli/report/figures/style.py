@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 
 from pinn_cli.record.record import UNITS
 from pinn_cli.runs.writing import replacing
-from pinn_cli.training.estimated_chain import split_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,8 +36,6 @@ SYMBOLS = {
     "acceleration": r"$\ddot{u}$",
     "force": r"$f$",
 }
-
-_GREEK = ("kappa", "mu")
 
 _STYLE: dict[Any, Any] = {
     "font.family": "STIXGeneral",
@@ -134,17 +131,6 @@ def unit(quantity: str, prefix: str = "") -> str:
 def raised(unit: str) -> str:
     """A parameter's unit with raised powers: ``N/m^3``."""
     return re.sub(r"\^([\d.]+)", r"$^{\1}$", unit)
-
-
-def symbol(kind: str, index: int | None = None) -> str:
-    """A kind of parameter as mathematics, with an index or without: ``kappa`` is a Greek letter."""
-    letter = rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else rf"\mathrm{{{kind}}}"
-    return f"${letter}$" if index is None else rf"${letter}_{{{index}}}$"
-
-
-def parameter_symbol(name: str) -> str:
-    """A parameter's name as mathematics: ``kappa_4`` is a Greek letter with an index."""
-    return symbol(*split_name(name))
 
 
 def unit_prefix(magnitude: float, kilo: bool = False) -> tuple[float, str]:
