@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.record import QUANTITIES
-from pinn_cli.report.labels import with_labels
+from pinn_cli.report.results import with_labels
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,7 +71,7 @@ def fitness_table(
         estimate: The estimated response, (time, dof) for each quantity.
         truth: The true response, same shapes; NaN where unknown.
         observed: (dof,) bool: DOFs with any response sensor.
-        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
         Columns: the labels, ``group``, ``quantity``, ``fitness_percent``, ``range_fitness_percent``.

@@ -86,7 +86,7 @@ def free_run_table(
         estimate: The response that it is compared with, beside truth and sensors.
         record: The sensors, noise included; group averages go over the DOFs that have one.
         truth: NaN where unknown.
-        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
         The columns of `pinn_cli.report.fitness.fitness_table` and, before ``group``, ``against``: `REFERENCES`.

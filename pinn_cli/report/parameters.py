@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.report.labels import with_labels
+from pinn_cli.report.results import with_labels
 from pinn_cli.training.central_interval import HALF_WIDTH_90
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def parameter_table(
     Args:
         estimates: One per parameter.
         true: Kind to values (members,), or None where the truth is unknown (a record from a rig).
-        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
         Columns: the labels and `PARAMETER_COLUMNS`. ``error_percent`` is 100 |estimate - true| / |true|, as in the
@@ -85,7 +85,7 @@ def identifiability_table(
     Args:
         parameters: All that were estimated, p of them.
         correlation: (p, p), their posterior correlation; None where the training gives none.
-        labels: A value for each of `pinn_cli.report.labels.LABELS`.
+        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
         Columns: the labels and `IDENTIFIABILITY_COLUMNS`. ``prior_std`` and ``std`` are in the parameter's unit,

@@ -1,9 +1,11 @@
-"""What a run hands to its report."""
+"""What a run hands to its report, and the leading columns that say which run a row of a table belongs to."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import pandas as pd
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -14,6 +16,23 @@ if TYPE_CHECKING:
     from pinn_cli.system.chain import Chain
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.validation.base import Score
+
+LABELS = ("case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed")
+
+
+def with_labels(table: pd.DataFrame, labels: Mapping[str, object]) -> pd.DataFrame:
+    """Return ``table`` with the columns of `LABELS` put before its own; a label that is None leaves its column empty.
+
+    Raises:
+        ValueError: If a label is missing or is none of `LABELS`: tables of different runs are concatenated, so all have
+            the same columns.
+    """
+    if set(labels) != set(LABELS):
+        raise ValueError(f"labels must be {', '.join(LABELS)}; given {', '.join(map(str, labels))}")
+    labelled = table.copy()
+    for position, name in enumerate(LABELS):
+        labelled.insert(position, name, pd.Series([labels[name]] * len(table), index=table.index))
+    return labelled
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +58,7 @@ class RunDescription:
     baseline: str
 
     def labels_of(self, estimator: str) -> dict[str, object]:
-        """The leading columns of an estimator's tables (`pinn_cli.report.labels.LABELS`)."""
+        """The leading columns of an estimator's tables (`LABELS`)."""
         return {**self.labels, "estimator": estimator}
 
     @property

@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Any
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.free_run import free_run, free_run_table
 from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table
-from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
-from pinn_cli.report.posterior_table import diagnostics_table, parameter_estimates, posterior_correlation
+from pinn_cli.report.posterior import (
+    diagnostics_table,
+    parameter_estimates,
+    posterior_correlation,
+    posterior_groups,
+    write_posterior_data,
+)
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.report.terminal.parameters import diagnostics_text

@@ -10,7 +10,7 @@ import pytest
 
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.report.fitness import both_formulas, fitness_percent, fitness_table, groups
-from pinn_cli.report.labels import LABELS
+from pinn_cli.report.results import LABELS
 
 SIGNALS = Path(__file__).resolve().parents[3] / "shared" / "data" / "reference_signals"
 

@@ -17,7 +17,7 @@ from pinn_cli.record.noise import add_noise
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Measurements, Record, Response
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, estimated_chain, free_run, free_run_table
-from pinn_cli.report.labels import LABELS
+from pinn_cli.report.results import LABELS
 from pinn_cli.report.terminal.columns import WIDTH
 from pinn_cli.report.terminal.fitness import free_run_text
 from pinn_cli.system import Chain, build_chain

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from small_estimates import parameter_estimate
 
-from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import (
     IDENTIFIABILITY_COLUMNS,
     WELL_DETERMINED,
@@ -17,6 +16,7 @@ from pinn_cli.report.parameters import (
     identifiability_table,
     identifiability_warnings,
 )
+from pinn_cli.report.results import LABELS
 from pinn_cli.report.terminal.columns import MARK, WIDTH
 from pinn_cli.training.estimate import ParameterEstimate
 

@@ -10,8 +10,8 @@ import pytest
 from calls import SMALL, PinnRun
 from small_problems import measured, small_chain
 
-from pinn_cli.report.labels import LABELS
 from pinn_cli.report.residuals import COLUMNS
+from pinn_cli.report.results import LABELS
 
 SETTINGS = (
     *SMALL, "system.m=10", "system.c=1", "system.k=15", "system.kappa=100",

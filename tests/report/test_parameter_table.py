@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_estimates import parameter_estimate
 
-from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import PARAMETER_COLUMNS, parameter_table
+from pinn_cli.report.results import LABELS
 
 
 def test_error_is_relative_to_the_truth(make_case):

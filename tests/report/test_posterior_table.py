@@ -10,15 +10,15 @@ import pytest
 from fake_posteriors import CORRELATION, DUFFING, LABELS, make_diagnostics, make_samples, true_parameters
 from small_estimates import parameter_estimate
 
-from pinn_cli.report.labels import LABELS as LABEL_NAMES
 from pinn_cli.report.parameters import parameter_table
-from pinn_cli.report.posterior_table import (
+from pinn_cli.report.posterior import (
     DIAGNOSTICS,
     diagnostics_table,
     parameter_estimates,
     posterior_correlation,
     worst_sampled,
 )
+from pinn_cli.report.results import LABELS as LABEL_NAMES
 from pinn_cli.report.terminal.columns import WIDTH
 from pinn_cli.report.terminal.parameters import PARAMETERS_SHOWN, diagnostics_text
 from pinn_cli.system.parameters import Parameter

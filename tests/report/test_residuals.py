@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.channels import clipped_percent, constant_percent
-from pinn_cli.report.labels import LABELS
 from pinn_cli.report.residuals import COLUMNS, residual_table
+from pinn_cli.report.results import LABELS
 
 NOISE = 0.05
 

@@ -14,9 +14,8 @@ from small_estimates import parameter_estimate
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.report import figures, run_report
-from pinn_cli.report.labels import LABELS
 from pinn_cli.report.parameters import PARAMETER_COLUMNS
-from pinn_cli.report.results import Results
+from pinn_cli.report.results import LABELS, Results
 from pinn_cli.runs.stages import Stages
 
 

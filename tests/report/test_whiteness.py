@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.report.whiteness import (
+from pinn_cli.report.residuals import (
     autocorrelation,
     cumulated_deviation,
     cumulated_periodogram,

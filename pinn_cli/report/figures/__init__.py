@@ -14,7 +14,7 @@ from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.parameters import any_unknown
-from pinn_cli.report.posterior_table import worst_sampled
+from pinn_cli.report.posterior import worst_sampled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -20,7 +20,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from pinn_cli.posterior.diagnostics import import_arviz, two_chains
 from pinn_cli.report.figures import style
 from pinn_cli.report.parameters import true_value
-from pinn_cli.report.posterior_table import posterior_correlation
+from pinn_cli.report.posterior import posterior_correlation
 from pinn_cli.training.central_interval import CENTRAL_90
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from pinn_cli.record.record import QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
-from pinn_cli.report.residuals import nmse_percent
-from pinn_cli.report.whiteness import autocorrelation
+from pinn_cli.report.residuals import autocorrelation, nmse_percent
 from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
