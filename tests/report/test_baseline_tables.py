@@ -11,7 +11,7 @@ from pinn_cli.report.figures import response_figure
 from pinn_cli.report.results import RunDescription
 from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.report.terminal.columns import WIDTH
-from pinn_cli.report.terminal.run import comparison_text
+from pinn_cli.report.terminal.fitness import comparison_text
 
 
 def tables(case, name, estimate=None) -> EstimatorTables:

@@ -235,7 +235,7 @@ def test_values_without_intervals_and_large_values(make_case):
         if p.name == "k_1"
     ]
     figure = parameters_figure(parameters, None)
-    assert figure.axes[0].get_title() == "$k$ (kN/m)"
+    assert figure.axes[0].get_title() == "Stiffness $k$ (kN/m)"
     assert figure.axes[0].lines[0].get_ydata() == 44.0
     assert _texts(figure)[-1] == "estimate"
 

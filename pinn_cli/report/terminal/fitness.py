@@ -12,7 +12,7 @@ from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.terminal.columns import WIDTH, percent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import pandas as pd
 
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
-_TITLES = {"fitness_percent": "fitness, printed formula", "range_fitness_percent": "fitness by range, as in the tables"}
+_TITLES = {
+    "fitness_percent": "fitness, printed formula (%)",
+    "range_fitness_percent": "fitness by range, as in the tables (%)",
+}
 _NAME, _CELL, _GAP = 12, 9, "   "
 
 
@@ -94,18 +97,51 @@ def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
     return "\n".join([title, *_head("against", quantities), *lines, *([finding] if finding else [])])
 
 
-def _head(first: str = "DOFs", quantities: Sequence[str] = QUANTITIES) -> list[str]:
+def comparison_text(ours: pd.DataFrame, name: str, theirs: pd.DataFrame, seconds: Mapping[str, float]) -> str:
+    """Both estimators' fitness over all DOFs and their seconds, in 100 columns.
+
+    Quantities that nobody can score are left out; of a record without any truth the seconds are left.
+
+    Args:
+        ours: The network's, from `pinn_cli.report.fitness.fitness_table`.
+        name: Of the baseline.
+        theirs: The baseline's, likewise.
+        seconds: By stage: ``estimate`` and ``baseline``.
+    """
+    tables, stages = {"pinn": ours, name: theirs}, {"pinn": "estimate", name: "baseline"}
+    used = {each: f"{seconds[stage]:.1f}" if stage in seconds else "-" for each, stage in stages.items()}
+    every = {
+        each: table[table["group"] == "all"].set_index("quantity")[list(FORMULAS)] for each, table in tables.items()
+    }
+    known = [q for q in QUANTITIES if any(np.isfinite(table.loc[q]).any() for table in every.values())]
+    if not known:
+        return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())
+    titles = ("mean over DOFs, printed formula (%)", "by range, as in the tables (%)")
+    head = _head("estimator", known, titles, width=16, last=f"{'seconds':>{_CELL}}")
+    rows = [
+        _row(each, *table.loc[known].to_numpy().T, width=16, last=f"{used[each]:>{_CELL}}")
+        for each, table in every.items()
+    ]
+    return "\n".join([*head, *rows])
+
+
+def _head(
+    first: str = "DOFs",
+    quantities: Sequence[str] = QUANTITIES,
+    titles: Sequence[str] = tuple(_TITLES.values()),
+    width: int = _NAME,
+    last: str = "",
+) -> list[str]:
     half = _CELL * len(QUANTITIES)
-    titles = _GAP.join(f"{_TITLES[formula] + ' (%)':>{half}}" for formula in FORMULAS)
     headings = f"{''.join(f'{_HEADINGS[quantity]:>{_CELL}}' for quantity in quantities):<{half}}"
-    columns = f"{first:<{_NAME}}" + _GAP.join([headings] * len(FORMULAS))
-    return [" " * _NAME + titles, columns.rstrip(), "-" * len(columns)]
+    columns = f"{first:<{width}}" + _GAP.join([headings] * len(titles)) + last
+    return [" " * width + _GAP.join(f"{title:>{half}}" for title in titles), columns.rstrip(), "-" * len(columns)]
 
 
-def _row(name: str, *halves: Iterable[float]) -> str:
-    half_width = _CELL * len(QUANTITIES)
-    cells = [f"{''.join(f'{percent(value):>{_CELL}}' for value in half):<{half_width}}" for half in halves]
-    return (f"{name:<{_NAME}}" + _GAP.join(cells)).rstrip()
+def _row(name: str, *halves: Iterable[float], width: int = _NAME, last: str = "") -> str:
+    half = _CELL * len(QUANTITIES)
+    cells = [f"{''.join(f'{percent(value):>{_CELL}}' for value in values):<{half}}" for values in halves]
+    return (f"{name:<{width}}" + _GAP.join(cells) + last).rstrip()
 
 
 def _marked(name: str, observed: np.ndarray | None) -> str:

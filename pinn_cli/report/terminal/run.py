@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES, UNITS
+from pinn_cli.record.record import UNITS
 from pinn_cli.report import published
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.parameters import identifiability_warnings
 from pinn_cli.report.terminal.columns import WIDTH, Column, number, percent, table_lines
-from pinn_cli.report.terminal.fitness import fitness_text, free_run_line, free_run_text
+from pinn_cli.report.terminal.fitness import comparison_text, fitness_text, free_run_line, free_run_text
 from pinn_cli.report.terminal.parameters import parameters_text
 
 if TYPE_CHECKING:
@@ -122,42 +122,6 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
     # A column of dashes says nothing: there may be no free run, and a training may find no noise.
     columns = {name: column for name, column in columns.items() if shown[name].notna().any()}
     return "\n".join([*table_lines(columns, shown), *notes, *_NOTES])
-
-
-def comparison_text(ours: pd.DataFrame, name: str, theirs: pd.DataFrame, seconds: Mapping[str, float]) -> str:
-    """Both estimators' fitness over all DOFs and their seconds, in 100 columns.
-
-    Quantities that nobody can score are left out; of a record without any truth the seconds are left.
-
-    Args:
-        ours: The network's, from `pinn_cli.report.fitness.fitness_table`.
-        name: Of the baseline.
-        theirs: The baseline's, likewise.
-        seconds: By stage: ``estimate`` and ``baseline``.
-    """
-    scores = {"pinn": _over_all(ours), name: _over_all(theirs)}
-    stages = {"pinn": "estimate", name: "baseline"}
-    used = {each: f"{seconds[stage]:.1f}" if stage in seconds else "-" for each, stage in stages.items()}
-    known = np.any([np.isfinite(each).any(axis=1) for each in scores.values()], axis=0)
-    if not known.any():
-        return "seconds: " + ", ".join(f"{each} {taken}" for each, taken in used.items())
-    columns = "".join(f"{heading:>9}" for heading in np.array(["displ.", "veloc.", "accel.", "force"])[known])
-    lines = [
-        f"{'':16}{'mean over DOFs, printed formula (%)':>36}   {'by range, as in the tables (%)':>36}",
-        f"{'estimator':<16}{columns:<36}   {columns:<36}{'seconds':>9}",
-    ]
-    lines.append("-" * len(lines[1]))
-    for each, values in scores.items():
-        halves = [f"{''.join(f'{percent(value):>9}' for value in half):<36}" for half in values[known].T]
-        lines.append(f"{each:<16}{'   '.join(halves)}{used[each]:>9}")
-    return "\n".join(lines)
-
-
-def _over_all(fitness: pd.DataFrame) -> np.ndarray:
-    """(quantities, formulas) of the group of all DOFs."""
-    every = fitness[fitness["group"] == "all"].set_index("quantity")
-    scores: np.ndarray = every.loc[list(QUANTITIES), list(FORMULAS)].to_numpy()
-    return scores
 
 
 def score_text(name: str, score: Score | None) -> str:
