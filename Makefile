@@ -44,7 +44,7 @@ format: venv ## let ruff sort imports, mend and format
 	$(BIN)/ruff format .
 
 test: lint ## lint, then every test that is not slow
-	$(BIN)/python -m pytest -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --maxprocesses 8 --dist loadscope -m "not slow"
 
 test-all: lint $(RAY) ## lint, then every test
 	$(BIN)/python -m pytest
