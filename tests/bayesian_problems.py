@@ -17,7 +17,7 @@ from pinn_cli.system.chain import Chain
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
-from pinn_cli.training.scales import scales
+from pinn_cli.training.record_scales import force_and_velocity_scale
 
 PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one
 
@@ -63,6 +63,6 @@ def solved(problem: Problem, intervals: int | None = None) -> Example:
     """As training=gauss_newton solves it, only to the last digit."""
     network = Spline(intervals=intervals).refined().build(problem.record)
     evidence = Evidence(NormalEquations(network, problem), 40, PRECISE, lambda losses, noise: None)
-    force, _ = scales(problem)
+    force, _ = force_and_velocity_scale(problem)
     noise = NoiseModel(*sensor_noise(network, problem.record), force, 1.0)
     return Example(problem, evidence, evidence.widen_for_colour(evidence.search(noise, force, lambda: None)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pinn_cli.baseline.linear_gaussian import Filtered
 from pinn_cli.baseline.regression import Regression, regress, regress_with_spread
-from pinn_cli.baseline.state_space import Levels, Linearised, StateSpace, Trajectory
+from pinn_cli.baseline.state_space import Linearised, NoiseLevels, StateSpace, Trajectory
 
 # Steps shorter than this part of the motion are taken unseen: the model is smooth on their scale, and looking costs a
 # tenth of a pass. A longer one is halved until the misfit falls, so many times at most.
@@ -30,7 +30,7 @@ class Pass:
         step: Rms of its distance from where the model was linearised, over its own rms; the largest of any state kind.
     """
 
-    levels: Levels
+    levels: NoiseLevels
     linearised: Linearised
     filtered: Filtered
     regression: Regression
@@ -59,7 +59,7 @@ class IteratedSmoother:
         self.history: list[dict[str, float]] = []
         self.started = time.perf_counter()
 
-    def settle(self, trajectory: Trajectory, levels: Levels, tolerance: float) -> Pass:
+    def settle(self, trajectory: Trajectory, levels: NoiseLevels, tolerance: float) -> Pass:
         """Passes until the step is shorter than ``tolerance``, or until they are used up.
 
         Raises:
@@ -72,7 +72,7 @@ class IteratedSmoother:
                 break
         return done
 
-    def once(self, trajectory: Trajectory, levels: Levels) -> Pass:
+    def once(self, trajectory: Trajectory, levels: NoiseLevels) -> Pass:
         """One pass.
 
         Raises:
@@ -95,7 +95,7 @@ class IteratedSmoother:
         self._note(levels, found, length)
         return Pass(levels, linearised, filtered, found, disturbances, moved, length)
 
-    def _note(self, levels: Levels, found: Regression, step: float) -> None:
+    def _note(self, levels: NoiseLevels, found: Regression, step: float) -> None:
         row = {"iteration": len(self.history) + 1, "seconds": time.perf_counter() - self.started}
         found_row = {"discrepancy": levels.discrepancy, "log_evidence": found.log_evidence, "step": step}
         self.history.append({**row, **found_row})

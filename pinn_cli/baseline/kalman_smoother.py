@@ -8,7 +8,7 @@ import pandas as pd
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
-from pinn_cli.baseline.state_space import Levels, StateSpace
+from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
@@ -50,7 +50,7 @@ class KalmanSmoother(Estimator):
         response, force = inferred_sensor_noise(problem, run.device)
         smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
         try:
-            last = self._last_pass(smoother, Levels(response, force, smoother.space.force_scale))
+            last = self._last_pass(smoother, NoiseLevels(response, force, smoother.space.force_scale))
             summary = {
                 "iterations": len(smoother.history),
                 "stop_reason": "converged" if last.step < self.tolerance else "iteration limit",
@@ -60,7 +60,7 @@ class KalmanSmoother(Estimator):
         except (FloatingPointError, np.linalg.LinAlgError) as error:
             raise DivergenceError(str(error)) from error
 
-    def _last_pass(self, smoother: IteratedSmoother, levels: Levels) -> Pass:
+    def _last_pass(self, smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
         """The solution under the given process noise, or under the one that is found."""
         if self.process_noise is None:
             best = widened(smoother, most_probable(smoother, levels))

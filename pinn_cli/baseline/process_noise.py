@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
-from pinn_cli.baseline.state_space import Levels
+from pinn_cli.baseline.state_space import NoiseLevels
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN
 
@@ -21,7 +21,7 @@ RESOLUTION, EVALUATIONS = 0.4, 4
 ROUGH = 0.1
 
 
-def stiffened(smoother: IteratedSmoother, levels: Levels, wanted: float) -> Pass:
+def stiffened(smoother: IteratedSmoother, levels: NoiseLevels, wanted: float) -> Pass:
     """The pass under a wanted discrepancy, N, reached by decades from that of ``levels``.
 
     Raises:
@@ -35,7 +35,7 @@ def stiffened(smoother: IteratedSmoother, levels: Levels, wanted: float) -> Pass
     return reached
 
 
-def most_probable(smoother: IteratedSmoother, levels: Levels) -> Pass:
+def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
     """The pass under the discrepancy of greatest evidence, searched from soft physics to stiff.
 
     Every level starts at the last trajectory, as in `pinn_cli.training.band.evidence`: soft physics forgives a start at

@@ -26,7 +26,7 @@ from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.structure import Linearisation
-from pinn_cli.training.scales import scales
+from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record
 # decides.
@@ -47,7 +47,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class Levels:
+class NoiseLevels:
     """Noise levels, as standard deviations.
 
     Attributes:
@@ -101,7 +101,7 @@ class StateSpace:
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
         self.participation = problem.chain.participation(problem.uncertain)
         self.pull = problem.chain.incidence.matrix.toarray().T  # row i: what a unit displacement of DOF i stretches
-        self.force_scale, self.velocity_scale = scales(problem)
+        self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
         self.force = interpolated_force(record, substeps_needed(problem.chain, self.step))
         self.sensors = [(q, i) for q in RESPONSE_QUANTITIES for i in np.flatnonzero(record.sensors(q))]
@@ -179,7 +179,7 @@ class StateSpace:
                 state[:, row, dof if quantity == "displacement" else n + dof] = 1.0
         return Linearised(trajectory, self.residuals(trajectory), state, felt, coefficient, by_state, by_parameter)
 
-    def model(self, linearised: Linearised, levels: Levels) -> LinearGaussian:
+    def model(self, linearised: Linearised, levels: NoiseLevels) -> LinearGaussian:
         """Deviations from the trajectory under given noise levels.
 
         Its coefficients are changes of the uncertain parameters, then of the initial elongations and their rates, in

@@ -35,7 +35,7 @@ class Scheme(ABC):
             InputError: A setting does not fit the chain.
         """
 
-    def posed_again(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
+    def with_record(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
         """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.
 
         Args:

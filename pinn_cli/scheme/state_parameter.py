@@ -88,8 +88,8 @@ class StateParameter(Scheme):
             problems.append(Problem(chain, record, uncertain, through, initial_motion=self.initial_motion))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
-    def posed_again(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
-        """See :meth:`Scheme.posed_again`: by default it is the sensors that say what is unknown."""
+    def with_record(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
+        """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""
         again = copy(self)
         again.unknown = [parameter.name for parameter in problem.uncertain if parameter.unknown]
         return again.problem(prescribed, record)

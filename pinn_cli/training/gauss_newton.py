@@ -34,7 +34,7 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel
-from pinn_cli.training.scales import scales
+from pinn_cli.training.record_scales import force_and_velocity_scale
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
 
@@ -132,7 +132,7 @@ class GaussNewton(Training):
     def _weighed(self, evidence: Evidence) -> Inferred:
         """The solution under weights that the user has fixed."""
         problem = evidence.equations.problem
-        force, velocity = scales(problem)
+        force, velocity = force_and_velocity_scale(problem)
         noise = self._fixed(starting_noise(evidence), problem.record, force, velocity)
         trained = evidence.train(noise, evidence.equations.start())
         if trained is None:

@@ -90,7 +90,7 @@ class Forecast(Validation):
 
     def _up_to(self, start: int, problem: Problem, setup: Setup) -> Problem:
         """The same problem with the record up to a block."""
-        return setup.scheme.posed_again(problem, setup.prescribed, problem.record.until(start))
+        return setup.scheme.with_record(problem, setup.prescribed, problem.record.until(start))
 
     def _rows(self, record: Record, forecast: Response, start: int) -> list[dict[str, Any]]:
         rows = []

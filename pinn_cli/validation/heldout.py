@@ -79,7 +79,7 @@ class HeldOut(Validation):
         """The same problem without one DOF's response sensors."""
         record = problem.record
         left = {q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != dof] for q in RESPONSE_QUANTITIES}
-        return setup.scheme.posed_again(problem, setup.prescribed, record.keep(left))
+        return setup.scheme.with_record(problem, setup.prescribed, record.keep(left))
 
     def _rows(self, record: Record, dof: int, found: Estimate) -> list[dict[str, Any]]:
         rows = []

@@ -12,7 +12,7 @@ from small_problems import sped_up as faster
 
 from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
-from pinn_cli.baseline.state_space import Levels, StateSpace
+from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.simulation import Simulation
@@ -142,7 +142,7 @@ def test_a_given_process_noise_is_kept() -> None:
 
 
 def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:
-    levels = Levels({}, np.array([3.0, np.nan]), 4.0)
+    levels = NoiseLevels({}, np.array([3.0, np.nan]), 4.0)
     np.testing.assert_allclose(levels.disturbance_variance, [25.0, 16.0])
 
 

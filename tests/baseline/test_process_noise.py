@@ -8,7 +8,7 @@ from small_problems import QUANTITIES, excitation, relative_error, small_chain
 
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother
 from pinn_cli.baseline.process_noise import RESOLUTION, most_probable, stiffened, widened
-from pinn_cli.baseline.state_space import Levels, StateSpace
+from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.simulation import Simulation
@@ -17,7 +17,7 @@ from pinn_cli.scheme.problem import Problem
 DURATION, SAMPLES, FINE = 24.0, 513, 0.001
 
 
-def disturbed(unknown: np.ndarray, nonlinearity: str = "duffing") -> tuple[IteratedSmoother, Levels, Response]:
+def disturbed(unknown: np.ndarray, nonlinearity: str = "duffing") -> tuple[IteratedSmoother, NoiseLevels, Response]:
     """A chain under a known held force and an unknown one (N, n), all accelerations seen with little noise."""
     chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES, "zero_order")
     known, time = excitation(chain, DURATION, SAMPLES).force(simulation.time), simulation.time
@@ -27,7 +27,7 @@ def disturbed(unknown: np.ndarray, nonlinearity: str = "duffing") -> tuple[Itera
     record = Record(time, *noisy, known, np.arange(3) > 0, "zero_order_hold").keep({"acceleration": (1, 2, 3)})
     sensors = {q: np.full(3, FINE) for q in QUANTITIES}
     space = StateSpace(Problem(chain, record))
-    levels = Levels(sensors, np.array([0.0, np.nan, np.nan]), space.force_scale)
+    levels = NoiseLevels(sensors, np.array([0.0, np.nan, np.nan]), space.force_scale)
     return IteratedSmoother(space, passes=12, learn_spread=True), levels, truth
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_problems import NONLINEARITIES, measured, small_chain
 
-from pinn_cli.baseline.state_space import Levels, StateSpace, Trajectory
+from pinn_cli.baseline.state_space import NoiseLevels, StateSpace, Trajectory
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
@@ -99,7 +99,7 @@ def test_an_unmeasured_force_is_a_stationary_process() -> None:
     posed, truth = problem(hidden=True)
     space = StateSpace(posed)
     sigma = {q: np.ones(3) for q in ("displacement", "velocity", "acceleration")}
-    model = space.model(space.linearise(truth), Levels(sigma, np.full(3, np.nan), 1.0))
+    model = space.model(space.linearise(truth), NoiseLevels(sigma, np.full(3, np.nan), 1.0))
     m, n = len(space.sensors), space.n
     carried = model.state[0, m + 2 * n :, 2 * n :]
     stationary = model.initial_covariance[2 * n :, 2 * n :]

@@ -19,7 +19,7 @@ from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, starting_levels
-from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
@@ -135,7 +135,7 @@ def _searched(evidence: Evidence, noise: NoiseModel) -> Trained:
 def starting_noise(evidence: Evidence) -> NoiseModel:
     """Where the noise levels of a problem start; the discrepancy is the force that acts."""
     problem = evidence.equations.problem
-    force, velocity = scales(problem)
+    force, velocity = force_and_velocity_scale(problem)
     response, sensors = starting_levels(problem.record)
     points = evidence.equations.refinement
     return NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity, points_per_sample=points)

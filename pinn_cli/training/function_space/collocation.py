@@ -17,9 +17,9 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.physics import Targets
+from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
-from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.band.inference import inferred_sensor_noise
@@ -66,7 +66,7 @@ def collocate(problem: Problem, every: Targets, points: int | None, most_rows: i
     network = Spline().build(record)
     response, force = inferred_sensor_noise(problem, str(every.force.device))
     count = _points(problem, points, most_rows, network.count)
-    samples = torch.as_tensor(uniform_subset(len(record.time), count), device=every.force.device)
+    samples = torch.as_tensor(evenly_spaced(len(record.time), count), device=every.force.device)
     if network.count < len(record.time):
         target = _low_passed(target, network)
         kept = math.sqrt(network.count / len(record.time))

@@ -15,9 +15,9 @@ from torch import Tensor
 from pinn_cli.network.base import States
 from pinn_cli.network.embedding import BAND_MARGIN
 from pinn_cli.physics import physics_residual
+from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.record import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
-from pinn_cli.record.subset import uniform_subset
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.factor import cholesky
 from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
@@ -90,7 +90,7 @@ class FunctionSpacePosterior:
             physics_time: (N,), when forces are.
             time: (N,), the record's.
         """
-        samples = uniform_subset(len(time), min(TIMES, len(time)))
+        samples = evenly_spaced(len(time), min(TIMES, len(time)))
         chain, parameters = self.search.rows.chain, self._values()
 
         def motion(states: States) -> Tensor:

@@ -23,7 +23,7 @@ from pinn_cli.training.function_space.search import FunctionSpaceSearch
 from pinn_cli.training.history import History
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
-from pinn_cli.training.scales import CONTINUITY_TOLERANCE, scales
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE
 from pinn_cli.training.stepwise import train
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
@@ -75,7 +75,7 @@ class FunctionSpaceGaussNewton:
             problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised",
             problem.initial_deviation,
         )  # fmt: skip
-        force, velocity = scales(problem)
+        force, velocity = force_and_velocity_scale(problem)
         noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
         with History(run.progress, run.watch, iterations=self.iterations) as history:
             search = FunctionSpaceSearch(

@@ -15,9 +15,9 @@ from torch import Tensor
 from pinn_cli.network.base import Network, States
 from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
 from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import periodogram, signal_band
-from pinn_cli.record.subset import uniform_subset
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.learned_parameters import LearnedParameters
@@ -104,7 +104,7 @@ def _samples(record: Record, points: int | None) -> np.ndarray:
     if points < needed:
         hint = f"the record goes up to {highest:.3g} Hz and lasts {record.duration:.4g} s"
         raise InputError("training.collocation_points", points, f"a whole number >= {needed}, or null", hint)
-    return uniform_subset(available, points)
+    return evenly_spaced(available, points)
 
 
 def _highest_frequency(record: Record) -> float:

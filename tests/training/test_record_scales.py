@@ -10,31 +10,30 @@ from small_problems import accelerations, measured, small_chain, sped_up
 
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.scales import scales
 
 CHAIN = small_chain()
 RECORD = measured(CHAIN, snr_db=40.0).record
 
 
 def test_the_force_is_the_measured_forces_rms():
-    force, velocity = scales(Problem(CHAIN, accelerations(RECORD)))
+    force, velocity = force_and_velocity_scale(Problem(CHAIN, accelerations(RECORD)))
     assert force == pytest.approx(np.sqrt(np.mean(RECORD.force[:, 0] ** 2)))
     assert velocity == pytest.approx(force / 10.0 / (np.pi * record_band(accelerations(RECORD))))
 
 
 def test_without_a_measured_force_it_is_mass_times_acceleration():
     silent = replace(RECORD, force=np.zeros_like(RECORD.force), unforced=np.ones(3, bool))
-    force, _ = scales(Problem(CHAIN, accelerations(silent, (1,))))
+    force, _ = force_and_velocity_scale(Problem(CHAIN, accelerations(silent, (1,))))
     assert force == pytest.approx(10.0 * np.sqrt(np.mean(RECORD.acceleration[:, 0] ** 2)))
 
 
 def test_a_force_that_is_measured_as_zero_is_no_scale():
     silent = accelerations(replace(RECORD, force=np.zeros_like(RECORD.force)))
-    assert scales(Problem(CHAIN, silent))[0] > 0
+    assert force_and_velocity_scale(Problem(CHAIN, silent))[0] > 0
 
 
 def test_a_velocity_goes_with_the_time_scale():
-    force, velocity = scales(Problem(small_chain(speed=30.0), accelerations(sped_up(RECORD, 30.0))))
+    force, velocity = force_and_velocity_scale(Problem(small_chain(speed=30.0), accelerations(sped_up(RECORD, 30.0))))
     assert (force, velocity) == pytest.approx(
-        tuple(np.array(scales(Problem(CHAIN, accelerations(RECORD)))) * (1.0, 30.0))
+        tuple(np.array(force_and_velocity_scale(Problem(CHAIN, accelerations(RECORD)))) * (1.0, 30.0))
     )

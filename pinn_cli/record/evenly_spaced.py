@@ -5,6 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 
-def uniform_subset(available: int, count: int) -> np.ndarray:
+def evenly_spaced(available: int, count: int) -> np.ndarray:
     """(count,) indices of ``available`` samples, spread evenly, the first and the last included."""
     return np.linspace(0, available - 1, count).round().astype(np.int64)

@@ -13,7 +13,7 @@ from pinn_cli.scheme.problem import Problem
 CONTINUITY_TOLERANCE = 1e-4
 
 
-def scales(problem: Problem) -> tuple[float, float]:
+def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     """Force (N) and velocity (m/s) that the record is about.
 
     Rms of the measured force, or of mass times measured motion. A velocity is worth its acceleration at the band's
