@@ -10,6 +10,7 @@ from small_problems import accelerations, measured, small_chain, sped_up
 
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.record_scales import force_and_velocity_scale
 
 CHAIN = small_chain()
 RECORD = measured(CHAIN, snr_db=40.0).record

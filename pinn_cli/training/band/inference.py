@@ -19,7 +19,7 @@ from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, starting_levels
-from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6

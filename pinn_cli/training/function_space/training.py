@@ -23,7 +23,7 @@ from pinn_cli.training.function_space.search import FunctionSpaceSearch
 from pinn_cli.training.history import History
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
-from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 from pinn_cli.training.stepwise import train
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
