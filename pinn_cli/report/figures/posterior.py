@@ -128,12 +128,14 @@ def _dress_axis(
     label, factor = parameter_label(parameter, float(np.abs(values).max()))
     axis.set_label_text(label, fontsize=8)
     low, high = axis.get_view_interval()
-    ticks = np.asarray(MaxNLocator(3, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    grid = panel.get_gridspec()
+    few = grid is None or grid.ncols < 7
+    ticks = np.asarray(MaxNLocator(4 if few else 3, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
     # A label at an end would run into the next panel's.
     axis.set_major_locator(FixedLocator(list(ticks[np.abs(ticks - (low + high) / 2.0) < 0.4 * (high - low)])))
     if factor != 1.0:
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:g}"))
-    axis.set_tick_params(labelsize=7 if len(panel.figure.axes) < 50 else 6)
+    axis.set_tick_params(labelsize=7 if few else 6)
 
 
 def _write_correlation(panel: Axes, value: float) -> None:
