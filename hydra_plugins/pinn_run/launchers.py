@@ -35,19 +35,21 @@ class DeferredLauncher(Launcher):
             InputError: What it needs is not installed.
         """
         try:
-            module = importlib.import_module(f"pinn_cli.sweep.{self.module}")
+            launcher = getattr(importlib.import_module(f"pinn_cli.sweep.{self.module}"), type(self).__name__)
         except ModuleNotFoundError as error:
             if str(error.name).startswith("pinn_cli"):
                 raise
             chosen = config.hydra.runtime.choices["hydra/launcher"]
             hint = f"pip install 'pinn-cli[{self.extra}]'"
             raise InputError("hydra/launcher", chosen, "an installed launcher", hint) from error
-        self.launcher: Launcher = getattr(module, type(self).__name__)(**self.settings)
-        self.launcher.setup(hydra_context=hydra_context, task_function=task_function, config=config)
+        from pinn_cli.sweep.pending import Work
+
+        self.launcher = launcher(Work(hydra_context, task_function, config), **self.settings)
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """See :class:`hydra.plugins.launcher.Launcher`."""
-        return self.launcher.launch(job_overrides, initial_job_idx)
+        returned: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
+        return returned
 
 
 class JoblibLauncher(DeferredLauncher):

@@ -31,14 +31,14 @@ class BasicSweeper(Sweeper):
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """See :class:`hydra.plugins.sweeper.Sweeper`."""
-        from pinn_cli.sweep.grid import Grid
-
-        self.grid = Grid(hydra_context, task_function, config)
+        self.context = hydra_context, task_function, config
 
     def sweep(self, arguments: list[str]) -> Any:
         """See :class:`hydra.plugins.sweeper.Sweeper`."""
-        params = [f"{name}={choices}" for name, choices in self.params.items()]
-        return self.grid.run([*params, *arguments], self.max_batch_size)
+        from pinn_cli.sweep.grid import run_grid
+
+        overrides = [*(f"{name}={choices}" for name, choices in self.params.items()), *arguments]
+        return run_grid(*self.context, overrides, self.max_batch_size)
 
 
 class SearchSweeper(Sweeper):

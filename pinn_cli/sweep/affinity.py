@@ -28,13 +28,8 @@ def jobs_at_once(threads: int) -> int:
     return max(1, len(usable_cores()) // max(1, threads))
 
 
-def worker_count(n_jobs: int) -> int:
-    """How many processes joblib starts for its `n_jobs`; -1 is one per core, -2 one less."""
-    return n_jobs if n_jobs > 0 else max(1, len(usable_cores()) + 1 + n_jobs)
-
-
-def pin(n_jobs: int) -> list[int]:
-    """Keep this process, one of joblib's workers, to the first share that none of its siblings has.
+def pin(workers: int) -> list[int]:
+    """Keep this process, one of so many workers of joblib's, to the first share that none of its siblings has.
 
     Where the system cannot (it is not Linux), or no share is left, nothing happens. Once in a process is enough.
 
@@ -44,7 +39,7 @@ def pin(n_jobs: int) -> list[int]:
     global _claim  # noqa: PLW0603
     if _claim is not None or not hasattr(os, "sched_setaffinity"):
         return usable_cores()
-    for share, cores in enumerate(shares(usable_cores(), worker_count(n_jobs))):
+    for share, cores in enumerate(shares(usable_cores(), workers)):
         claim = socket.socket(socket.AF_UNIX)
         try:
             claim.bind(f"\0pinn-run cores {os.getppid()} {share}")  # an abstract name, which dies with its owner

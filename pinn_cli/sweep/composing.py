@@ -32,6 +32,10 @@ _composed: dict[Any, DictConfig] = {}
 _KEPT = 64
 
 
+def _as_hydras(name: str) -> Any:
+    return lambda loader, *args, **kwargs: getattr(loader.hydras, name)(*args, **kwargs)
+
+
 class JobLoader(ConfigLoader):
     """Hydra's loader, but for how it composes jobs; see the module.
 
@@ -86,24 +90,12 @@ class JobLoader(ConfigLoader):
             _composed[key] = self.hydras.load_sweep_config(master, overrides)
         return copy.deepcopy(_composed[key])
 
-    def load_configuration(self, *args: Any, **kwargs: Any) -> DictConfig:
-        """As Hydra's, like all below."""
-        return self.hydras.load_configuration(*args, **kwargs)
-
-    def get_search_path(self) -> Any:  # noqa: D102
-        return self.hydras.get_search_path()
-
-    def get_sources(self) -> Any:  # noqa: D102
-        return self.hydras.get_sources()
-
-    def list_groups(self, parent_name: str) -> list[str]:  # noqa: D102
-        return self.hydras.list_groups(parent_name)
-
-    def get_group_options(self, *args: Any, **kwargs: Any) -> list[str]:  # noqa: D102
-        return self.hydras.get_group_options(*args, **kwargs)
-
-    def compute_defaults_list(self, *args: Any, **kwargs: Any) -> Any:  # noqa: D102
-        return self.hydras.compute_defaults_list(*args, **kwargs)
+    load_configuration = _as_hydras("load_configuration")
+    get_search_path = _as_hydras("get_search_path")
+    get_sources = _as_hydras("get_sources")
+    list_groups = _as_hydras("list_groups")
+    get_group_options = _as_hydras("get_group_options")
+    compute_defaults_list = _as_hydras("compute_defaults_list")
 
 
 class _NotASettingError(Exception):

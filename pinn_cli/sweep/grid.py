@@ -15,46 +15,43 @@ from pinn_cli.sweep.directories import combinations
 from pinn_cli.sweep.jobs import STORED
 
 
-class Grid:
-    """A sweep over every combination, on the launcher that its configuration names.
+def run_grid(
+    hydra_context: HydraContext,
+    task_function: TaskFunction,
+    config: DictConfig,
+    overrides: Sequence[str],
+    at_once: int | None,
+) -> list[Sequence[JobReturn]]:
+    """Run every combination on the launcher that a sweep's configuration names.
 
     Args:
-        hydra_context: Of the sweep, as are the next two.
+        hydra_context: Of the sweep, as are the next three.
         task_function: What a job runs.
         config: With its `hydra` node.
+        overrides: As typed.
+        at_once: How many jobs the launcher gets at a time; None: all.
+
+    Returns:
+        What the jobs returned, by what the launcher got at a time.
+
+    Raises:
+        Exception: Whatever Hydra says of overrides that cannot be composed.
     """
-
-    def __init__(self, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        self.config, self.loader = config, JobLoader(hydra_context.config_loader)
-        self.launcher = job_launcher(hydra_context, task_function, config)
-
-    def run(self, overrides: Sequence[str], at_once: int | None) -> list[Sequence[JobReturn]]:
-        """Run all jobs.
-
-        Args:
-            overrides: Of the sweep, as typed.
-            at_once: How many jobs the launcher gets at a time; None: all.
-
-        Returns:
-            What the jobs returned, by what the launcher got at a time.
-
-        Raises:
-            Exception: Whatever Hydra says of overrides that cannot be composed.
-        """
-        jobs = combinations(overrides)
-        directory = Path(self.config.hydra.sweep.dir)
-        directory.mkdir(parents=True, exist_ok=True)
-        OmegaConf.save(self.config, directory / STORED)
-        returned = []
-        step = at_once or len(jobs)
-        for first in range(0, len(jobs), step):
-            batch = jobs[first : first + step]
-            for job in representatives(batch):
-                self.loader.load_sweep_config(self.config, list(job))
-            returned.append(self.launcher.launch(batch, initial_job_idx=first))
-            for result in returned[-1]:
-                _ = result.return_value  # raises what the job raised
-        return returned
+    loader, launcher = JobLoader(hydra_context.config_loader), job_launcher(hydra_context, task_function, config)
+    jobs = combinations(overrides)
+    directory = Path(config.hydra.sweep.dir)
+    directory.mkdir(parents=True, exist_ok=True)
+    OmegaConf.save(config, directory / STORED)
+    returned = []
+    step = at_once or len(jobs)
+    for first in range(0, len(jobs), step):
+        batch = jobs[first : first + step]
+        for job in representatives(batch):
+            loader.load_sweep_config(config, list(job))
+        returned.append(launcher.launch(batch, initial_job_idx=first))
+        for result in returned[-1]:
+            _ = result.return_value  # raises what the job raised
+    return returned
 
 
 def representatives(jobs: Sequence[Sequence[str]]) -> list[Sequence[str]]:

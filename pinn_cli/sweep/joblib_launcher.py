@@ -10,11 +10,11 @@ from typing import Any
 
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn
-from joblib import Parallel, delayed
+from joblib import Parallel, delayed, effective_n_jobs
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from pinn_cli.sweep.affinity import jobs_at_once, pin
-from pinn_cli.sweep.pending import PendingJob, Work, WorkLauncher, take_over
+from pinn_cli.sweep.pending import PendingJob, Work, take_over
 
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
 
@@ -22,16 +22,19 @@ _REASON = "its worker was killed, again when it ran alone: by the system for wan
 _of_sweep = ""
 
 
-class JoblibLauncher(WorkLauncher):
+class JoblibLauncher:
     """See the module.
 
     Args:
+        work: Of the sweep.
         n_jobs: How many processes; -1: as many as the cores can run at once with the `threads` of a job.
         settings: Of `joblib.Parallel`: `conf/hydra/launcher/joblib.yaml` lists them.
     """
 
-    def __init__(self, n_jobs: int = -1, **settings: Any) -> None:
-        self.n_jobs, self.settings = n_jobs, settings
+    def __init__(self, work: Work, n_jobs: int = -1, **settings: Any) -> None:
+        threads = int(work.config.get("threads", 1))
+        self.processes = jobs_at_once(threads) if n_jobs == -1 else effective_n_jobs(n_jobs)
+        self.work, self.settings = work, settings
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run all jobs. When a worker is killed, joblib ends all: the others go on, then those that it may have been.
@@ -70,14 +73,11 @@ class JoblibLauncher(WorkLauncher):
             return {job.number: job.lost(_REASON)}
 
     def _run(self, jobs: Sequence[PendingJob]) -> dict[int, JobReturn]:
-        processes, state, sweep = self._processes(), Singleton.get_state(), uuid.uuid4().hex
+        processes, state, sweep = self.processes, Singleton.get_state(), uuid.uuid4().hex
         calls = (delayed(_run_job)(self.work, job.overrides, job.number, processes, state, sweep) for job in jobs)
         # Hydra's state is the process's: threads would share it.
         returned = Parallel(n_jobs=processes, **{**self.settings, "backend": "loky"})(calls) if jobs else []
         return dict(zip((job.number for job in jobs), returned, strict=True))
-
-    def _processes(self) -> int:
-        return jobs_at_once(int(self.work.config.get("threads", 1))) if self.n_jobs == -1 else self.n_jobs
 
 
 def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int, state: Any, sweep: str) -> JobReturn:

@@ -16,7 +16,6 @@ from typing import Any
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
-from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, open_dict
 
@@ -64,20 +63,6 @@ def take_over(state: Any) -> None:
     """Have Hydra be in this process, a worker's, as it was in the launcher's, whose `Singleton.get_state` this is."""
     Singleton.set_state(state)
     setup_globals()
-
-
-class WorkLauncher(Launcher):
-    """A launcher whose jobs run elsewhere.
-
-    Attributes:
-        work: Of the sweep, once it is set up.
-    """
-
-    work: Work
-
-    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """See :class:`hydra.plugins.launcher.Launcher`."""
-        self.work = Work(hydra_context, task_function, config)
 
 
 def unfinished_jobs(

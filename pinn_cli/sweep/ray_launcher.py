@@ -14,20 +14,22 @@ from hydra.core.utils import JobReturn
 from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.sweep.pending import PendingJob, Work, WorkLauncher, take_over, unfinished_jobs
+from pinn_cli.sweep.pending import PendingJob, Work, take_over, unfinished_jobs
 
 # The least that Ray takes, bytes: what jobs hand over is small, their results lie in files.
 _OBJECT_STORE = 75 * 2**20
 
 
-class RayLauncher(WorkLauncher):
+class RayLauncher:
     """See the module.
 
     Args:
+        work: Of the sweep.
         ray: Its `init` is of `ray.init`, its `remote` of `ray.remote`: `conf/hydra/launcher/` lists the settings.
     """
 
-    def __init__(self, ray: Any) -> None:
+    def __init__(self, work: Work, ray: Any) -> None:
+        self.work = work
         settings: Any = OmegaConf.to_container(ray, resolve=True)
         self.init, self.remote = settings.get("init") or {}, settings.get("remote") or {}
 

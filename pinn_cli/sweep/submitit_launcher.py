@@ -24,7 +24,7 @@ from submitit.core.utils import JobPaths, UncompletedJobError
 from pinn_cli.runs.interruption import Interruption, warning, watched
 from pinn_cli.settings.errors import InputError
 from pinn_cli.sweep.affinity import jobs_at_once
-from pinn_cli.sweep.pending import PendingJob, WorkLauncher, take_over, unfinished_jobs
+from pinn_cli.sweep.pending import PendingJob, Work, take_over, unfinished_jobs
 from pinn_cli.sweep.slurm_states import FORGOTTEN, choose_watcher, queued_tasks
 
 log = logging.getLogger(__name__)
@@ -49,10 +49,11 @@ _ON_PURPOSE = ("CANCELLED", FORGOTTEN)
 Sent = tuple[Any, list[PendingJob]]
 
 
-class SubmititLauncher(WorkLauncher):
+class SubmititLauncher:
     """See the module.
 
     Args:
+        work: Of the sweep.
         jobs_per_task: How many jobs of the sweep one task of the scheduler runs, one after the other.
         params: `conf/hydra/launcher/` lists them.
     """
@@ -60,8 +61,9 @@ class SubmititLauncher(WorkLauncher):
     _EXECUTOR: ClassVar[str]
     _JOBS_PER_TASK = 1
 
-    def __init__(self, jobs_per_task: int | None = None, **params: Any) -> None:
+    def __init__(self, work: Work, jobs_per_task: int | None = None, **params: Any) -> None:
         self.params: dict[str, Any] = OmegaConf.to_container(OmegaConf.create(params), resolve=True)  # type: ignore[assignment]
+        self.work = work
         self.jobs_per_task = self._JOBS_PER_TASK if jobs_per_task is None else jobs_per_task
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:

@@ -128,7 +128,7 @@ HARM = {
 
 
 @pytest.mark.parametrize("harm", HARM.values(), ids=HARM.keys())
-def test_a_damaged_file_is_tracked_in_one_line_and_the_previous_is_used(harm, tmp_path, monkeypatch, caplog):
+def test_a_damaged_file_is_told_in_one_line_and_the_previous_is_used(harm, tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     files = CheckpointFiles(tmp_path)
     good, last = sealed({"number": 1}), sealed({"number": 2})

@@ -83,7 +83,7 @@ def test_many_come_in_one_by_one(tmp_path: Path, monkeypatch) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_system_without_locks_is_tracked_of(tmp_path: Path, monkeypatch, caplog) -> None:
+def test_a_file_system_without_locks_is_told_of(tmp_path: Path, monkeypatch, caplog) -> None:
     def refuse(lock: FileLock, **_: object) -> None:
         raise OSError(errno.ENOLCK, "no locks available")
 

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from pinn_cli.sweep.affinity import jobs_at_once, pin, shares, usable_cores, worker_count
+from pinn_cli.sweep.affinity import jobs_at_once, pin, shares, usable_cores
 
 
 def test_cores_are_divided() -> None:
@@ -21,8 +21,6 @@ def test_jobs_at_once() -> None:
     cores = len(usable_cores())
     assert jobs_at_once(1) == cores
     assert jobs_at_once(cores + 1) == 1
-    assert worker_count(3) == 3
-    assert worker_count(-1) == cores
 
 
 def _pinned(barrier: object, results: object) -> None:

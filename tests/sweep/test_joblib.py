@@ -80,7 +80,7 @@ def test_a_killed_worker_takes_only_its_own_job_along(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_workers_share_one_tracker_and_what_is_finished_is_tracked_to_another(tmp_path: Path) -> None:
+def test_workers_share_one_tracker_and_what_is_finished_is_told_to_another(tmp_path: Path) -> None:
     pytest.importorskip("mlflow", reason="the extra mlflow is not installed")
     pytest.importorskip("tensorboard", reason="the extra tensorboard is not installed")
     from mlflow.tracking import MlflowClient

@@ -32,7 +32,7 @@ def test_a_preset_whose_package_is_missing_names_the_extra(
     assert not list(Path().iterdir())
 
 
-def test_a_ray_cluster_that_is_not_there_is_tracked_in_one_line(pinn_run: PinnRun, monkeypatch):
+def test_a_ray_cluster_that_is_not_there_is_told_in_one_line(pinn_run: PinnRun, monkeypatch):
     ray = pytest.importorskip("ray", reason="not installed: pip install 'pinn-cli[ray]'")
 
     def refuse(**settings: object) -> None:

@@ -30,6 +30,8 @@ from pinn_cli.sweep.submitit_launcher import LocalLauncher, SlurmLauncher
 
 ON_SIGNALS_ALONE = (*ADAM, "training.checkpoint_every_s=null", "hydra.run.dir=run")
 REQUEUED = 144
+# Of no sweep.
+WORK: Any = None
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +52,7 @@ def worker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[DictConfig], l
     monkeypatch.setattr(SlurmLauncher, "_run", lambda launcher, config: run(config))
     mine = {signal.SIGUSR2: lambda number, frame: sys.exit(REQUEUED), signal.SIGTERM: signal.SIG_IGN}
     before = {number: signal.signal(number, handler) for number, handler in mine.items()}
-    yield lambda config: SlurmLauncher(jobs_per_task=1)([(config,)])
+    yield lambda config: SlurmLauncher(WORK, jobs_per_task=1)([(config,)])
     assert {number: signal.signal(number, handler) for number, handler in before.items()} == mine
 
 
@@ -82,11 +84,11 @@ def test_a_training_that_is_warned_writes_a_checkpoint_and_goes_on(pinn_run: Pin
 @pytest.mark.parametrize(
     ("launcher", "batches"),
     [
-        (SlurmLauncher(), [[0], [1], [2], [3], [4]]),
-        (SlurmLauncher(jobs_per_task=2), [[0, 1], [2, 3], [4]]),
-        (LocalLauncher(jobs_per_task=3), [[0, 1, 2], [3, 4]]),
-        (LocalLauncher(), [[0, 2, 4], [1, 3]]),
-        (LocalLauncher(jobs_per_task=0, cpus_per_task=2), [[0, 1, 2, 3, 4]]),
+        (SlurmLauncher(WORK), [[0], [1], [2], [3], [4]]),
+        (SlurmLauncher(WORK, jobs_per_task=2), [[0, 1], [2, 3], [4]]),
+        (LocalLauncher(WORK, jobs_per_task=3), [[0, 1, 2], [3, 4]]),
+        (LocalLauncher(WORK), [[0, 2, 4], [1, 3]]),
+        (LocalLauncher(WORK, jobs_per_task=0, cpus_per_task=2), [[0, 1, 2, 3, 4]]),
     ],
 )
 def test_jobs_are_dealt_to_tasks(launcher: Any, batches: list[list[int]], monkeypatch) -> None:
@@ -209,9 +211,7 @@ def test_tasks_of_a_killed_launcher_are_waited_for(resume: tuple[str, ...], sent
 
 
 @pytest.mark.parametrize("answer", ["", "echo 'invalid partition specified: nowhere' >&2; exit 1"])
-def test_a_slurm_that_is_not_there_or_refuses_is_tracked_in_one_line(
-    answer: str, pinn_run, tmp_path, monkeypatch
-) -> None:
+def test_a_slurm_that_is_not_there_or_refuses_is_told_in_one_line(answer: str, pinn_run, tmp_path, monkeypatch) -> None:
     programs = tmp_path / "bin"
     programs.mkdir()
     for name in ("srun", "sbatch") if answer else ():
@@ -267,7 +267,7 @@ def test_an_option_of_sbatch_can_be_left_out(monkeypatch) -> None:
     executor = SimpleNamespace(update_parameters=given.update)
     monkeypatch.setattr(submitit_launcher.submitit, "AutoExecutor", lambda **init: executor)
     monkeypatch.setattr(submitit_launcher, "choose_watcher", lambda: None)
-    SlurmLauncher(submitit_folder="x", additional_parameters={"requeue": False, "mail-type": "END"})._executor()
+    SlurmLauncher(WORK, submitit_folder="x", additional_parameters={"requeue": False, "mail-type": "END"})._executor()
     assert given == {"slurm_additional_parameters": {"mail-type": "END"}}
 
 

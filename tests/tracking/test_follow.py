@@ -168,7 +168,7 @@ def test_a_damaged_file_is_no_run_to_go_on_with(job: TrackedRun, content: str) -
     assert tracking.known == [False]
 
 
-def test_a_tracker_that_breaks_is_tracked_of_once_and_gets_its_rows_when_it_is_back(
+def test_a_tracker_that_breaks_is_told_of_once_and_gets_its_rows_when_it_is_back(
     job: TrackedRun, caplog: pytest.LogCaptureFixture
 ) -> None:
     time = iter(range(0, 10_000, 100))

@@ -139,9 +139,7 @@ def test_a_kill_while_the_tables_are_made_leaves_none(tmp_path: Path) -> None:
     assert {file.name for file in tmp_path.iterdir()} == {"mlflow.db", "run"}
 
 
-def test_a_finished_run_is_tracked_afterwards(
-    pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_finished_run_is_told_afterwards(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """One that was not tracked, or was killed between its last file and the tracker's last call; and only once."""
     without_figures(monkeypatch)
     assert pinn_run(*SMALL, "hydra.run.dir=run").status == 0
@@ -186,7 +184,7 @@ def test_several_processes_share_one_file(tmp_path: Path) -> None:
         assert steps_of(tmp_path / "shared.db", run, "loss_physics") == list(range(1, 40))
 
 
-def test_an_unusable_store_is_tracked_before_anything_runs(pinn_run: PinnRun, tmp_path: Path) -> None:
+def test_an_unusable_store_is_told_before_anything_runs(pinn_run: PinnRun, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     outcome = pinn_run(*SMALL, "tracking=mlflow", "tracking.uri=sqlite:///file/mlflow.db")
     assert outcome.status == 2
