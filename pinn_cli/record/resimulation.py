@@ -59,5 +59,10 @@ def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
     """The force at any time of the record, from its samples (N, n)."""
     if hold == "zero_order":
         return lambda _: force  # a simulation that holds the force asks for it at the samples only
+    return force_spline(time, force)
+
+
+def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
+    """A band-limited force at any time, from its samples (N, n) at times (N,): the spline of `SPLINE_DEGREE`."""
     spline: Force = make_interp_spline(time, force, k=SPLINE_DEGREE)
     return spline
