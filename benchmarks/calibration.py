@@ -52,7 +52,7 @@ def posteriors(
     for seed in range(seeds):
         with initialize_config_module("pinn_cli.conf", version_base="1.3"):
             config = RunConfig.read(compose("config", overrides=[*settings, f"seed={seed}", *overrides]))
-        true, prescribed = config.model_error.chains(config.chain)
+        true, prescribed = config.model_error.structures(config.structure)
         measurements = config.source.measure(true)
         problem = config.scheme.problem(prescribed, config.observe(measurements.record))
         run = RunContext(seed=seed)

@@ -58,7 +58,7 @@ def main() -> None:
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
         composed = compose("config", overrides=overrides)
     config = RunConfig.read(composed)
-    true, prescribed = config.model_error.chains(config.chain)
+    true, prescribed = config.model_error.structures(config.structure)
     problem = config.scheme.problem(prescribed, config.observe(config.source.measure(true).record))
     with TemporaryDirectory(dir=".") as scratch:
         kept = Timed(Path(scratch), config.identity, config.checkpoint_every_s)

@@ -40,8 +40,8 @@ def objective(overrides: list[str]) -> tuple[Objective, Adam]:
         config = RunConfig.read(compose("config", overrides=overrides))
     training = config.training
     assert isinstance(training, Adam)
-    _, prescribed = config.model_error.chains(config.chain)
-    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.chain).record))
+    _, prescribed = config.model_error.structures(config.structure)
+    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.structure).record))
     return training.objective(problem, config.network, RunContext()), training
 
 

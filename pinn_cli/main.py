@@ -21,7 +21,7 @@ from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Response
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Watch
 
 
@@ -110,7 +110,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: boo
     return write_report(results, directory, stages, drawn)
 
 
-def _linear_response(config: RunConfig, true: Chain) -> Response | None:
+def _linear_response(config: RunConfig, true: Structure) -> Response | None:
     """See :attr:`pinn_cli.report.results.Results.linear_response`."""
     if not config.source.simulated or config.model_error.name != "linear":
         return None

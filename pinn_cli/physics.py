@@ -19,7 +19,7 @@ from pinn_cli.network.base import States
 from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
 from pinn_cli.record.spectrum import noise_level
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 
 # Noise over the rms of a force that its interpolation allows for at most: more would smooth the force.
 NOISIEST = 0.1
@@ -88,13 +88,13 @@ def hold_delay(record: Record) -> float:
 
 
 def targets(
-    record: Record, chain: Chain, device: str = "cpu", dtype: torch.dtype = torch.float64, refinement: int = 1
+    record: Record, structure: Structure, device: str = "cpu", dtype: torch.dtype = torch.float64, refinement: int = 1
 ) -> Targets:
     """The record as the residuals need it.
 
     Args:
         record: What was measured.
-        chain: The prescribed model, for its masses.
+        structure: The prescribed model, for its masses.
         device: Of the tensors.
         dtype: Likewise.
         refinement: Collocation points for every sample. More than one needs a band-limited force.
@@ -109,7 +109,7 @@ def targets(
     if record.intersample == "zero_order_hold":
         jump = np.diff(force, axis=0, prepend=2 * force[:1] - force[1:2])
         response["acceleration"] = response["acceleration"] - jump / (
-            2.0 * chain.parameters["m"].detach().cpu().numpy()
+            2.0 * structure.parameters["m"].detach().cpu().numpy()
         )
     points, between = force, None
     if refinement > 1:
@@ -152,27 +152,27 @@ def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:
 
 
 def observation_residuals(
-    states: States, target: Targets, chain: Chain, parameters: Mapping[str, Tensor], through: str
+    states: States, target: Targets, structure: Structure, parameters: Mapping[str, Tensor], through: str
 ) -> dict[str, Tensor]:
     """Estimated minus measured response by name, each (..., n), 0 where there is no sensor (paper, eq. 10a)."""
     estimated = dict(zip(RESPONSE_QUANTITIES, states[:3], strict=True))
     measured = {**target.response, "observer": target.response["acceleration"]}
     masks = observation_masks(target, through)
     if "observer" in masks:
-        estimated["observer"] = chain.acceleration(
+        estimated["observer"] = structure.acceleration(
             states.displacement, states.velocity, target.observer_force, parameters
         )
     return {name: (estimated[name] - measured[name]) * mask for name, mask in masks.items()}
 
 
-def physics_residual(states: States, target: Targets, chain: Chain, parameters: Mapping[str, Tensor]) -> Tensor:
+def physics_residual(states: States, target: Targets, structure: Structure, parameters: Mapping[str, Tensor]) -> Tensor:
     """Force that the motion takes minus the force that acts, (..., n), 0 where unknown (paper, eq. 10c)."""
-    needed = chain.external_force(states.displacement, states.velocity, states.acceleration, parameters)
+    needed = structure.external_force(states.displacement, states.velocity, states.acceleration, parameters)
     return (needed - target.force) * target.equation
 
 
 def estimated_response(
-    record: Record, chain: Chain, parameters: Mapping[str, Tensor], at_observation: States, at_physics: States
+    record: Record, structure: Structure, parameters: Mapping[str, Tensor], at_observation: States, at_physics: States
 ) -> Response:
     """Estimated motion and force at the record's own samples, in SI units; forces belong to their force samples.
 
@@ -182,16 +182,16 @@ def estimated_response(
 
     Args:
         record: What was measured.
-        chain: The model.
+        structure: The model.
         parameters: Every parameter of the chain, each (n,).
         at_observation: Motion at :attr:`Targets.observation_time` of every sample, each (N, n).
         at_physics: Motion at :attr:`Targets.physics_time` of every sample, each (N, n).
     """
-    force = chain.external_force(at_physics.displacement, at_physics.velocity, at_physics.acceleration, parameters)
+    force = structure.external_force(at_physics.displacement, at_physics.velocity, at_physics.acceleration, parameters)
     displacement, velocity, acceleration, _ = at_observation
     if hold_delay(record):
         forced = torch.as_tensor(record.sensors("force"), device=force.device)
-        before_and_after = chain.external_force(displacement, velocity, acceleration, parameters)
+        before_and_after = structure.external_force(displacement, velocity, acceleration, parameters)
         acceleration = acceleration + (force - before_and_after) / parameters["m"] * forced
     motion = (x.detach().cpu().double().numpy() for x in (displacement, velocity, acceleration, force))
     return Response(record.time, *motion)

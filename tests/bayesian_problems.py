@@ -13,7 +13,7 @@ from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
@@ -36,7 +36,7 @@ class Example:
 
 
 def source(
-    chain: Chain,
+    chain: Structure,
     *,
     forced: tuple[int, ...] = (1,),
     duration: float = 12.0,
@@ -53,7 +53,7 @@ def source(
     return Simulated(force, Simulation(duration, samples, hold), Noise(snr_db, seed, repeats=repeats))
 
 
-def posed(chain: Chain, scheme: Bayesian | None = None, **settings) -> Problem:
+def posed(chain: Structure, scheme: Bayesian | None = None, **settings) -> Problem:
     """The problem of a simulated record, of whose chain the scheme knows the masses only; see :func:`source`."""
     scheme = scheme or Bayesian()
     return scheme.problem(chain, scheme.observe(source(chain, **settings).measure(chain).record))

@@ -34,7 +34,7 @@ class DenseModel:
         self.averaging = averaging_matrix(cell, network.intervals, network.count - 2)
         self.forced = record.sensors("force")
         self.set_noise(s)
-        self.values = {kind: value.numpy().copy() for kind, value in self.problem.chain.parameters.items()}
+        self.values = {kind: value.numpy().copy() for kind, value in self.problem.structure.parameters.items()}
 
     def set_noise(self, s: float) -> None:
         """Let the force sensors' noise be exp(s) times that of the example."""
@@ -131,11 +131,11 @@ class DenseModel:
         p, (count, n) = self.parameters(theta), self.shape
         below = np.eye(n) - np.eye(n, k=-1)  # displacements to elongations
         value, rate, curvature = self.at_force
-        chain = np.kron(np.diag(p["m"]), curvature)
+        structure = np.kron(np.diag(p["m"]), curvature)
         for kind, features in (("c", rate), ("k", value)):
-            chain += np.kron(below.T @ np.diag(p[kind]) @ below, features)
-        chain = np.kron(np.eye(n), self.averaging) @ chain
-        groups = [(chain, self.averaging @ self.record.force, np.sqrt(self.variance))]
+            structure += np.kron(below.T @ np.diag(p[kind]) @ below, features)
+        structure = np.kron(np.eye(n), self.averaging) @ structure
+        groups = [(structure, self.averaging @ self.record.force, np.sqrt(self.variance))]
         for name, features in (("displacement", self.value), ("velocity", self.rate)):
             groups.append((np.kron(np.eye(n), features), getattr(self.record, name), self.noise.response[name]))
         hessian, right, constant = np.zeros((n * count, n * count)), np.zeros(n * count), 0.0

@@ -12,19 +12,21 @@ from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 
 DURATION, SAMPLES = 240.0, 1601
 
 
-def measure(chain: Chain, snr_db: float | None = 30.0, strength: float = 1.0, quantity: str = "acceleration") -> Record:
+def measure(
+    structure: Structure, snr_db: float | None = 30.0, strength: float = 1.0, quantity: str = "acceleration"
+) -> Record:
     """The chain's record from rest, its roof driven; sensors of one kind everywhere."""
-    return measurements(chain, snr_db, strength).record.keep({quantity: range(1, chain.ndof + 1)})
+    return measurements(structure, snr_db, strength).record.keep({quantity: range(1, structure.ndof + 1)})
 
 
-def measurements(chain: Chain, snr_db: float | None = 30.0, strength: float = 1.0) -> Measurements:
-    force = BandedNoise(chain.ndof, DURATION, SAMPLES, [0.03, 0.5], strength, [chain.ndof])
-    return Simulated(force, Simulation(DURATION, SAMPLES), Noise(snr_db, 0)).measure(chain)
+def measurements(structure: Structure, snr_db: float | None = 30.0, strength: float = 1.0) -> Measurements:
+    force = BandedNoise(structure.ndof, DURATION, SAMPLES, [0.03, 0.5], strength, [structure.ndof])
+    return Simulated(force, Simulation(DURATION, SAMPLES), Noise(snr_db, 0)).measure(structure)
 
 
 def altered(record: Record, dof: int, change: Callable[[np.ndarray], np.ndarray], of: str = "acceleration") -> Record:

@@ -12,8 +12,8 @@ from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.structure import Structure
 
 NONLINEARITIES = {
     "linear": (Linear(), {}),
@@ -24,18 +24,18 @@ NONLINEARITIES = {
 QUANTITIES = ("displacement", "velocity", "acceleration")
 
 
-def small_chain(nonlinearity: str = "duffing", ndof: int = 3, speed: float = 1.0, k: float = 15.0) -> Chain:
+def small_chain(nonlinearity: str = "duffing", ndof: int = 3, speed: float = 1.0, k: float = 15.0) -> Structure:
     """A chain whose motion is ``speed`` times as fast as that of the paper's."""
     kind, parameters = NONLINEARITIES[nonlinearity]
     return build_chain(ndof, kind, m=10.0 / speed**2, c=1.0 / speed, k=k, **parameters)
 
 
-def excitation(chain: Chain, duration: float = 12.0, samples: int = 257) -> BandedNoise:
-    return BandedNoise(chain.ndof, duration, samples, [2.5 / duration, 15.0 / duration], 1.0, [1])
+def excitation(structure: Structure, duration: float = 12.0, samples: int = 257) -> BandedNoise:
+    return BandedNoise(structure.ndof, duration, samples, [2.5 / duration, 15.0 / duration], 1.0, [1])
 
 
 def measured(
-    chain: Chain,
+    structure: Structure,
     hold: str = "exact",
     snr_db: float | None = None,
     duration: float = 12.0,
@@ -44,7 +44,7 @@ def measured(
 ) -> Measurements:
     """A record of the first DOF's force and of every response, with the truth."""
     simulation = Simulation(duration, samples, hold)
-    return Simulated(excitation(chain, duration, samples), simulation, Noise(snr_db, seed)).measure(chain)
+    return Simulated(excitation(structure, duration, samples), simulation, Noise(snr_db, seed)).measure(structure)
 
 
 def accelerations(record: Record, dofs: tuple[int, ...] = (1, 2)) -> Record:

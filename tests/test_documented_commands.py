@@ -98,8 +98,8 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
         composed = compose("config", overrides=first_job(arguments))
     config = RunConfig.read(composed, rig)
-    record = config.observe(config.source.measure(config.model_error.chains(config.chain)[0]).record)
-    problem = config.scheme.problem(config.model_error.chains(config.chain)[1], record)
+    record = config.observe(config.source.measure(config.model_error.structures(config.structure)[0]).record)
+    problem = config.scheme.problem(config.model_error.structures(config.structure)[1], record)
     with pytest.raises(TrainingBeginsError):
         config.estimator.solve(problem, RunContext())
 

@@ -50,7 +50,7 @@ def test_a_number_that_no_run_can_use(pinn_run: PinnRun, tmp_path: Path, overrid
     assert list(tmp_path.iterdir()) == []
 
 
-def chain(ndof: int = 1, **parameters: float):
+def structure(ndof: int = 1, **parameters: float):
     return build_chain(ndof, Linear(), **{"m": 1.0, "c": 0.0, "k": 1.0, **parameters})
 
 
@@ -58,22 +58,22 @@ def test_a_chain_is_as_stiff_as_the_steps_allow() -> None:
     # Gershgorin's bound is sqrt(2 k / m) for one mass, and a step takes 0.2 of its period over 2 pi.
     simulation = Simulation(duration=100.0, samples=1001)
     stiffest = (0.2 * MOST_STEPS / 100.0) ** 2 / 2.0
-    check_size(simulation, chain(k=0.99 * stiffest))
+    check_size(simulation, structure(k=0.99 * stiffest))
     with pytest.raises(InputError, match=r"^system\.k=.* 3\.18e\+03 Hz"):
-        check_size(simulation, chain(k=1.01 * stiffest))
+        check_size(simulation, structure(k=1.01 * stiffest))
     with pytest.raises(InputError, match=r"^simulation\.substeps=10001: must be at most 10000$"):
-        check_size(Simulation(duration=100.0, samples=1001, substeps=10001), chain())
+        check_size(Simulation(duration=100.0, samples=1001, substeps=10001), structure())
 
 
 def test_memory_bounds_samples_dofs_and_repeats(monkeypatch) -> None:
     monkeypatch.setattr("pinn_cli.record.size.of_this_machine", lambda: 40_000_000)
-    check_size(Simulation(duration=100.0, samples=1000), chain(100), repeats=12)
+    check_size(Simulation(duration=100.0, samples=1000), structure(100), repeats=12)
     with pytest.raises(InputError, match=r"^simulation\.samples=1001: must be at most 1000 with system.ndof=100; "):
-        check_size(Simulation(duration=100.0, samples=1001), chain(100))
+        check_size(Simulation(duration=100.0, samples=1001), structure(100))
     with pytest.raises(InputError, match=r"^noise\.repeats=13: must be at most 12 with this record"):
-        check_size(Simulation(duration=100.0, samples=1000), chain(100), repeats=13)
+        check_size(Simulation(duration=100.0, samples=1000), structure(100), repeats=13)
     with pytest.raises(InputError, match=r"^system\.ndof=10000: must be at most 100; "):
-        check_size(Simulation(duration=100.0, samples=1000), chain(10000))
+        check_size(Simulation(duration=100.0, samples=1000), structure(10000))
 
 
 def test_what_libraries_say_when_memory_runs_out() -> None:

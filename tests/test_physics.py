@@ -27,16 +27,16 @@ def states_of(response) -> States:
     return States(*(torch.as_tensor(getattr(response, name)) for name in QUANTITIES), continuity=None)
 
 
-def smooth_motion(chain, record):
+def smooth_motion(structure, record):
     """The response to the force half a step late, as a function of time: what a held force amounts to."""
     late = hold_delay(record)
-    source = excitation(chain, record.duration, len(record.time))
+    source = excitation(structure, record.duration, len(record.time))
 
     def force(time):
         return source.force(time - late)
 
     fine = np.arange(2 * len(record.time)) * (record.step / 2.0)
-    response = simulate(chain, force, fine, substeps=4)
+    response = simulate(structure, force, fine, substeps=4)
     return tuple(
         States(*(torch.as_tensor(getattr(response, name)[start::2]) for name in QUANTITIES), continuity=None)
         for start in (0, 1)
@@ -46,26 +46,28 @@ def smooth_motion(chain, record):
 @pytest.mark.parametrize("through", ACCELERATIONS)
 @pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
 def test_the_true_motion_of_a_band_limited_record_leaves_no_residual(nonlinearity, through):
-    chain = small_chain(nonlinearity)
-    measurements = measured(chain)
-    target, states = targets(measurements.record, chain), states_of(measurements.truth.response)
+    structure = small_chain(nonlinearity)
+    measurements = measured(structure)
+    target, states = targets(measurements.record, structure), states_of(measurements.truth.response)
     assert torch.equal(target.observation_time, target.physics_time)
-    residuals = observation_residuals(states, target, chain, chain.parameters, through)
+    residuals = observation_residuals(states, target, structure, structure.parameters, through)
     assert set(residuals) == {"displacement", "velocity"} | ACCELERATIONS[through]
-    for residual in (*residuals.values(), physics_residual(states, target, chain, chain.parameters)):
+    for residual in (*residuals.values(), physics_residual(states, target, structure, structure.parameters)):
         torch.testing.assert_close(residual, torch.zeros_like(residual), rtol=0.0, atol=1e-12)
 
 
 def test_the_true_motion_of_a_held_force_leaves_residuals_of_second_order():
-    chain = small_chain()
+    structure = small_chain()
     errors = {}
     for samples in (257, 513):
-        record = measured(chain, "zero_order", samples=samples).record
-        target = targets(record, chain)
-        at_samples, at_half_steps = smooth_motion(chain, record)
-        physics = physics_residual(at_half_steps, target, chain, chain.parameters)
+        record = measured(structure, "zero_order", samples=samples).record
+        target = targets(record, structure)
+        at_samples, at_half_steps = smooth_motion(structure, record)
+        physics = physics_residual(at_half_steps, target, structure, structure.parameters)
         assert physics.abs().max() < 1e-3 * record.step**2
-        for name, residual in observation_residuals(at_samples, target, chain, chain.parameters, "both").items():
+        for name, residual in observation_residuals(
+            at_samples, target, structure, structure.parameters, "both"
+        ).items():
             errors.setdefault(name, []).append(residual.square().mean().sqrt().item())
     assert set(errors) == {*QUANTITIES, "observer"}
     for name, (coarse, fine) in errors.items():
@@ -73,12 +75,12 @@ def test_the_true_motion_of_a_held_force_leaves_residuals_of_second_order():
 
 
 def test_the_estimated_response_undoes_what_the_targets_do_to_a_held_force():
-    chain = small_chain()
+    structure = small_chain()
     errors = []
     for samples in (257, 513):
-        measurements = measured(chain, "zero_order", samples=samples)
-        motion = smooth_motion(chain, measurements.record)
-        response = estimated_response(measurements.record, chain, chain.parameters, *motion)
+        measurements = measured(structure, "zero_order", samples=samples)
+        motion = smooth_motion(structure, measurements.record)
+        response = estimated_response(measurements.record, structure, structure.parameters, *motion)
         truth = measurements.truth.response
         np.testing.assert_allclose(response.force, truth.force, atol=1e-3 * measurements.record.step**2)
         errors.append(relative_error(response.acceleration, truth.acceleration))
@@ -88,43 +90,43 @@ def test_the_estimated_response_undoes_what_the_targets_do_to_a_held_force():
 
 
 def test_the_estimated_response_of_a_band_limited_record_is_the_motion():
-    chain = small_chain()
-    measurements = measured(chain)
+    structure = small_chain()
+    measurements = measured(structure)
     states = states_of(measurements.truth.response)
-    response = estimated_response(measurements.record, chain, chain.parameters, states, states)
+    response = estimated_response(measurements.record, structure, structure.parameters, states, states)
     for name in (*QUANTITIES, "force"):
         np.testing.assert_allclose(getattr(response, name), getattr(measurements.truth.response, name), atol=1e-12)
     assert response.time is measurements.record.time
 
 
 def test_no_equation_and_no_observer_where_the_force_is_unknown():
-    chain = small_chain()
-    record = measured(chain).record
+    structure = small_chain()
+    record = measured(structure).record
     force = record.force.copy()
     force[:, 0] = np.nan
     record = replace(record, force=force)
-    target = targets(record, chain)
+    target = targets(record, structure)
     assert target.equation.tolist() == [False, True, True]
     assert observation_masks(target, "observer")["observer"].tolist() == [False, True, True]
     assert observation_masks(target, "observer")["acceleration"].tolist() == [True, False, False]
     states = states_of(record)
     residual = physics_residual(
-        States(*(torch.ones_like(x) for x in states[:3]), None), target, chain, chain.parameters
+        States(*(torch.ones_like(x) for x in states[:3]), None), target, structure, structure.parameters
     )
     assert not residual[:, 0].any()
     assert residual[:, 1:].any()
 
 
 def test_dofs_without_a_sensor_have_no_observation_residual():
-    chain = small_chain()
-    record = measured(chain).record.keep({"acceleration": [1], "displacement": [3]})
-    target = targets(record, chain)
+    structure = small_chain()
+    record = measured(structure).record.keep({"acceleration": [1], "displacement": [3]})
+    target = targets(record, structure)
     assert {name: mask.tolist() for name, mask in observation_masks(target, "derivative").items()} == {
         "displacement": [False, False, True],
         "acceleration": [True, False, False],
     }
     states = States(*(torch.ones(len(record.time), 3, dtype=torch.float64) for _ in range(3)), continuity=None)
-    residuals = observation_residuals(states, target, chain, chain.parameters, "derivative")
+    residuals = observation_residuals(states, target, structure, structure.parameters, "derivative")
     assert {name: residual.any(0).tolist() for name, residual in residuals.items()} == {
         "displacement": [False, False, True],
         "acceleration": [True, False, False],
@@ -133,32 +135,32 @@ def test_dofs_without_a_sensor_have_no_observation_residual():
 
 @pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
 def test_the_tangent_is_the_slope_that_finite_differences_see(nonlinearity):
-    chain = small_chain(nonlinearity, ndof=4)
+    structure = small_chain(nonlinearity, ndof=4)
     generator = torch.Generator().manual_seed(0)
     u, v = (torch.randn(5, 4, generator=generator, dtype=torch.float64) for _ in range(2))
-    slope = chain.linearise(u, v, chain.parameters)
-    e, de = chain.elongation(u), chain.elongation(v)
+    slope = structure.linearise(u, v, structure.parameters)
+    e, de = structure.elongation(u), structure.elongation(v)
 
     def by(vary):
         step = 1e-6
         return (vary(step) - vary(-step)) / (2.0 * step)
 
-    force = chain.connection_force
-    torch.testing.assert_close(slope.force, force(e, de, chain.parameters))
+    force = structure.connection_force
+    torch.testing.assert_close(slope.force, force(e, de, structure.parameters))
     close = {"rtol": 1e-7, "atol": 1e-7}
-    torch.testing.assert_close(slope.stiffness, by(lambda h: force(e + h, de, chain.parameters)), **close)
-    torch.testing.assert_close(slope.damping, by(lambda h: force(e, de + h, chain.parameters)), **close)
-    assert set(slope.by_parameter) == set(chain.parameters) - {"m"}
+    torch.testing.assert_close(slope.stiffness, by(lambda h: force(e + h, de, structure.parameters)), **close)
+    torch.testing.assert_close(slope.damping, by(lambda h: force(e, de + h, structure.parameters)), **close)
+    assert set(slope.by_parameter) == set(structure.parameters) - {"m"}
     for name, given in slope.by_parameter.items():
-        expected = by(lambda h, name=name: force(e, de, {**chain.parameters, name: chain.parameters[name] + h}))
+        expected = by(lambda h, name=name: force(e, de, {**structure.parameters, name: structure.parameters[name] + h}))
         torch.testing.assert_close(given, expected, **close)
 
 
 def test_residuals_are_differentiable_in_the_parameters():
-    chain = small_chain()
-    measurements = measured(chain)
-    target, states = targets(measurements.record, chain), states_of(measurements.truth.response)
-    parameters = {name: value.clone().requires_grad_() for name, value in chain.parameters.items()}
-    residual = physics_residual(states, target, chain, {**parameters, "k": parameters["k"] * 1.1})
+    structure = small_chain()
+    measurements = measured(structure)
+    target, states = targets(measurements.record, structure), states_of(measurements.truth.response)
+    parameters = {name: value.clone().requires_grad_() for name, value in structure.parameters.items()}
+    residual = physics_residual(states, target, structure, {**parameters, "k": parameters["k"] * 1.1})
     gradients = torch.autograd.grad(residual.square().sum(), list(parameters.values()))
     assert all(gradient.abs().min() > 0 for gradient in gradients)

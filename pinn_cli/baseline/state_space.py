@@ -97,13 +97,13 @@ class StateSpace:
         self.n, self.step = record.ndof, record.step
         self.hidden = np.flatnonzero(~record.sensors("force") & ~record.unforced)
         self.size = 2 * (self.n + len(self.hidden))
-        self.prescribed = problem.chain.parameters_like(np.empty(0))
+        self.prescribed = problem.structure.parameters_like(np.empty(0))
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
-        self.participation = problem.chain.participation(problem.uncertain)
-        self.pull = problem.chain.incidence.matrix.toarray().T  # row i: what a unit displacement of DOF i stretches
+        self.participation = problem.structure.participation(problem.uncertain)
+        self.pull = problem.structure.incidence.matrix.toarray().T  # row i: what a unit displacement of DOF i stretches
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
-        self.force = interpolated_force(record, substeps_needed(problem.chain, self.step))
+        self.force = interpolated_force(record, substeps_needed(problem.structure, self.step))
         self.sensors = [(q, i) for q in RESPONSE_QUANTITIES for i in np.flatnonzero(record.sensors(q))]
         self.measured = np.stack([getattr(record, q)[:, i] for q, i in self.sensors], axis=1)
 
@@ -120,7 +120,7 @@ class StateSpace:
         u, v, w, _ = self.split(trajectory.states)
         force = np.nan_to_num(self.problem.record.force)
         force[:, self.hidden] += w
-        return self.problem.chain.acceleration(u, v, force, self.parameters(trajectory))
+        return self.problem.structure.acceleration(u, v, force, self.parameters(trajectory))
 
     def split(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Displacement (..., n), velocity (..., n), hidden force and its rate (..., hidden DOFs)."""
@@ -134,7 +134,7 @@ class StateSpace:
         parameters = self.parameters(trajectory)
 
         def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
-            return np.stack((z[1], self.problem.chain.acceleration(z[0], z[1], f, parameters)))
+            return np.stack((z[1], self.problem.structure.acceleration(z[0], z[1], f, parameters)))
 
         force = self.force
         if len(self.hidden):
@@ -239,7 +239,7 @@ class StateSpace:
         """Of the accelerations at the samples: (N, n, s) by state and (N, n, p) by uncertain parameter."""
         u, v, _, _ = self.split(trajectory.states)
         tensors = {name: torch.as_tensor(value) for name, value in parameters.items()}
-        slope = self.problem.chain.linearise(torch.as_tensor(u), torch.as_tensor(v), tensors)
+        slope = self.problem.structure.linearise(torch.as_tensor(u), torch.as_tensor(v), tensors)
         mass, pull = parameters["m"][:, None], self.pull
         by_state = np.zeros((len(u), self.n, self.size))
         by_state[:, :, : self.n] = -(pull * slope.stiffness.numpy()[:, None]) @ pull.T / mass

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
-    from pinn_cli.system.chain import Chain
     from pinn_cli.system.model_error import ModelError
+    from pinn_cli.system.structure import Structure
     from pinn_cli.tracking.base import Tracking
     from pinn_cli.training.base import Estimator, Training
     from pinn_cli.validation.base import Validation
@@ -73,7 +73,7 @@ class Source:
         snr_db: Of a simulated record, dB; None without noise and for a measured record.
     """
 
-    measure: Callable[[Chain], Measurements]
+    measure: Callable[[Structure], Measurements]
     simulated: bool
     snr_db: float | None
 
@@ -87,7 +87,7 @@ class RunConfig:
         seed: Of everything random that has no seed of its own.
         device: Where networks and residuals live: cpu, cuda, cuda:1.
         threads: Of torch and of the linear algebra.
-        chain: The structure as configured, before model error; NaN where a measured one has no value.
+        structure: The structure as configured, before model error; NaN where a measured one has no value.
         model_error: What differs between the true and the prescribed chain.
         source: Where the record comes from.
         scheme: What is observed and what is unknown.
@@ -108,7 +108,7 @@ class RunConfig:
     seed: int
     device: str
     threads: int
-    chain: Chain
+    structure: Structure
     model_error: ModelError
     source: Source
     scheme: Scheme
@@ -145,15 +145,15 @@ class RunConfig:
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        chain = _chain(config)
-        source = _source(config, chain, model_error, seed, base)
+        structure = _chain(config)
+        source = _source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name) for name in names}
         estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again |= {"figures": _figures(config), "strict": _strict(config)}
-        return cls(case, seed, device, threads, chain, model_error, source, **estimation, **again)
+        return cls(case, seed, device, threads, structure, model_error, source, **estimation, **again)
 
     def observe(self, record: Record) -> Record:
         """What the estimator may see: the scheme's choice of simulated sensors, or all of a measured record."""
@@ -174,8 +174,8 @@ class RunConfig:
         labels = {
             "case": self.case,
             "scheme": self.scheme.name,
-            "ndof": self.chain.ndof,
-            "nonlinearity": self.chain.nonlinearity_name,
+            "ndof": self.structure.ndof,
+            "nonlinearity": self.structure.nonlinearity_name,
             "model_error": self.model_error.name if self.source.simulated else None,
             "snr_db": self.source.snr_db,
             "seed": self.seed,
@@ -274,7 +274,7 @@ def _check_available(device: str) -> None:
         raise InputError("device", device, "cpu or a CUDA device that is there", hint)
 
 
-def _chain(config: DictConfig) -> Chain:
+def _chain(config: DictConfig) -> Structure:
     """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
     from pinn_cli.system.building import build_chain, build_partial_chain
 
@@ -285,7 +285,7 @@ def _is_simulated(config: DictConfig) -> bool:
     return bool(config.data.get("kind") == "simulated")
 
 
-def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int, base: Path | None) -> Source:
+def _source(config: DictConfig, structure: Structure, model_error: ModelError, seed: int, base: Path | None) -> Source:
     from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.record.size import check_size
@@ -298,8 +298,8 @@ def _source(config: DictConfig, chain: Chain, model_error: ModelError, seed: int
         return Source(lambda true: measured.measure(true.ndof), simulated=False, snr_db=None)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
-    check_size(simulation, chain, noise.repeats)
-    span = {"ndof": chain.ndof, "duration": simulation.duration, "samples": simulation.samples}
+    check_size(simulation, structure, noise.repeats)
+    span = {"ndof": structure.ndof, "duration": simulation.duration, "samples": simulation.samples}
     excitation = build(config.excitation, "excitation", **span)
     simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
     return Source(simulated.measure, simulated=True, snr_db=noise.snr_db)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pinn_cli.cli.config import RunConfig
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class PreparedProblem:
         problem: What it solves.
     """
 
-    true: Chain
-    prescribed: Chain
+    true: Structure
+    prescribed: Structure
     record: Record
     truth: Truth
     problem: Problem
@@ -51,7 +51,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     """
     stages = stages or Stages()
     with stages("system"):
-        true, prescribed = config.model_error.chains(config.chain)
+        true, prescribed = config.model_error.structures(config.structure)
     with stages("record"):
         measurements = config.source.measure(true)
         record = config.observe(measurements.record)

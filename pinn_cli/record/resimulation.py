@@ -12,7 +12,7 @@ from pinn_cli.record.record import Record, Response
 from pinn_cli.record.simulation import Force, has_equation_of_motion, simulate, substeps_needed
 
 if TYPE_CHECKING:
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 # A spline through the samples of a measured force. Degree 5 puts an error of 4e-6 into the response to noise up to a
 # quarter of the Nyquist frequency, and 2e-4 up to half of it (degree 3: 2e-4, 3e-3). Higher degrees follow the force
@@ -30,12 +30,12 @@ class TooStiffError(ValueError):
 
 
 def resimulate(
-    chain: Chain, record: Record, initial: Sequence[np.ndarray], force: np.ndarray | None = None, first: int = 0
+    structure: Structure, record: Record, initial: Sequence[np.ndarray], force: np.ndarray | None = None, first: int = 0
 ) -> Response:
     """The response of a chain to the force of a record, which does between samples what the record says.
 
     Args:
-        chain: Any.
+        structure: Any.
         record: For its times and its ``intersample`` behaviour.
         initial: Displacement and velocity (n,) at sample ``first``.
         force: (N, n), N, another force at the record's samples; None: the record's own.
@@ -45,14 +45,14 @@ def resimulate(
         OverflowsError: The response does not stay finite.
         TooStiffError: It would take more than `MOST_SUBSTEPS` steps per sample, or a mass is zero.
     """
-    if not has_equation_of_motion(chain):
+    if not has_equation_of_motion(structure):
         raise TooStiffError("a mass of it is zero")
-    substeps = substeps_needed(chain, record.step)
+    substeps = substeps_needed(structure, record.step)
     if substeps > MOST_SUBSTEPS:
         raise TooStiffError(f"it takes {substeps} steps per sample, and {MOST_SUBSTEPS} are allowed")
     hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
     time, force = record.time[first:], (record.force if force is None else force)[first:]
-    return simulate(chain, _between_samples(time, force, hold), time, hold, initial=initial)
+    return simulate(structure, _between_samples(time, force, hold), time, hold, initial=initial)
 
 
 def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pinn_cli.record.excitation.base import Excitation
     from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 # What the force of a record does between its samples is what the simulator had it do.
 INTERSAMPLE_OF_HOLD: dict[str, Intersample] = {"exact": "band_limited", "zero_order": "zero_order_hold"}
@@ -35,15 +35,15 @@ class Simulated:
     noise: Noise
     kind: str = "simulated"
 
-    def measure(self, chain: Chain) -> Measurements:
+    def measure(self, structure: Structure) -> Measurements:
         """The noisy record of the true chain, and the truth.
 
         Raises:
             InputError: The response overflows.
         """
-        response = self.simulation.run(chain, self.excitation.force)
+        response = self.simulation.run(structure, self.excitation.force)
         seen, repeats = self.noise.measured(response)
         intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
         unforced = ~self.excitation.forced
         record = Record(**vars(seen), unforced=unforced, intersample=intersample, repeats=repeats, simulated=True)
-        return Measurements(record, Truth(response, chain.parameters_like(np.empty(0))))
+        return Measurements(record, Truth(response, structure.parameters_like(np.empty(0))))

@@ -1,6 +1,6 @@
 """The response of a chain to a force, by time integration from a known state, which is rest unless another is given.
 
-The equation of motion is :meth:`Chain.acceleration` and stands nowhere else; here it is called with numpy arrays, which
+The equation of motion is `Structure.acceleration` and stands nowhere else; here it is called with numpy arrays, which
 for one time step is four times faster than with tensors (20 DOFs, 4096 steps of Runge-Kutta: 0.2 s).
 """
 
@@ -20,7 +20,7 @@ from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 HOLDS = ("exact", "zero_order")
 METHODS = ("rk4", "dop853")
@@ -86,13 +86,13 @@ class Simulation:
         """(samples,), s."""
         return np.linspace(0.0, self.duration, self.samples)
 
-    def run(self, chain: Chain, force: Force) -> Response:
+    def run(self, structure: Structure, force: Force) -> Response:
         """The response of ``chain`` to ``force``; see :func:`simulate`."""
-        return simulate(chain, force, self.time, self.hold, self.method, self.substeps)
+        return simulate(structure, force, self.time, self.hold, self.method, self.substeps)
 
 
 def simulate(
-    chain: Chain,
+    structure: Structure,
     excitation_force: Force,
     time: np.ndarray,
     hold: str = "exact",
@@ -104,7 +104,7 @@ def simulate(
     """The noise-free response of a chain from rest or from a given state.
 
     Args:
-        chain: Whose parameters are detached.
+        structure: Whose parameters are detached.
         excitation_force: (M,) s to (M, ndof) N, for any times.
         time: (N,), s, uniform; it need not begin at 0.
         hold: See :class:`Simulation`.
@@ -121,43 +121,43 @@ def simulate(
         ValueError: An initial state of another shape, or one that is not finite.
     """
     _check_options(hold, method, substeps)
-    start = _initial_state(initial, chain.ndof)
-    parameters = chain.parameters_like(np.empty(0))
+    start = _initial_state(initial, structure.ndof)
+    parameters = structure.parameters_like(np.empty(0))
 
     def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
         # z = {u, v} is (2, ndof).
-        return np.array((z[1], chain.acceleration(z[0], z[1], f, parameters)))
+        return np.array((z[1], structure.acceleration(z[0], z[1], f, parameters)))
 
     force = excitation_force(time)
     with np.errstate(over="ignore", invalid="ignore"):
         if method == "rk4":
-            substeps = substeps or substeps_needed(chain, time[1] - time[0])
+            substeps = substeps or substeps_needed(structure, time[1] - time[0])
             states = _runge_kutta(slope, excitation_force, time, force, hold, substeps, start)
         else:
             states = _dop853(slope, excitation_force, time, force, hold, start)
-    _check_finite(states, time, chain)
+    _check_finite(states, time, structure)
     u, v = states[:, 0], states[:, 1]
-    return Response(time, u, v, chain.acceleration(u, v, force, parameters), force)
+    return Response(time, u, v, structure.acceleration(u, v, force, parameters), force)
 
 
-def substeps_needed(chain: Chain, step: float) -> int:
+def substeps_needed(structure: Structure, step: float) -> int:
     """Steps of Runge-Kutta per sample that resolve the linear chain's highest natural frequency and strongest damping.
 
     Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by the sums over the connections at a mass, of a
     chain by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated one may have negative ones. No number of steps is enough where a
     mass is zero: see :func:`has_equation_of_motion`.
     """
-    p = {name: np.abs(value) for name, value in chain.parameters_like(np.empty(0)).items()}
-    pull = abs(chain.incidence.matrix)
+    p = {name: np.abs(value) for name, value in structure.parameters_like(np.empty(0)).items()}
+    pull = abs(structure.incidence.matrix)
     weight = np.maximum(2.0, np.asarray(pull.sum(axis=1)).reshape(-1))
     bounds = {name: np.max(pull.T @ (weight * p[name]) / p["m"]) for name in ("k", "c")}
     rate = max(math.sqrt(bounds["k"]), float(bounds["c"]))
     return max(1, math.ceil(step * rate / STEP_TIMES_RATE))
 
 
-def has_equation_of_motion(chain: Chain) -> bool:
+def has_equation_of_motion(structure: Structure) -> bool:
     """Whether every DOF has a mass; an estimated one may be at its bound, zero."""
-    return bool(chain.parameters["m"].all())
+    return bool(structure.parameters["m"].all())
 
 
 def runge_kutta_step(
@@ -245,8 +245,8 @@ def _check_options(hold: str, method: str, substeps: int | None) -> None:
         whole_number("simulation.substeps", substeps, least=1)
 
 
-def _check_finite(states: np.ndarray, time: np.ndarray, chain: Chain) -> None:
+def _check_finite(states: np.ndarray, time: np.ndarray, structure: Structure) -> None:
     # NaN compares false too.
     finite = (np.abs(states) < LARGEST_STATE).all(axis=(1, 2))
     if not finite.all():
-        raise OverflowsError(float(time[np.argmin(finite)]), len(time), chain.nonlinearity_name)
+        raise OverflowsError(float(time[np.argmin(finite)]), len(time), structure.nonlinearity_name)

@@ -14,7 +14,7 @@ from pinn_cli.settings.errors import InputError
 
 if TYPE_CHECKING:
     from pinn_cli.record.simulation import Simulation
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 # Each takes some 50 us: ten minutes.
 MOST_STEPS = 10**7
@@ -23,12 +23,12 @@ MOST_STEPS = 10**7
 _STEP, _SAMPLE, _REPEAT = 40, 400, 32
 
 
-def check_size(simulation: Simulation, chain: Chain, repeats: int = 1) -> None:
+def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -> None:
     """Refuse a record that this machine cannot simulate.
 
     Args:
         simulation: Of the record.
-        chain: That is simulated.
+        structure: That is simulated.
         repeats: How often the response is measured.
 
     Raises:
@@ -36,7 +36,7 @@ def check_size(simulation: Simulation, chain: Chain, repeats: int = 1) -> None:
             memory; naming ``system.k`` or ``system.c``, a connection is so stiff or so damped for its mass that the
             simulation takes too many steps.
     """
-    samples, ndof, memory = simulation.samples, chain.ndof, of_this_machine()
+    samples, ndof, memory = simulation.samples, structure.ndof, of_this_machine()
     because = f"the record has to fit into the memory of this machine, {memory / 2**30:.3g} GiB"
     most = min(memory // (_SAMPLE * ndof), MOST_STEPS)
     if most < MINIMUM_SAMPLES:
@@ -46,25 +46,25 @@ def check_size(simulation: Simulation, chain: Chain, repeats: int = 1) -> None:
     most = memory // (_REPEAT * ndof * samples)
     if repeats > most:
         raise InputError("noise.repeats", repeats, f"at most {most} with this record", because)
-    _check_steps(simulation, chain, min(memory // (_STEP * ndof), MOST_STEPS))
+    _check_steps(simulation, structure, min(memory // (_STEP * ndof), MOST_STEPS))
 
 
-def _check_steps(simulation: Simulation, chain: Chain, most: int) -> None:
+def _check_steps(simulation: Simulation, structure: Structure, most: int) -> None:
     intervals = simulation.samples - 1
     step = simulation.duration / intervals
     if simulation.substeps is not None:
         if simulation.substeps > most // intervals:
             raise InputError("simulation.substeps", simulation.substeps, f"at most {most // intervals}")
         return
-    steps = intervals * substeps_needed(chain, step)
+    steps = intervals * substeps_needed(structure, step)
     if steps <= most:
         return
-    undamped = chain.with_parameters(c=torch.zeros_like(chain.parameters["c"]))
+    undamped = structure.with_parameters(c=torch.zeros_like(structure.parameters["c"]))
     stiff = intervals * substeps_needed(undamped, step) > most
     rate = STEP_TIMES_RATE * most / simulation.duration
     allowed = f"a natural frequency above {rate / (2.0 * math.pi):.3g} Hz" if stiff else f"a decay above {rate:.3g} 1/s"
     takes = f"the simulation takes {steps:.1e} steps, of which {most:.1e} are allowed"
     name = "k" if stiff else "c"
-    value, least = float(chain.parameters[name].max()), float(chain.parameters["m"].min())
+    value, least = float(structure.parameters[name].max()), float(structure.parameters["m"].min())
     hint = f"{takes}; a larger system.m or a shorter simulation.duration makes them fewer, too"
     raise InputError(f"system.{name}", value, f"small enough for {least:.3g} kg not to have {allowed}", hint)

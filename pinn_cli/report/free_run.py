@@ -17,13 +17,13 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.fitness import fitness_percent, fitness_table
-from pinn_cli.training.estimated_chain import estimated_chain
+from pinn_cli.training.estimated_structure import estimated_structure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pinn_cli.record.record import Record
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
 REFERENCES = ("truth", "sensors", "estimate")
@@ -51,7 +51,7 @@ class FreeRun:
     finding: str = ""
 
 
-def free_run(prescribed: Chain, estimate: Estimate, record: Record) -> FreeRun:
+def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeRun:
     """Simulate the estimated system from the estimated initial state under the measured force.
 
     No free run is an error: a force that is neither measured nor known to be zero, and a system too stiff or unstable,
@@ -66,14 +66,14 @@ def free_run(prescribed: Chain, estimate: Estimate, record: Record) -> FreeRun:
     if unknown.size:
         dofs = f"DOF{'s' if unknown.size > 1 else ''} {', '.join(map(str, unknown))}"
         return FreeRun(None, f"the force on {dofs} is unknown, and a free run needs every force")
-    chain = estimated_chain(prescribed, estimate.parameters)
+    structure = estimated_structure(prescribed, estimate.parameters)
     try:
-        response = _simulated(chain, estimate, record, record.force)
+        response = _simulated(structure, estimate, record, record.force)
     except TooStiffError as error:
         return FreeRun(None, f"the estimated system is too stiff for a free run: {error}")
     except OverflowsError as error:
         return FreeRun(None, f"the estimated system is unstable: its free run overflows at {error.time:.4g} s")
-    return FreeRun(response, _contradiction(chain, estimate, record, response))
+    return FreeRun(response, _contradiction(structure, estimate, record, response))
 
 
 def free_run_table(
@@ -102,20 +102,20 @@ def free_run_table(
     return pd.concat(tables, ignore_index=True)
 
 
-def _simulated(chain: Chain, estimate: Estimate, record: Record, force: np.ndarray, first: int = 0) -> Response:
+def _simulated(structure: Structure, estimate: Estimate, record: Record, force: np.ndarray, first: int = 0) -> Response:
     """The chain under ``force`` (N, n) from the estimated state at sample ``first`` on."""
     start = estimate.response.displacement[first], estimate.response.velocity[first]
-    return resimulate(chain, record, start, force, first)
+    return resimulate(structure, record, start, force, first)
 
 
-def _contradiction(chain: Chain, estimate: Estimate, record: Record, response: Response) -> str:
+def _contradiction(structure: Structure, estimate: Estimate, record: Record, response: Response) -> str:
     """What to say of a free run that is not what was estimated; "" where it is."""
     agreement = _agreement(response, estimate)
     if not agreement < CONTRADICTED_BELOW:
         return ""
     extent = f"to {agreement:.1f} % only" if agreement > 0.0 else "not at all"
     first = len(record.time) // EXCUSED_SHARE
-    excused = _excused_agreement(chain, estimate, record, first)
+    excused = _excused_agreement(structure, estimate, record, first)
     if excused >= CONTRADICTED_BELOW:
         later = f"under the estimated force and from {record.time[first]:.4g} s on, to {excused:.1f} %"
         why = "the noise of the measured force or the estimated start explains it"
@@ -125,7 +125,7 @@ def _contradiction(chain: Chain, estimate: Estimate, record: Record, response: R
     return f"warning: the estimated parameters do not reproduce the estimated response: {found}; {why}"
 
 
-def _excused_agreement(chain: Chain, estimate: Estimate, record: Record, first: int) -> float:
+def _excused_agreement(structure: Structure, estimate: Estimate, record: Record, first: int) -> float:
     """Agreement where only the model and its parameters can be to blame, %; NaN where the run overflows.
 
     Two things move a right system away from its estimate as well: the noise of the measured force, of which the
@@ -134,7 +134,7 @@ def _excused_agreement(chain: Chain, estimate: Estimate, record: Record, first: 
     """
     force = np.where(record.sensors("force"), estimate.response.force, record.force)
     try:
-        return _agreement(_simulated(chain, estimate, record, force, first), estimate)
+        return _agreement(_simulated(structure, estimate, record, force, first), estimate)
     except OverflowsError:
         return float("nan")
 

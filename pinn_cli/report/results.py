@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Response, Truth
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.validation.base import Score
 
@@ -86,7 +86,7 @@ class Results:
     """
 
     run: RunDescription
-    prescribed: Chain
+    prescribed: Structure
     record: Record
     truth: Truth
     estimate: Estimate

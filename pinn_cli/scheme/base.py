@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 
 
 class Scheme(ABC):
@@ -28,14 +28,14 @@ class Scheme(ABC):
         """
 
     @abstractmethod
-    def problem(self, prescribed: Chain, record: Record) -> Problem:
+    def problem(self, prescribed: Structure, record: Record) -> Problem:
         """The estimation problem of a prescribed chain and an observed record.
 
         Raises:
             InputError: A setting does not fit the chain.
         """
 
-    def with_record(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
+    def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
         """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.
 
         Args:

@@ -21,9 +21,9 @@ from pinn_cli.scheme.starts import Start, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, at_starts, checked_positive, unknown_parameters
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.priors import Prior
+from pinn_cli.system.structure import Structure
 
 log = logging.getLogger(__name__)
 
@@ -71,7 +71,7 @@ class Bayesian(Scheme):
         """See :meth:`Scheme.observe`."""
         return observed_through(record, self.quantities, 0.0, self.unobserved)
 
-    def problem(self, prescribed: Chain, record: Record) -> Problem:
+    def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         _check_sensors(record)
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
@@ -82,8 +82,8 @@ class Bayesian(Scheme):
         own = read_priors(self.priors, prescribed)
         priors = with_defaults(own, scales, self.positive)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in chosen)
-        chain = at_starts(prescribed, unknown)
-        return Problem(chain, record, unknown, self.acceleration_through, self.initial_motion)
+        structure = at_starts(prescribed, unknown)
+        return Problem(structure, record, unknown, self.acceleration_through, self.initial_motion)
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

@@ -8,8 +8,8 @@ from typing import Any
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_finite_number
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.structure import Structure
 
 # Of a standard deviation over the value: beyond it nothing is believed, and sums lose their last digits.
 LARGEST_UNCERTAINTY = 1000
@@ -27,16 +27,18 @@ def checked_uncertainty(value: Any) -> float:
     return float(value)
 
 
-def believed_parameters(chain: Chain, uncertainty: float, but: Collection[Parameter] = ()) -> tuple[Parameter, ...]:
+def believed_parameters(
+    structure: Structure, uncertainty: float, but: Collection[Parameter] = ()
+) -> tuple[Parameter, ...]:
     """Every parameter of a chain but its masses, with a relative prior standard deviation.
 
     Args:
-        chain: The prescribed model.
+        structure: The prescribed model.
         uncertainty: The standard deviation over the value; 0 leaves every parameter fixed.
         but: Parameters that are left out.
     """
     return tuple(
         replace(parameter, prior_std=uncertainty * abs(parameter.prescribed))
-        for parameter in chain.every_parameter()
+        for parameter in structure.every_parameter()
         if parameter.kind != MASS and parameter not in but and uncertainty * parameter.prescribed != 0
     )

@@ -6,11 +6,11 @@ import math
 from collections.abc import Collection
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 
 
-def check_given(prescribed: Chain, unknown: Collection[Parameter] = ()) -> None:
+def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> None:
     """See that every parameter has a value or is unknown.
 
     Args:

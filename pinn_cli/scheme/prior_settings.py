@@ -12,22 +12,22 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import construct
 from pinn_cli.settings.legal_values import finite_number, positive_number
 from pinn_cli.settings.suggestion import suggestion
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
+from pinn_cli.system.structure import Structure
 
 SETTING = "scheme.priors"
 # Standard deviation of the priors that nobody chose, over the scale of the parameter's start.
 WIDE = 10.0
 
 
-def read_priors(given: Mapping[str, Any] | None, chain: Chain) -> dict[Parameter, Prior]:
+def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[Parameter, Prior]:
     """The priors that the user chose; parameters that the user says nothing about are left out.
 
     Args:
         given: Kind of parameter, name or pattern (``k``, ``k_2``, ``*_2``) to a mapping of ``kind`` and that kind's
             settings, or to null: not chosen. Later entries overrule earlier ones.
-        chain: The prescribed model.
+        structure: The prescribed model.
 
     Raises:
         InputError: Naming ``scheme.priors.<key>``: no such parameter or kind of prior, a setting that is missing,
@@ -35,7 +35,7 @@ def read_priors(given: Mapping[str, Any] | None, chain: Chain) -> dict[Parameter
     """
     priors = {}
     for key, prior in checked_priors(given).items():
-        priors.update(dict.fromkeys(parameters_called(key, chain, f"{SETTING}.{key}"), prior))
+        priors.update(dict.fromkeys(parameters_called(key, structure, f"{SETTING}.{key}"), prior))
     return priors
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
+from pinn_cli.system.structure import Structure
 
 # What measured accelerations can be compared with.
 THROUGH = ("derivative", "observer", "both")
@@ -19,7 +19,7 @@ class Problem:
     """One estimation problem.
 
     Attributes:
-        chain: The prescribed model; of an unknown parameter it has the value at which it starts.
+        structure: The prescribed model; of an unknown parameter it has the value at which it starts.
         record: What was measured, with the sensors that the scheme allows.
         uncertain: The parameters that may move; all others are held at their prescribed values.
         acceleration_through: Whether measured accelerations are compared with the network's second derivative
@@ -28,7 +28,7 @@ class Problem:
         alternatives: The same from other starts of the unknown parameters, for a training that can compare solutions.
     """
 
-    chain: Chain
+    structure: Structure
     record: Record
     uncertain: tuple[Parameter, ...] = ()
     acceleration_through: str = "derivative"

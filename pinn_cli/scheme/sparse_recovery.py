@@ -12,7 +12,7 @@ from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.settings.legal_values import one_of
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 
 
 class SparseRecovery(Scheme):
@@ -51,7 +51,7 @@ class SparseRecovery(Scheme):
         """See :meth:`Scheme.observe`."""
         return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved)
 
-    def problem(self, prescribed: Chain, record: Record) -> Problem:
+    def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""
         check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)

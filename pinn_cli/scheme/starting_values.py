@@ -6,10 +6,10 @@ import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 
 
-def parameter_scales(chain: Chain, record: Record) -> dict[str, float]:
+def parameter_scales(structure: Structure, record: Record) -> dict[str, float]:
     """Kind of parameter to the value with which it alone would carry the force that acts, at the motion that there is.
 
     With F, U, V, A the root mean squares of force, displacement, velocity and acceleration: m is F / A, c is F / V, k
@@ -17,7 +17,7 @@ def parameter_scales(chain: Chain, record: Record) -> dict[str, float]:
     magnitude: an elongation is not a displacement.
 
     Args:
-        chain: For its nonlinearity; its parameters are not read.
+        structure: For its nonlinearity; its parameters are not read.
         record: What was measured.
     """
     size = motion_amplitudes(record)
@@ -27,12 +27,12 @@ def parameter_scales(chain: Chain, record: Record) -> dict[str, float]:
     force = force if force > 0 else size["acceleration"]
     u, v = (np.full(record.ndof, size[quantity]) for quantity in ("displacement", "velocity"))
     scales = {}
-    for kind in chain.parameters:
+    for kind in structure.parameters:
         if kind == "m":
             scales[kind] = force / size["acceleration"]
             continue
-        alone = {name: np.full(record.ndof, float(name == kind)) for name in chain.parameters}
-        per_unit = abs(float(chain.connection_force(u, v, alone)[0]))
+        alone = {name: np.full(record.ndof, float(name == kind)) for name in structure.parameters}
+        per_unit = abs(float(structure.connection_force(u, v, alone)[0]))
         scales[kind] = force / per_unit if per_unit > 0 else 1.0
     return scales
 

@@ -19,8 +19,8 @@ from pinn_cli.scheme.screening import DAMPING, screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.structure import Structure
 
 AUTO, GIVEN = "auto", "given"
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
@@ -50,7 +50,7 @@ def checked_starts(starts: Any) -> int | None:
 
 
 def parameter_starts(
-    prescribed: Chain,
+    prescribed: Structure,
     record: Record,
     unknown: Collection[Parameter],
     given: Mapping[Parameter, float],
@@ -78,7 +78,7 @@ def parameter_starts(
     return [_starts(prescribed, record, unknown, given, values) for values in linear or [_unscreened(known, guess)]]
 
 
-def _known(prescribed: Chain, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
+def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
     """``m``, ``c``, ``k`` to (n,), NaN where unknown."""
     known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
     for parameter in unknown:
@@ -88,7 +88,7 @@ def _known(prescribed: Chain, unknown: Collection[Parameter]) -> dict[str, np.nd
 
 
 def _guess(
-    prescribed: Chain, record: Record, unknown: Collection[Parameter], given: Mapping[Parameter, float]
+    prescribed: Structure, record: Record, unknown: Collection[Parameter], given: Mapping[Parameter, float]
 ) -> dict[str, np.ndarray]:
     """Masses and stiffnesses (n,) that have the right ratios as far as anybody has said something about them."""
     scales = parameter_scales(prescribed, record)
@@ -110,7 +110,7 @@ def _unscreened(known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]
 
 
 def _starts(
-    prescribed: Chain,
+    prescribed: Structure,
     record: Record,
     unknown: Collection[Parameter],
     given: Mapping[Parameter, float],

@@ -17,8 +17,8 @@ from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, at_starts, checked_positive, initial_values, unknown_parameters
 from pinn_cli.settings.legal_values import one_of, positive_number
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 
 
 class StateParameter(Scheme):
@@ -74,7 +74,7 @@ class StateParameter(Scheme):
         """See :meth:`Scheme.observe`."""
         return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved)
 
-    def problem(self, prescribed: Chain, record: Record) -> Problem:
+    def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         chosen = unknown_parameters(prescribed, record, self.unknown)
         check_given(prescribed, chosen)
@@ -84,17 +84,17 @@ class StateParameter(Scheme):
         for start in parameter_starts(prescribed, record, chosen, self._given(prescribed, record, chosen), self.starts):
             unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
-            chain, through = at_starts(prescribed, unknown), self.acceleration_through
-            problems.append(Problem(chain, record, uncertain, through, initial_motion=self.initial_motion))
+            structure, through = at_starts(prescribed, unknown), self.acceleration_through
+            problems.append(Problem(structure, record, uncertain, through, initial_motion=self.initial_motion))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
-    def with_record(self, problem: Problem, prescribed: Chain, record: Record) -> Problem:
+    def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""
         again = copy(self)
         again.unknown = [parameter.name for parameter in problem.uncertain if parameter.unknown]
         return again.problem(prescribed, record)
 
-    def _given(self, prescribed: Chain, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
+    def _given(self, prescribed: Structure, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
         """What the user says about the unknown parameters."""
         given = initial_values(prescribed, self.initial, self.positive)
         if not record.simulated:

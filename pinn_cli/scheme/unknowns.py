@@ -9,23 +9,23 @@ from typing import Any
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.structure import Structure
 
 # Kinds that cannot be negative unless the user says otherwise.
 POSITIVE = ("m", "c", "k", "kappa", "mu")
 
 
-def all_names(chain: Chain) -> dict[str, Parameter]:
+def all_names(structure: Structure) -> dict[str, Parameter]:
     """``k_2`` to the parameter of that name, for every one of the chain, in its order."""
-    return {parameter.name: parameter for parameter in chain.every_parameter()}
+    return {parameter.name: parameter for parameter in structure.every_parameter()}
 
 
-def unknown_parameters(chain: Chain, record: Record, unknown: str | Sequence[str] | None) -> list[Parameter]:
+def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequence[str] | None) -> list[Parameter]:
     """The unknown parameters, in the chain's order.
 
     Args:
-        chain: The prescribed model.
+        structure: The prescribed model.
         record: What the estimator sees.
         unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
             the nonlinear parameter of every connection whose DOF has no sensor (paper, section 4.2).
@@ -33,36 +33,36 @@ def unknown_parameters(chain: Chain, record: Record, unknown: str | Sequence[str
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
     """
-    names = all_names(chain)
+    names = all_names(structure)
     if unknown is None:
-        kinds = {"k", *chain.parameters} - {MASS, "c"}
+        kinds = {"k", *structure.parameters} - {MASS, "c"}
         chosen = {name for name, p in names.items() if p.kind in kinds and not record.observed[p.index]}
         if not chosen:
             raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
     else:
         patterns = [unknown] if isinstance(unknown, str) else entries(unknown)
-        chosen = {name for pattern in patterns for name in _matching(pattern, chain, names, "scheme.unknown")}
+        chosen = {name for pattern in patterns for name in _matching(pattern, structure, names, "scheme.unknown")}
         if not chosen:
             raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
     found = [parameter for name, parameter in names.items() if name in chosen]
     for parameter in found:
-        _check_touched(parameter, chain, record)
+        _check_touched(parameter, structure, record)
     return found
 
 
-def _matching(pattern: Any, chain: Chain, names: Mapping[str, Parameter], setting: str) -> list[str]:
+def _matching(pattern: Any, structure: Structure, names: Mapping[str, Parameter], setting: str) -> list[str]:
     found = [name for name in names if isinstance(pattern, str) and fnmatchcase(name, pattern)]
     if not found:
-        kinds = ", ".join(chain.parameters)
-        allowed = f"one of {kinds} with _1 to _{chain.ndof}, or a pattern such as k_* (any connection)"
-        raise InputError(setting, pattern, allowed, f"the estimator's model is a {chain.nonlinearity_name} chain")
+        kinds = ", ".join(structure.parameters)
+        allowed = f"one of {kinds} with _1 to _{structure.ndof}, or a pattern such as k_* (any connection)"
+        raise InputError(setting, pattern, allowed, f"the estimator's model is a {structure.nonlinearity_name} chain")
     return found
 
 
-def _check_touched(parameter: Parameter, chain: Chain, record: Record) -> None:
+def _check_touched(parameter: Parameter, structure: Structure, record: Record) -> None:
     """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
     enforced = record.unforced | record.sensors("force")
-    if not enforced[chain.ends(parameter)].any():
+    if not enforced[structure.ends(parameter)].any():
         raise InputError(
             "scheme.unknown",
             parameter.name,
@@ -82,12 +82,12 @@ def _check_touched(parameter: Parameter, chain: Chain, record: Record) -> None:
 
 
 def initial_values(
-    chain: Chain, given: Mapping[str, float | None] | None, positive: Sequence[str]
+    structure: Structure, given: Mapping[str, float | None] | None, positive: Sequence[str]
 ) -> dict[Parameter, float]:
     """Where unknown parameters start, for those that the user says something about.
 
     Args:
-        chain: The prescribed model.
+        structure: The prescribed model.
         given: Kind, name or pattern to value; later entries overrule earlier ones; None: nothing said.
         positive: Kinds that cannot be negative.
 
@@ -101,7 +101,7 @@ def initial_values(
         setting = f"scheme.initial.{key}"
         if not is_finite_number(value):
             raise InputError(setting, value, "a finite number, or null: from the record")
-        for parameter in parameters_called(key, chain, setting):
+        for parameter in parameters_called(key, structure, setting):
             kind = parameter.kind
             if (kind in positive and value < 0) or (kind == MASS and value == 0):
                 why = f"scheme.positive=[{', '.join(positive)}] keeps {kind} from falling below zero"
@@ -110,7 +110,7 @@ def initial_values(
     return out
 
 
-def parameters_called(key: str, chain: Chain, setting: str) -> list[Parameter]:
+def parameters_called(key: str, structure: Structure, setting: str) -> list[Parameter]:
     """The parameters that a kind (``k``: all connections), a name or a pattern means, in the chain's order.
 
     None, for a kind that this chain lacks and another nonlinearity has.
@@ -118,11 +118,11 @@ def parameters_called(key: str, chain: Chain, setting: str) -> list[Parameter]:
     Raises:
         InputError: Naming ``setting``: there is no such parameter.
     """
-    if key in (*LINEAR_UNITS, "kappa", "mu") and key not in chain.parameters:
+    if key in (*LINEAR_UNITS, "kappa", "mu") and key not in structure.parameters:
         return []
-    names = all_names(chain)
-    pattern = f"{key}_*" if key in chain.parameters else key
-    return [names[name] for name in _matching(pattern, chain, names, setting)]
+    names = all_names(structure)
+    pattern = f"{key}_*" if key in structure.parameters else key
+    return [names[name] for name in _matching(pattern, structure, names, setting)]
 
 
 def checked_positive(positive: Any) -> tuple[str, ...]:
@@ -138,7 +138,7 @@ def checked_positive(positive: Any) -> tuple[str, ...]:
     return tuple(kinds)
 
 
-def at_starts(prescribed: Chain, unknown: Iterable[Parameter]) -> Chain:
+def at_starts(prescribed: Structure, unknown: Iterable[Parameter]) -> Structure:
     """The prescribed chain with unknown parameters where they start: of a simulated record they were the truth."""
     values = {kind: given.clone() for kind, given in prescribed.parameters.items()}
     for parameter in unknown:

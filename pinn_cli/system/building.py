@@ -10,8 +10,9 @@ import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number, whole_number
-from pinn_cli.system.chain import Chain, chain_of
+from pinn_cli.system.chain import chain_of
 from pinn_cli.system.parameters import LINEAR_UNITS
+from pinn_cli.system.structure import Structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 MOST_DOFS = 10**5
 
 
-def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float]) -> Chain:
+def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float]) -> Structure:
     """A chain from numbers (the same for every connection) or lists of ndof numbers.
 
     Args:
@@ -38,16 +39,16 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
         if parameters.get(name) is None:
             names = ", ".join((*LINEAR_UNITS, *nonlinearity.parameters))
             raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {names}")
-    chain = build_partial_chain(ndof, nonlinearity, **parameters)
+    structure = build_partial_chain(ndof, nonlinearity, **parameters)
     for name, value in parameters.items():
-        if chain.parameters[name].isnan().any():
+        if structure.parameters[name].isnan().any():
             raise InputError(f"system.{name}", value, "given in every entry: null is for what is unknown of a record")
-    return chain
+    return structure
 
 
 def build_partial_chain(
     ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float | None] | None
-) -> Chain:
+) -> Structure:
     """The same where a value may be missing, None or left out, alone or in a list: it is NaN in the chain.
 
     Of a measured structure nobody knows all; :func:`pinn_cli.scheme.missing_values.check_given` sees to it that only

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from pinn_cli.system.connection.base import Nonlinearity
 
-Chain = Structure
-
 
 def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) -> Structure:
     """Masses in a row; connection i joins DOF i-1 to DOF i, the first one the ground to DOF 1.
@@ -30,4 +28,4 @@ def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) ->
         ValueError: The names or the shapes of the parameters do not fit.
     """
     ndof = parameters[MASS].shape[-1] if MASS in parameters else 1
-    return Structure(parameters, (ConnectionGroup(nonlinearity, Incidence.chain(ndof)),))
+    return Structure(parameters, (ConnectionGroup(nonlinearity, Incidence.structure(ndof)),))

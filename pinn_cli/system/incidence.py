@@ -44,7 +44,7 @@ class Incidence:
         self._tables: dict[Any, Any] = {}
 
     @classmethod
-    def chain(cls, ndof: int) -> Incidence:
+    def structure(cls, ndof: int) -> Incidence:
         """Of masses in a row: connection i joins coordinate i - 1 to i, the first one the ground to the first."""
         return cls(diags([np.ones(ndof), -np.ones(max(0, ndof - 1))], [0, -1], shape=(ndof, ndof), format="csr"))
 

@@ -14,61 +14,63 @@ import torch
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pinn_cli.system.chain import Chain
     from pinn_cli.system.connection.base import Nonlinearity
+    from pinn_cli.system.structure import Structure
 
 
-def mass(chain: Chain) -> torch.Tensor:
+def mass(structure: Structure) -> torch.Tensor:
     """M = diag(m), (n, n), kg."""
-    return torch.diag(_parameter(chain, "m"))
+    return torch.diag(_parameter(structure, "m"))
 
 
-def damping(chain: Chain) -> torch.Tensor:
+def damping(structure: Structure) -> torch.Tensor:
     """C, (n, n), N s/m: tridiagonal."""
-    e = _elongation_operator(chain)
-    return e.T @ torch.diag(_parameter(chain, "c")) @ e
+    e = _elongation_operator(structure)
+    return e.T @ torch.diag(_parameter(structure, "c")) @ e
 
 
-def stiffness(chain: Chain) -> torch.Tensor:
+def stiffness(structure: Structure) -> torch.Tensor:
     """K, (n, n), N/m: tridiagonal."""
-    e = _elongation_operator(chain)
-    return e.T @ torch.diag(_parameter(chain, "k")) @ e
+    e = _elongation_operator(structure)
+    return e.T @ torch.diag(_parameter(structure, "k")) @ e
 
 
-def nonlinear_damping(chain: Chain) -> torch.Tensor:
+def nonlinear_damping(structure: Structure) -> torch.Tensor:
     """C_n, (n, n): upper bidiagonal in the nonlinearity's damping parameter; zero where it has none."""
-    return _connection_matrix(chain, chain.nonlinearity.damping_parameter)
+    return _connection_matrix(structure, structure.nonlinearity.damping_parameter)
 
 
-def nonlinear_stiffness(chain: Chain) -> torch.Tensor:
+def nonlinear_stiffness(structure: Structure) -> torch.Tensor:
     """K_n, (n, n): upper bidiagonal in the nonlinearity's stiffness parameter; zero where it has none."""
-    return _connection_matrix(chain, chain.nonlinearity.stiffness_parameter)
+    return _connection_matrix(structure, structure.nonlinearity.stiffness_parameter)
 
 
-def nonlinear_functions(chain: Chain, u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+def nonlinear_functions(structure: Structure, u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     """g_n = {g_k, g_c}, (..., 2n): the nonlinear functions of displacement and velocity that K_n and C_n multiply.
 
     Each is the nonlinearity's own force with its coefficient at one, so that no formula stands twice.
     """
-    e, de = chain.elongation(u), chain.elongation(v)
-    return torch.cat([_unit_force(chain.nonlinearity, name, e, de) for name in _coefficients(chain.nonlinearity)], -1)
+    e, de = structure.elongation(u), structure.elongation(v)
+    return torch.cat(
+        [_unit_force(structure.nonlinearity, name, e, de) for name in _coefficients(structure.nonlinearity)], -1
+    )
 
 
-def state(chain: Chain) -> torch.Tensor:
+def state(structure: Structure) -> torch.Tensor:
     """A, (2n, 2n), of dz/dt = A z + A_n g_n + H f with z = {u, v}."""
-    top = torch.cat([_zeros(chain), _identity(chain)], 1)
-    return torch.cat([top, _acceleration_rows(chain, stiffness(chain), damping(chain))])
+    top = torch.cat([_zeros(structure), _identity(structure)], 1)
+    return torch.cat([top, _acceleration_rows(structure, stiffness(structure), damping(structure))])
 
 
-def nonlinear_state(chain: Chain) -> torch.Tensor:
+def nonlinear_state(structure: Structure) -> torch.Tensor:
     """A_n, (2n, 2n)."""
-    top = torch.cat([_zeros(chain), _zeros(chain)], 1)
-    return torch.cat([top, _acceleration_rows(chain, nonlinear_stiffness(chain), nonlinear_damping(chain))])
+    top = torch.cat([_zeros(structure), _zeros(structure)], 1)
+    return torch.cat([top, _acceleration_rows(structure, nonlinear_stiffness(structure), nonlinear_damping(structure))])
 
 
-def input(chain: Chain) -> torch.Tensor:  # noqa: A001 - the name that control theory has for it
+def input(structure: Structure) -> torch.Tensor:  # noqa: A001 - the name that control theory has for it
     """H, (2n, n)."""
-    return torch.cat([_zeros(chain), torch.diag(1.0 / _parameter(chain, "m"))])
+    return torch.cat([_zeros(structure), torch.diag(1.0 / _parameter(structure, "m"))])
 
 
 def selection(dofs: Sequence[int], ndof: int) -> torch.Tensor:
@@ -82,52 +84,61 @@ def selection(dofs: Sequence[int], ndof: int) -> torch.Tensor:
 
 
 def output(
-    chain: Chain, displacement: Sequence[int] = (), velocity: Sequence[int] = (), acceleration: Sequence[int] = ()
+    structure: Structure,
+    displacement: Sequence[int] = (),
+    velocity: Sequence[int] = (),
+    acceleration: Sequence[int] = (),
 ) -> torch.Tensor:
     """B, (sensors, 2n), of y = B z + B_n g_n + D f, for sensors on the given DOFs (counted from 1)."""
     return torch.cat(
         [
-            selection(displacement, chain.ndof) @ torch.cat([_identity(chain), _zeros(chain)], 1),
-            selection(velocity, chain.ndof) @ torch.cat([_zeros(chain), _identity(chain)], 1),
-            selection(acceleration, chain.ndof) @ state(chain)[chain.ndof :],
+            selection(displacement, structure.ndof) @ torch.cat([_identity(structure), _zeros(structure)], 1),
+            selection(velocity, structure.ndof) @ torch.cat([_zeros(structure), _identity(structure)], 1),
+            selection(acceleration, structure.ndof) @ state(structure)[structure.ndof :],
         ]
     )
 
 
 def nonlinear_output(
-    chain: Chain, displacement: Sequence[int] = (), velocity: Sequence[int] = (), acceleration: Sequence[int] = ()
+    structure: Structure,
+    displacement: Sequence[int] = (),
+    velocity: Sequence[int] = (),
+    acceleration: Sequence[int] = (),
 ) -> torch.Tensor:
     """B_n, (sensors, 2n)."""
-    quiet = torch.zeros(len(displacement) + len(velocity), 2 * chain.ndof, dtype=torch.float64)
-    return torch.cat([quiet, selection(acceleration, chain.ndof) @ nonlinear_state(chain)[chain.ndof :]])
+    quiet = torch.zeros(len(displacement) + len(velocity), 2 * structure.ndof, dtype=torch.float64)
+    return torch.cat([quiet, selection(acceleration, structure.ndof) @ nonlinear_state(structure)[structure.ndof :]])
 
 
 def feedthrough(
-    chain: Chain, displacement: Sequence[int] = (), velocity: Sequence[int] = (), acceleration: Sequence[int] = ()
+    structure: Structure,
+    displacement: Sequence[int] = (),
+    velocity: Sequence[int] = (),
+    acceleration: Sequence[int] = (),
 ) -> torch.Tensor:
     """D, (sensors, n)."""
-    quiet = torch.zeros(len(displacement) + len(velocity), chain.ndof, dtype=torch.float64)
-    return torch.cat([quiet, selection(acceleration, chain.ndof) @ input(chain)[chain.ndof :]])
+    quiet = torch.zeros(len(displacement) + len(velocity), structure.ndof, dtype=torch.float64)
+    return torch.cat([quiet, selection(acceleration, structure.ndof) @ input(structure)[structure.ndof :]])
 
 
-def _parameter(chain: Chain, name: str) -> torch.Tensor:
-    return chain.parameters[name].to(torch.float64)
+def _parameter(structure: Structure, name: str) -> torch.Tensor:
+    return structure.parameters[name].to(torch.float64)
 
 
-def _zeros(chain: Chain) -> torch.Tensor:
-    return torch.zeros(chain.ndof, chain.ndof, dtype=torch.float64)
+def _zeros(structure: Structure) -> torch.Tensor:
+    return torch.zeros(structure.ndof, structure.ndof, dtype=torch.float64)
 
 
-def _identity(chain: Chain) -> torch.Tensor:
-    return torch.eye(chain.ndof, dtype=torch.float64)
+def _identity(structure: Structure) -> torch.Tensor:
+    return torch.eye(structure.ndof, dtype=torch.float64)
 
 
-def _elongation_operator(chain: Chain) -> torch.Tensor:
-    return chain.elongation(_identity(chain)).T
+def _elongation_operator(structure: Structure) -> torch.Tensor:
+    return structure.elongation(_identity(structure)).T
 
 
-def _acceleration_rows(chain: Chain, of_displacement: torch.Tensor, of_velocity: torch.Tensor) -> torch.Tensor:
-    return -torch.cat([of_displacement, of_velocity], 1) / _parameter(chain, "m")[:, None]
+def _acceleration_rows(structure: Structure, of_displacement: torch.Tensor, of_velocity: torch.Tensor) -> torch.Tensor:
+    return -torch.cat([of_displacement, of_velocity], 1) / _parameter(structure, "m")[:, None]
 
 
 def _coefficients(nonlinearity: Nonlinearity) -> tuple[str | None, str | None]:
@@ -139,11 +150,11 @@ def _coefficients(nonlinearity: Nonlinearity) -> tuple[str | None, str | None]:
     return pair
 
 
-def _connection_matrix(chain: Chain, parameter: str | None) -> torch.Tensor:
-    _coefficients(chain.nonlinearity)
+def _connection_matrix(structure: Structure, parameter: str | None) -> torch.Tensor:
+    _coefficients(structure.nonlinearity)
     if parameter is None:
-        return _zeros(chain)
-    return _elongation_operator(chain).T @ torch.diag(_parameter(chain, parameter))
+        return _zeros(structure)
+    return _elongation_operator(structure).T @ torch.diag(_parameter(structure, parameter))
 
 
 def _unit_force(nonlinearity: Nonlinearity, name: str | None, e: torch.Tensor, de: torch.Tensor) -> torch.Tensor:

@@ -28,7 +28,7 @@ class LearnedParameters(nn.Module):
     def __init__(self, problem: Problem, dtype: torch.dtype) -> None:
         super().__init__()
         self.uncertain = problem.uncertain
-        self.nominal = {name: values.detach().to(dtype) for name, values in problem.chain.parameters.items()}
+        self.nominal = {name: values.detach().to(dtype) for name, values in problem.structure.parameters.items()}
         for name, values in self.nominal.items():
             self.register_buffer(f"nominal_{name}", values)
         unit, spread, lower = (

@@ -16,10 +16,10 @@ def network_response(problem: Problem, every: Targets, network: Network, paramet
     """Motion and force at the record's samples, see :func:`pinn_cli.physics.estimated_response`.
 
     Args:
-        problem: Chain and record.
+        problem: Structure and record.
         every: The record's targets at all its samples.
         network: Of the motion.
         parameters: Of the chain.
     """
     at_observation, at_physics = network(every.observation_time), network(every.physics_time)
-    return estimated_response(problem.record, problem.chain, parameters(), at_observation, at_physics)
+    return estimated_response(problem.record, problem.structure, parameters(), at_observation, at_physics)

@@ -20,7 +20,7 @@ def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     middle, and so on; only orders of magnitude matter here.
     """
     record = problem.record
-    mass = problem.chain.parameters["m"].detach().cpu().numpy()
+    mass = problem.structure.parameters["m"].detach().cpu().numpy()
     omega = np.pi * record_band(record)
     motion = [
         omega ** (2 - order) * mass * np.sqrt(np.mean(getattr(record, quantity) ** 2, axis=0))

@@ -12,7 +12,7 @@ import pandas as pd
 
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
 
@@ -28,7 +28,7 @@ class Setup:
         run: The run that all this is part of.
     """
 
-    prescribed: Chain
+    prescribed: Structure
     scheme: Scheme
     estimator: Estimator
     run: RunContext

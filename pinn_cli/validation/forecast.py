@@ -20,7 +20,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.training.estimated_chain import estimated_chain
+from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.validation.base import Score, Setup, Validation
 from pinn_cli.validation.density import channel_noise, compared
 
@@ -117,5 +117,5 @@ def _forecast(record: Record, found: Estimate, setup: Setup, start: int, end: in
     """From shortly before a block to its end."""
     first = start - max(1, round(LEAD * start))
     state = found.response.displacement[first], found.response.velocity[first]
-    chain = estimated_chain(setup.prescribed, found.parameters)
-    return resimulate(chain, record.until(end), state, first=first)
+    structure = estimated_structure(setup.prescribed, found.parameters)
+    return resimulate(structure, record.until(end), state, first=first)

@@ -23,7 +23,7 @@ from pinn_cli.verdict.prediction import force_between_samples, predicted
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 # Seconds that the unit of the time axis may be long.
 UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
@@ -41,19 +41,19 @@ LEAST_FACTOR = 1.1
 FLOOR = 1e-3
 
 
-def time_unit_fault(chain: Chain, record: Record, excused: Sequence[str] = ()) -> Finding | None:
+def time_unit_fault(structure: Structure, record: Record, excused: Sequence[str] = ()) -> Finding | None:
     """The unit of time in which the chain predicts every sensor; None where seconds will do, or no unit does.
 
     Args:
-        chain: Whose natural frequencies should be in the record's band, below its Nyquist frequency.
+        structure: Whose natural frequencies should be in the record's band, below its Nyquist frequency.
         record: With its time as given.
         excused: Names of channels that have a fault of their own.
     """
-    if not np.isfinite(record.force).all() or in_band(chain, record):
+    if not np.isfinite(record.force).all() or in_band(structure, record):
         return None
     for seconds in UNITS:
         scaled = replace(record, time=record.time * seconds)
-        if not in_band(chain, scaled) or (prediction := predicted(chain, scaled)) is None:
+        if not in_band(structure, scaled) or (prediction := predicted(structure, scaled)) is None:
             continue
         left = worst_misfit(prediction, excused)
         if left <= REPRODUCED:
@@ -67,42 +67,42 @@ def unit_finding(seconds: float, left: float) -> Finding:
     return Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed", left)
 
 
-def in_band(chain: Chain, record: Record) -> bool:
+def in_band(structure: Structure, record: Record) -> bool:
     """Whether the record is sampled fast enough for the chain, and long enough for a period of its first mode."""
-    frequencies = modes_of(chain).natural_frequencies
+    frequencies = modes_of(structure).natural_frequencies
     if not np.isfinite(frequencies).all():
         return False
     return bool(frequencies[-1] < SEEN * 0.5 / record.step and frequencies[0] > 1.0 / record.duration)
 
 
-def mass_fault(chain: Chain, record: Record, excused: Sequence[str] = ()) -> Finding | None:
+def mass_fault(structure: Structure, record: Record, excused: Sequence[str] = ()) -> Finding | None:
     """The mass that mends the prediction, and its factor; None where no single one does.
 
     Args:
-        chain: Whose masses are doubted, one at a time.
+        structure: Whose masses are doubted, one at a time.
         record: What was measured.
         excused: Names of channels that have a fault of their own.
     """
     if not np.isfinite(record.force).all():
         return None
-    before = worst_misfit(predicted(chain, record), excused)
-    dofs = np.repeat(np.arange(chain.ndof), len(COARSE))
-    factors = np.tile(COARSE, chain.ndof)
-    score = _scores(chain, record, dofs, factors, PERIODS, excused)
+    before = worst_misfit(predicted(structure, record), excused)
+    dofs = np.repeat(np.arange(structure.ndof), len(COARSE))
+    factors = np.tile(COARSE, structure.ndof)
+    score = _scores(structure, record, dofs, factors, PERIODS, excused)
     if not np.isfinite(score).any():
         return None
     best = int(np.argmin(score))
     dof, factor = int(dofs[best]), float(factors[best])
     for periods, spread in ((PERIODS, 1.0), (MORE_PERIODS, 0.25)):
         tried = factor * FINE**spread
-        score = _scores(chain, record, np.full(len(tried), dof), tried, periods, excused)
+        score = _scores(structure, record, np.full(len(tried), dof), tried, periods, excused)
         factor = float(tried[np.argmin(score)])
     if 1 / LEAST_FACTOR < factor < LEAST_FACTOR:
         return None
-    left = worst_misfit(predicted(_with_mass(chain, dof, factor), record), excused)
+    left = worst_misfit(predicted(_with_mass(structure, dof, factor), record), excused)
     if left > REPRODUCED or left > MENDS_BY_MOVING * before:
         return None
-    return mass_finding(dof, float(chain.parameters["m"][dof]) * factor, factor, "the chain", left)
+    return mass_finding(dof, float(structure.parameters["m"][dof]) * factor, factor, "the chain", left)
 
 
 def mass_finding(dof: int, mass: float, factor: float, which: str, left: float) -> Finding:
@@ -112,14 +112,14 @@ def mass_finding(dof: int, mass: float, factor: float, which: str, left: float) 
     return Finding("mass", name, f"{reason}; check system.m", left=left)
 
 
-def _with_mass(chain: Chain, dof: int, factor: float) -> Chain:
-    scale = torch.ones_like(chain.parameters["m"])
+def _with_mass(structure: Structure, dof: int, factor: float) -> Structure:
+    scale = torch.ones_like(structure.parameters["m"])
     scale[dof] = factor
-    return chain.with_parameters(m=chain.parameters["m"] * scale)
+    return structure.with_parameters(m=structure.parameters["m"] * scale)
 
 
 def _scores(
-    chain: Chain,
+    structure: Structure,
     record: Record,
     dofs: np.ndarray,
     factors: np.ndarray,
@@ -131,12 +131,12 @@ def _scores(
     A sum of logarithms lets one channel be bad where all others are right.
     """
     seen = channels(record, excused=excused)
-    masses = np.tile(chain.parameters["m"].numpy().astype(float), (len(dofs), 1))
+    masses = np.tile(structure.parameters["m"].numpy().astype(float), (len(dofs), 1))
     masses[np.arange(len(dofs)), dofs] *= factors
-    samples, substeps = _span(chain, record, masses, periods)
-    if not seen or samples < 4 * chain.ndof:
+    samples, substeps = _span(structure, record, masses, periods)
+    if not seen or samples < 4 * structure.ndof:
         return np.full(len(dofs), np.inf)
-    motion = _simulated(chain, record, masses, samples, substeps)
+    motion = _simulated(structure, record, masses, samples, substeps)
     total = np.zeros(len(dofs))
     for c in seen:
         measured = c.measured[:samples]
@@ -146,28 +146,28 @@ def _scores(
     return np.where(np.isfinite(total), total / len(seen), np.inf)
 
 
-def _span(chain: Chain, record: Record, masses: np.ndarray, periods: float) -> tuple[int, int]:
+def _span(structure: Structure, record: Record, masses: np.ndarray, periods: float) -> tuple[int, int]:
     """How many samples to follow, and in how many steps each."""
-    first = float(np.nanmin(modes_of(chain).natural_frequencies))
-    lightest = chain.with_parameters(m=torch.as_tensor(masses.min(axis=0)))
+    first = float(np.nanmin(modes_of(structure).natural_frequencies))
+    lightest = structure.with_parameters(m=torch.as_tensor(masses.min(axis=0)))
     substeps = max(1, -(-substeps_needed(lightest, record.step) // 2))  # twice the step: a per cent will do
     wanted = periods / (first * record.step) if first > 0 else len(record.time)
     return int(min(len(record.time), wanted, MOST_STEPS // substeps)), substeps
 
 
 def _simulated(
-    chain: Chain,
+    structure: Structure,
     record: Record,
     masses: np.ndarray,
     samples: int,
     substeps: int,
 ) -> np.ndarray:
     """(samples, 3, H, n): displacement, velocity and acceleration of every hypothesis, from rest."""
-    own = chain.parameters_like(np.empty(0))
+    own = structure.parameters_like(np.empty(0))
     parameters = {**own, "m": masses}
 
     def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
-        return np.array((z[1], chain.acceleration(z[0], z[1], f, parameters)))
+        return np.array((z[1], structure.acceleration(z[0], z[1], f, parameters)))
 
     step = record.step / substeps
     force = _half_steps(record, samples, substeps)
@@ -176,7 +176,7 @@ def _simulated(
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(samples):
             out[k, :2] = z
-            out[k, 2] = chain.acceleration(z[0], z[1], record.force[k], parameters)
+            out[k, 2] = structure.acceleration(z[0], z[1], record.force[k], parameters)
             for s in range(substeps):
                 at = 2 * (k * substeps + s)
                 z = runge_kutta_step(slope, z, force[at], force[at + 1], force[at + 2], step)

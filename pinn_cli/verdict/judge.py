@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pinn_cli.record.spectrum import record_band
-from pinn_cli.training.estimated_chain import estimated_chain
+from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import mass_fault, time_unit_fault
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.finding import Finding, Verdict
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.record.record import Record, Response
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
 # Share of the Nyquist frequency up to which the report's free run follows the force well between its samples.
@@ -47,34 +47,36 @@ def judge(
         baseline: Another estimator's solution of the same problem, where there is one.
         free_run: The estimated chain's response to the measured force, where the caller has it already.
     """
-    record, chain = problem.record, estimated_chain(problem.chain, estimate.parameters)
+    record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
     own = record_faults(record)
     excused = [finding.suspect for finding in own]
-    prediction = _prediction(chain, record, estimate, free_run)
+    prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
-    findings += parameter_findings(problem, estimate, chain) + baseline_findings(estimate, baseline)
+    findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies:
         # A gain that believed parameters have made up for shows against the prescribed ones.
-        prescribed = predicted(problem.chain, record)
+        prescribed = predicted(problem.structure, record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     if findings and not causes:
-        causes = _causes(problem, chain, excused)
+        causes = _causes(problem, structure, excused)
     return Verdict.of(own + causes + findings)
 
 
-def _prediction(chain: Chain, record: Record, estimate: Estimate, free_run: Response | None) -> Prediction | None:
+def _prediction(
+    structure: Structure, record: Record, estimate: Estimate, free_run: Response | None
+) -> Prediction | None:
     """Of the estimated chain; a nonlinear one takes a second to simulate, which is saved where that was done."""
-    if free_run is not None and not is_linear(chain) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
-        return Prediction(free_run, record, modes_of(chain))
-    return predicted(chain, record, (estimate.response.displacement[0], estimate.response.velocity[0]))
+    if free_run is not None and not is_linear(structure) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
+        return Prediction(free_run, record, modes_of(structure))
+    return predicted(structure, record, (estimate.response.displacement[0], estimate.response.velocity[0]))
 
 
-def _causes(problem: Problem, estimated: Chain, excused: Sequence[str]) -> list[Finding]:
+def _causes(problem: Problem, estimated: Structure, excused: Sequence[str]) -> list[Finding]:
     """The first cause that mends the prescribed chain's prediction or the estimated one's; nothing where none does."""
     for test in (time_unit_fault, mass_fault):
-        for chain in (problem.chain, estimated):
-            found = test(chain, problem.record, excused=excused)
+        for structure in (problem.structure, estimated):
+            found = test(structure, problem.record, excused=excused)
             if found is not None:
                 return [found]
     return refit_causes(problem, excused)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +102,9 @@ class Modes:
         return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]
 
 
-def modes_of(chain: Chain) -> Modes:
+def modes_of(structure: Structure) -> Modes:
     """Of the linear part of a chain."""
-    return Modes.of(chain.parameters_like(np.empty(0)))
+    return Modes.of(structure.parameters_like(np.empty(0)))
 
 
 def _tridiagonal(x: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 # Prior standard deviations that a parameter may move: one in 16 000 moves further by chance.
@@ -35,19 +35,19 @@ NAMED = 4
 APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
 
 
-def parameter_findings(problem: Problem, estimate: Estimate, chain: Chain) -> list[Finding]:
+def parameter_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
     """Every finding of this page.
 
     Args:
         problem: For the record and for which parameters were unknown.
         estimate: Whose parameters are judged.
-        chain: With the estimated parameters.
+        structure: With the estimated parameters.
     """
     kinds = {p.name: p.kind for p in problem.uncertain}
     unknown = [p for p in estimate.parameters if p.unknown]
     believed = [p for p in estimate.parameters if not p.unknown]
     found = [f for p in unknown for f in (_far_from_start(p), _undetermined(p, kinds.get(p.name, ""))) if f is not None]
-    return found + _moved(believed) + _spread(estimate) + _frequencies(chain, problem.record)
+    return found + _moved(believed) + _spread(estimate) + _frequencies(structure, problem.record)
 
 
 def _far_from_start(p: ParameterEstimate) -> Finding | None:
@@ -104,8 +104,8 @@ def _spread(estimate: Estimate) -> list[Finding]:
     return [Finding("spread", "parameters", f"{text}; check them, the masses and the units")]
 
 
-def _frequencies(chain: Chain, record: Record) -> list[Finding]:
-    frequencies = modes_of(chain).natural_frequencies
+def _frequencies(structure: Structure, record: Record) -> list[Finding]:
+    frequencies = modes_of(structure).natural_frequencies
     nyquist, least = 0.5 / record.step, 1.0 / record.duration
     above, below = int(np.sum(frequencies > nyquist)), int(np.sum(frequencies < least))
     of_chain, suspect = "natural frequencies of the estimated chain are", "natural frequencies"

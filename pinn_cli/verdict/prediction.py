@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.record.record import Record, Response
     from pinn_cli.record.simulation import Force
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 # Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
 MOST_STEPS = 40_000
@@ -41,26 +41,26 @@ class Prediction:
     modes: Modes
 
 
-def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
+def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
     """The response of a chain to the record's force; None where a force is unknown or the chain is unstable.
 
     Args:
-        chain: Any. A linear one is solved in the frequency domain, exactly and in milliseconds; another one is
+        structure: Any. A linear one is solved in the frequency domain, exactly and in milliseconds; another one is
             simulated from ``start`` on.
         record: For its force and its times.
         start: Displacement and velocity (n,) at the first sample; None: rest. Of a linear chain it does not matter.
     """
     if not np.isfinite(record.force).all():
         return None
-    parameters = chain.parameters_like(np.empty(0))
+    parameters = structure.parameters_like(np.empty(0))
     if not all(np.isfinite(value).all() for value in parameters.values()) or (parameters["m"] <= 0).any():
         return None
-    modes = modes_of(chain)
-    if is_linear(chain):
+    modes = modes_of(structure)
+    if is_linear(structure):
         response = modes.response(record)
         finite = np.isfinite(response.displacement).all() and modes.stable
         return Prediction(response, record, modes) if finite else None
-    substeps = substeps_needed(chain, record.step)
+    substeps = substeps_needed(structure, record.step)
     samples = min(len(record.time), MOST_STEPS // substeps)
     if samples < len(modes.poles) * 8:
         return None
@@ -68,16 +68,16 @@ def predicted(chain: Chain, record: Record, start: Sequence[np.ndarray] | None =
     hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
     try:
         response = simulate(
-            chain, force_between_samples(record, hold), part.time, hold, substeps=substeps, initial=start
+            structure, force_between_samples(record, hold), part.time, hold, substeps=substeps, initial=start
         )
     except OverflowsError:
         return None
     return Prediction(response, part, modes)
 
 
-def is_linear(chain: Chain) -> bool:
+def is_linear(structure: Structure) -> bool:
     """Whether every nonlinear parameter of a chain is zero."""
-    return not any(bool(value.any()) for name, value in chain.parameters.items() if name not in LINEAR)
+    return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
 
 
 def force_between_samples(record: Record, hold: str) -> Force:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import torch
 
     from pinn_cli.record.record import Record
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 # (kind, connection from 0)
 Place = tuple[str, int]
@@ -98,11 +98,14 @@ def _floor(measured: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return density.min(axis=1, keepdims=True) * lines
 
 
-def refitted(chain: Chain, record: Record, free: Sequence[Place], excused: Sequence[str], levels: bool) -> Chain | None:
+def refitted(
+    structure: Structure, record: Record, free: Sequence[Place], excused: Sequence[str], levels: bool
+) -> Structure | None:
     """The linear chain whose free parameters fit the record best; None where there is nothing to fit.
 
     Args:
-        chain: With the parameters that are held, and with a start for the free ones, which may be decades off together.
+        structure: With the parameters that are held, and with a start for the free ones, which may be decades off
+            together.
         record: Whose forces are all known.
         free: Which parameters move; all of them are positive.
         excused: Names of channels that are left out.
@@ -112,7 +115,7 @@ def refitted(chain: Chain, record: Record, free: Sequence[Place], excused: Seque
     if not seen or not free:
         return None
     spectra = Spectra.of(record, seen, levels)
-    own = chain.linearised().parameters_like(np.empty(0))
+    own = structure.linearised().parameters_like(np.empty(0))
     first = np.log([max(float(own[kind][dof]), 1e-300) for kind, dof in free])
     stiff = np.array([float(kind == "k") for kind, _ in free])
 
@@ -124,7 +127,7 @@ def refitted(chain: Chain, record: Record, free: Sequence[Place], excused: Seque
     starts = _deepest([float(np.sum(np.abs(misfit(x)))) for x in tried])[:FOLLOWED]
     found = [least_squares(misfit, tried[start], loss="soft_l1", max_nfev=EVALUATIONS).x for start in starts]
     polished = [_polished(record, seen, own, free, x, levels) for x in found]
-    return _linear(chain, free, min(polished, key=lambda pair: pair[0])[1])
+    return _linear(structure, free, min(polished, key=lambda pair: pair[0])[1])
 
 
 def _stiffening(own: dict[str, np.ndarray], record: Record) -> float:
@@ -147,8 +150,8 @@ def _moved(own: dict[str, np.ndarray], free: Sequence[Place], x: np.ndarray) -> 
     return moved
 
 
-def _linear(chain: Chain, free: Sequence[Place], x: np.ndarray) -> Chain:
-    linear = chain.linearised()
+def _linear(structure: Structure, free: Sequence[Place], x: np.ndarray) -> Structure:
+    linear = structure.linearised()
     tensors: dict[str, torch.Tensor] = {name: value.double().clone() for name, value in linear.parameters.items()}
     for (kind, dof), value in zip(free, x, strict=True):
         tensors[kind][dof] = float(np.exp(value))

@@ -19,7 +19,7 @@ from pinn_cli.verdict.refit import refitted
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.verdict.finding import Finding
     from pinn_cli.verdict.refit import Place
 
@@ -40,16 +40,16 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
         excused: Names of channels whose fault is known already.
     """
     free = [(p.kind, p.index) for p in problem.uncertain if p.unknown and p.kind == "k"]
-    if not free or not is_linear(problem.chain) or not np.isfinite(problem.record.force).all():
+    if not free or not is_linear(problem.structure) or not np.isfinite(problem.record.force).all():
         return []
-    return _Refits(problem.chain, problem.record, free, excused).causes()
+    return _Refits(problem.structure, problem.record, free, excused).causes()
 
 
 @dataclass(frozen=True, eq=False)
 class _Refits:
     """Fits of the chain's free stiffnesses to a record that is put right in one way or another."""
 
-    chain: Chain
+    structure: Structure
     record: Record
     free: Sequence[Place]
     excused: Sequence[str]
@@ -63,21 +63,21 @@ class _Refits:
             if found == [None, None]:
                 found.append(self.exchanged(as_given))
             if found[1] is None and found[-1] is None:
-                found += [self.mass(dof, as_given) for dof in range(self.chain.ndof)]
+                found += [self.mass(dof, as_given) for dof in range(self.structure.ndof)]
         causes = [cause for cause in found if cause is not None]
         return [min(causes, key=lambda cause: cause.left)] if causes else []
 
-    def fitted(self, record: Record, more: Sequence[Place] = (), levels: bool = True) -> Chain | None:
+    def fitted(self, record: Record, more: Sequence[Place] = (), levels: bool = True) -> Structure | None:
         """See `pinn_cli.verdict.refit.refitted`."""
-        return refitted(self.chain, record, [*self.free, *more], self.excused, levels)
+        return refitted(self.structure, record, [*self.free, *more], self.excused, levels)
 
     def misfit(self, record: Record) -> float:
         """The largest NMSE of any channel of a record once the stiffnesses are fitted to it."""
         return self.misfit_of(self.fitted(record), record)
 
-    def misfit_of(self, chain: Chain | None, record: Record) -> float:
+    def misfit_of(self, structure: Structure | None, record: Record) -> float:
         """The same of a chain; infinite without one."""
-        return worst_misfit(None if chain is None else predicted(chain, record), self.excused)
+        return worst_misfit(None if structure is None else predicted(structure, record), self.excused)
 
     def channel(self, as_given: float) -> Finding | None:
         """The fault of one channel."""
@@ -120,5 +120,5 @@ class _Refits:
         if fitted is None or left > min(LEFT, as_given / BETTER):
             return None
         value = float(fitted.parameters["m"][dof])
-        factor = value / float(self.chain.parameters["m"][dof])
+        factor = value / float(self.structure.parameters["m"][dof])
         return None if 1 / LEAST_FACTOR < factor < LEAST_FACTOR else mass_finding(dof, value, factor, "a chain", left)

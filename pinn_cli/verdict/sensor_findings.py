@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import channels
-from pinn_cli.training.estimated_chain import estimated_chain
+from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.comparison import Comparison, comparisons
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.noise_findings import noise_found
@@ -18,7 +18,7 @@ from pinn_cli.verdict.prediction import predicted
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.prediction import Prediction
 
@@ -92,7 +92,7 @@ def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) 
     return replace(record, force=force)
 
 
-def random_chain(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Chain:
+def random_chain(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:
     """The estimated chain with every parameter off by its standard deviation at random, correlations allowed for.
 
     Signs are kept: a stiffness that is known to itself has no negative values.
@@ -106,4 +106,4 @@ def random_chain(problem: Problem, estimate: Estimate, random: np.random.Generat
         replace(p, estimate=value) if (value := p.estimate + float(move)) * p.estimate > 0 else p
         for p, move in zip(estimate.parameters, std * z, strict=True)
     ]
-    return estimated_chain(problem.chain, moved)
+    return estimated_structure(problem.structure, moved)

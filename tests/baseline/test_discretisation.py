@@ -35,11 +35,11 @@ def test_propagators_are_the_exponential_and_its_integral(fastest: float) -> Non
 
 
 def test_the_motion_of_a_linear_chain_is_that_of_its_exponential() -> None:
-    chain, step = small_chain("linear"), 0.05
-    parameters = chain.parameters_like(np.empty(0))
+    structure, step = small_chain("linear"), 0.05
+    parameters = structure.parameters_like(np.empty(0))
 
     def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
-        return np.stack((z[1], chain.acceleration(z[0], z[1], f, parameters)))
+        return np.stack((z[1], structure.acceleration(z[0], z[1], f, parameters)))
 
     identity = np.eye(6)
     start = np.stack((identity[:, :3], identity[:, 3:]))

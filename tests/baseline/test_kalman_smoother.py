@@ -39,9 +39,9 @@ def covered(estimate: Estimate, truth: Response, quantity: str) -> float:
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 @pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
 def test_motion_where_there_is_no_sensor(nonlinearity: str, hold: str) -> None:
-    chain = small_chain(nonlinearity)
-    measurements = measured(chain, hold, snr_db=40.0, duration=24.0, samples=513)
-    estimate = solved(Problem(chain, accelerations(measurements.record)))
+    structure = small_chain(nonlinearity)
+    measurements = measured(structure, hold, snr_db=40.0, duration=24.0, samples=513)
+    estimate = solved(Problem(structure, accelerations(measurements.record)))
     truth = measurements.truth.response
     for quantity, tolerance in zip(QUANTITIES, (0.06, 0.03, 0.03), strict=True):
         assert relative_error(getattr(estimate.response, quantity), getattr(truth, quantity)) < tolerance
@@ -50,9 +50,9 @@ def test_motion_where_there_is_no_sensor(nonlinearity: str, hold: str) -> None:
 
 
 def test_a_record_without_noise_is_followed_to_many_digits() -> None:
-    chain = small_chain("duffing")
-    measurements = measured(chain, "zero_order")
-    estimate = solved(Problem(chain, accelerations(measurements.record)))
+    structure = small_chain("duffing")
+    measurements = measured(structure, "zero_order")
+    estimate = solved(Problem(structure, accelerations(measurements.record)))
     for quantity in QUANTITIES:
         truth = getattr(measurements.truth.response, quantity)
         assert relative_error(getattr(estimate.response, quantity), truth) < 1e-4
@@ -96,28 +96,28 @@ def test_masses_can_be_unknown() -> None:
 def test_bands_cover_the_truth() -> None:
     shares = {quantity: [] for quantity in QUANTITIES}
     for seed in range(8):
-        chain = small_chain("duffing")
+        structure = small_chain("duffing")
         force = BandedNoise(3, 24.0, 513, [0.1, 1.0], 1.0, [1], seed=seed)
         simulation = Simulation(24.0, 513)
-        truth = simulation.run(chain, force.force)
+        truth = simulation.run(structure, force.force)
         rng = np.random.default_rng(seed)
         noisy = [getattr(truth, q) + 0.05 * getattr(truth, q).std() * rng.normal(size=(513, 3)) for q in QUANTITIES]
         load = truth.force + np.array([0.05, 0.0, 0.0]) * rng.normal(size=(513, 3))
         record = accelerations(Record(simulation.time, *noisy, load, np.arange(3) > 0))
-        estimate = solved(Problem(chain, record))
+        estimate = solved(Problem(structure, record))
         for quantity, share in shares.items():
             share.append(covered(estimate, truth, quantity))
     assert all(np.mean(share) > 0.85 for share in shares.values()), shares
 
 
 def test_a_force_that_nobody_measures_is_found() -> None:
-    chain = small_chain("duffing")
-    measurements = measured(chain, snr_db=40.0, duration=24.0, samples=513)
+    structure = small_chain("duffing")
+    measurements = measured(structure, snr_db=40.0, duration=24.0, samples=513)
     force = measurements.record.force.copy()
     force[:, 0] = np.nan
     sensors = {"acceleration": (1, 2, 3), "displacement": (1,)}
     record = replace(measurements.record, force=force).keep(sensors)
-    estimate = solved(Problem(chain, record))
+    estimate = solved(Problem(structure, record))
     truth = measurements.truth.response
     assert relative_error(estimate.response.force[:, 0], truth.force[:, 0]) < 0.1
     assert covered(estimate, truth, "force") > 0.85

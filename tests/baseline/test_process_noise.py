@@ -19,14 +19,14 @@ DURATION, SAMPLES, FINE = 24.0, 513, 0.001
 
 def disturbed(unknown: np.ndarray, nonlinearity: str = "duffing") -> tuple[IteratedSmoother, NoiseLevels, Response]:
     """A chain under a known held force and an unknown one (N, n), all accelerations seen with little noise."""
-    chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES, "zero_order")
-    known, time = excitation(chain, DURATION, SAMPLES).force(simulation.time), simulation.time
-    truth = simulation.run(chain, lambda t: (known + unknown)[np.searchsorted(time, t)])
+    structure, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES, "zero_order")
+    known, time = excitation(structure, DURATION, SAMPLES).force(simulation.time), simulation.time
+    truth = simulation.run(structure, lambda t: (known + unknown)[np.searchsorted(time, t)])
     rng = np.random.default_rng(2)
     noisy = [getattr(truth, q) + FINE * rng.normal(size=known.shape) for q in QUANTITIES]
     record = Record(time, *noisy, known, np.arange(3) > 0, "zero_order_hold").keep({"acceleration": (1, 2, 3)})
     sensors = {q: np.full(3, FINE) for q in QUANTITIES}
-    space = StateSpace(Problem(chain, record))
+    space = StateSpace(Problem(structure, record))
     levels = NoiseLevels(sensors, np.array([0.0, np.nan, np.nan]), space.force_scale)
     return IteratedSmoother(space, passes=12, learn_spread=True), levels, truth
 

@@ -16,8 +16,8 @@ from pinn_cli.system.parameters import Parameter
 
 def problem(nonlinearity: str = "duffing", hidden: bool = False, hold: str = "exact") -> tuple[Problem, Trajectory]:
     """Everything measured without noise, or all but the force of DOF 1, and the true trajectory."""
-    chain = small_chain(nonlinearity)
-    measurements = measured(chain, hold, samples=513)
+    structure = small_chain(nonlinearity)
+    measurements = measured(structure, hold, samples=513)
     record, truth = measurements.record, measurements.truth.response
     states = np.concatenate((truth.displacement, truth.velocity), axis=1)
     if hidden:
@@ -28,9 +28,9 @@ def problem(nonlinearity: str = "duffing", hidden: bool = False, hold: str = "ex
     uncertain = tuple(
         Parameter(kind, dof, value, 0.1 * abs(value))
         for kind, dof in zip(kinds, (1, 0, 1, 2), strict=False)
-        for value in [float(chain.parameters[kind][dof])]
+        for value in [float(structure.parameters[kind][dof])]
     )
-    return Problem(chain, record, uncertain), Trajectory(states, np.zeros(len(uncertain)))
+    return Problem(structure, record, uncertain), Trajectory(states, np.zeros(len(uncertain)))
 
 
 def without_force(record: Record) -> Record:

@@ -23,7 +23,7 @@ PAPER = [name.removeprefix("paper/") for name in option_names("experiment") if n
 
 def test_defaults(composed: Compose) -> None:
     config = RunConfig.read(composed())
-    assert (config.chain.ndof, config.source.snr_db, config.seed, config.device) == (6, 50.0, 0, "cpu")
+    assert (config.structure.ndof, config.source.snr_db, config.seed, config.device) == (6, 50.0, 0, "cpu")
     assert config.description.labels_of("pinn") == {
         "case": "default",
         "estimator": "pinn",
@@ -70,7 +70,7 @@ def test_published_parameters_are_those_of_the_experiment(composed: Compose, tab
     rows = published.parameters().query("table == @table")
     for case, expected in rows.groupby("case"):
         config = RunConfig.read(composed(f"experiment=paper/{case}"))
-        true, _ = config.model_error.chains(config.chain)
+        true, _ = config.model_error.structures(config.structure)
         values = {parameter.name: parameter.prescribed for parameter in true.every_parameter()}
         ours = [values[name] for name in expected["parameter"]]
         np.testing.assert_allclose(ours, expected["true"], atol=0.006)
@@ -90,7 +90,7 @@ def test_published_parameters_are_those_of_the_experiment(composed: Compose, tab
 )
 def test_paper_experiments_have_the_authors_signals(composed: Compose, case: str, file: str) -> None:
     config = RunConfig.read(composed(f"experiment=paper/{case}"))
-    true, _ = config.model_error.chains(config.chain)
+    true, _ = config.model_error.structures(config.structure)
     measurements = config.source.measure(true)
     reference = np.load(REFERENCE_SIGNALS / f"{file}.npz")
     for quantity in QUANTITIES:
@@ -108,7 +108,7 @@ def test_paper_experiments_have_the_authors_signals(composed: Compose, case: str
 @pytest.mark.parametrize(("case", "file"), [("duffing", "pe_2dof"), ("van_der_pol", "pe_2dof_van_der_pol")])
 def test_bayesian_experiments_have_the_authors_motion(composed: Compose, case: str, file: str) -> None:
     config = RunConfig.read(composed(f"experiment=paper/pe_2dof_{case}"))
-    response = config.source.measure(config.chain).truth.response
+    response = config.source.measure(config.structure).truth.response
     reference = np.load(REFERENCE_SIGNALS / f"{file}.npz")
     for quantity in QUANTITIES:
         expected = reference[quantity]
@@ -118,7 +118,7 @@ def test_bayesian_experiments_have_the_authors_motion(composed: Compose, case: s
 
 def test_the_perturbed_experiment_prescribes_the_nominal_chain(composed: Compose) -> None:
     config = RunConfig.read(composed("experiment=paper/sr_6dof_perturbed"))
-    true, prescribed = config.model_error.chains(config.chain)
+    true, prescribed = config.model_error.structures(config.structure)
     assert torch.all(prescribed.parameters["k"] == 15.0)
     rows = published.perturbed_parameters().set_index("parameter")["true"]
     for i in range(6):
@@ -128,7 +128,7 @@ def test_the_perturbed_experiment_prescribes_the_nominal_chain(composed: Compose
 def test_seed_0_is_a_seed_and_seeds_differ(composed: Compose) -> None:
     def acceleration(*overrides: str) -> np.ndarray:
         config = RunConfig.read(composed(*SMALL, *overrides))
-        return config.source.measure(config.chain).record.acceleration
+        return config.source.measure(config.structure).record.acceleration
 
     np.testing.assert_array_equal(acceleration("seed=0"), acceleration())
     np.testing.assert_array_equal(acceleration("seed=0"), acceleration("seed=0"))
@@ -145,7 +145,7 @@ def test_data_csv(composed: Compose, tmp_path: Path) -> None:
     columns = ["data.time=t", "++data.force={1: f}", "++data.acceleration={1: a}"]
     composition = composed("data=csv", "data.path=rig.csv", *columns, "system.ndof=2")
     config = RunConfig.read(composition, base=tmp_path)
-    record = config.observe(config.source.measure(config.chain).record)
+    record = config.observe(config.source.measure(config.structure).record)
     assert record.observed.tolist() == [True, False]
     assert (config.description.labels_of("pinn")["snr_db"], config.description.labels_of("pinn")["model_error"]) == (
         None,
@@ -200,7 +200,7 @@ UNUSABLE = {
 def test_unusable_values(composed: Compose, overrides: str, told: str) -> None:
     def pose() -> None:
         config = RunConfig.read(composed(*overrides.split()))
-        true, prescribed = config.model_error.chains(config.chain)
+        true, prescribed = config.model_error.structures(config.structure)
         config.scheme.problem(prescribed, config.observe(config.source.measure(true).record))
 
     with pytest.raises(InputError) as error:

@@ -42,7 +42,7 @@ def _parameters(error_percent: float = 1.0, std_percent: float = 1.0, case: str 
 
 def test_table1_agrees_with_the_paper():
     config = RunConfig.read(compose_config(["experiment=paper/sr_6dof_perturbed"]))
-    true, _ = config.model_error.chains(config.chain)
+    true, _ = config.model_error.structures(config.structure)
     drawn = {name: values.numpy() for name, values in true.parameters.items()}
     parameters = TABLE1.values[["parameter"]].assign(estimate=15.0)
     parameters["true"] = [true_value(name, drawn) for name in parameters["parameter"]]

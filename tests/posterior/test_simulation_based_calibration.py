@@ -17,7 +17,7 @@ from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.prior_settings import checked_priors
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 
@@ -35,14 +35,14 @@ PRIORS = {
 DESIGN = Spline(intervals=90)
 
 
-def random_chain(nonlinearity: str, ndof: int, generator: np.random.Generator) -> Chain:
+def random_chain(nonlinearity: str, ndof: int, generator: np.random.Generator) -> Structure:
     kinds = ("c", "k", *NONLINEARITIES[nonlinearity][1])
     priors = checked_priors({kind: PRIORS[kind] for kind in kinds})
     values = {kind: prior.sample(generator, ndof).tolist() for kind, prior in priors.items()}
     return build_chain(ndof, NONLINEARITIES[nonlinearity][0], m=10.0, **values)
 
 
-def rank_and_distance(chain: Chain, seed: int) -> dict[str, tuple[float, float]]:
+def rank_and_distance(chain: Structure, seed: int) -> dict[str, tuple[float, float]]:
     """Of every parameter the share of draws below the truth, and how far the truth is from their mean."""
     scheme = Bayesian(priors={kind: PRIORS[kind] for kind in chain.parameters if kind != "m"})
     problem, run = posed(chain, scheme, seed=seed, rms=6.0), RunContext(seed=seed)

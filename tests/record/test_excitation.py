@@ -104,9 +104,9 @@ def test_impulse_is_a_half_sine():
 
 def test_momentum_of_a_blow_is_its_area():
     # A short blow on a free heavy mass leaves it with the pulse's area over the mass, 2 peak width / pi / m.
-    chain = build_chain(1, Linear(), m=10.0, c=0.0, k=0.0)
+    structure = build_chain(1, Linear(), m=10.0, c=0.0, k=0.0)
     pulse = Impulse(1, 10.0, 401, peak=10.0, width=0.5, dofs=[1])
-    velocity = Simulation(10.0, 401).run(chain, pulse.force).velocity[-1, 0]
+    velocity = Simulation(10.0, 401).run(structure, pulse.force).velocity[-1, 0]
     assert velocity == pytest.approx(2 * 10.0 * 0.5 / math.pi / 10.0, rel=1e-6)
 
 

@@ -36,14 +36,14 @@ def largest_relative_error(x: np.ndarray, reference: np.ndarray) -> float:
 def test_every_array_is_reproduced(shared, case):
     ndof, duration, nonlinearity, model_error = CASES[case]
     nominal = build_chain(ndof, nonlinearity, m=10.0, c=1.0, k=15.0, **COEFFICIENT[nonlinearity.name])
-    chain, _ = model_error.chains(nominal)
+    structure, _ = model_error.structures(nominal)
     simulation = Simulation(duration, 4096, hold="zero_order")
     excitation = BandedNoise(ndof, duration, 4096, band=[0.05, 1.0], rms=None, dofs=[1], seed=43810, phases="authors")
-    response = simulation.run(chain, excitation.force)
+    response = simulation.run(structure, excitation.force)
 
     reference = dict(np.load(shared / "data" / "reference_signals" / f"{case}.npz"))
     ours = {"time": response.time, **{quantity: getattr(response, quantity) for quantity in QUANTITIES}}
-    ours |= {name: value.numpy() for name, value in chain.parameters.items()}
+    ours |= {name: value.numpy() for name, value in structure.parameters.items()}
     for snr_db in (50, 20, 10):
         noisy = add_noise(response, snr_db, seeds=AUTHORS_SEEDS)
         ours |= {f"{quantity}_snr{snr_db}": getattr(noisy, quantity) for quantity in QUANTITIES}

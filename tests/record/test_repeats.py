@@ -113,16 +113,16 @@ def test_a_single_measurement_has_no_scatter():
 
 
 def test_a_simulated_record_is_the_mean_and_knows_its_repeats():
-    chain = build_chain(2, Linear(), m=10.0, c=1.0, k=15.0)
+    structure = build_chain(2, Linear(), m=10.0, c=1.0, k=15.0)
     parts = BandedNoise(2, 10.0, 129, [0.2, 1.0], 1.0, [1]), Simulation(10.0, 129)
     noise = Noise(20.0, 4, repeats=6)
-    record = Simulated(*parts, noise).measure(chain).record
-    mean, scatter = noise.measured(Simulated(*parts, Noise(None)).measure(chain).truth.response)
+    record = Simulated(*parts, noise).measure(structure).record
+    mean, scatter = noise.measured(Simulated(*parts, Noise(None)).measure(structure).truth.response)
     assert (record.repeats.count, record.repeats.samples) == (6, 129)
     for quantity in QUANTITIES:
         np.testing.assert_array_equal(getattr(record, quantity), getattr(mean, quantity))
         np.testing.assert_array_equal(record.repeats.square[quantity], scatter.square[quantity])
-    assert Simulated(*parts, Noise(20.0, 4)).measure(chain).record.repeats is None
+    assert Simulated(*parts, Noise(20.0, 4)).measure(structure).record.repeats is None
     assert record.keep({"velocity": [1]}).repeats is record.repeats
 
 

@@ -24,17 +24,17 @@ def assert_same(found, expected, tolerance: float) -> None:
 @pytest.mark.parametrize("nonlinearity", ["linear", "duffing", "van_der_pol"])
 def test_the_true_chain_does_what_the_simulator_said(nonlinearity, hold, tolerance):
     """Of a held force the samples are all there is; one that is not held is a spline through them."""
-    chain = small_chain(nonlinearity)
-    record, truth = (lambda m: (m.record, m.truth.response))(measured(chain, hold, samples=513))
-    assert_same(resimulate(chain, record, (REST, REST)), truth, tolerance)
+    structure = small_chain(nonlinearity)
+    record, truth = (lambda m: (m.record, m.truth.response))(measured(structure, hold, samples=513))
+    assert_same(resimulate(structure, record, (REST, REST)), truth, tolerance)
 
 
 @pytest.mark.parametrize(("hold", "tolerance"), [("exact", 1e-3), ("zero_order", 1e-10)])
 def test_from_the_middle_on(hold, tolerance):
-    chain = small_chain()
-    measurements = measured(chain, hold, samples=513)
+    structure = small_chain()
+    measurements = measured(structure, hold, samples=513)
     truth, first = measurements.truth.response, 200
-    found = resimulate(chain, measurements.record, (truth.displacement[first], truth.velocity[first]), first=first)
+    found = resimulate(structure, measurements.record, (truth.displacement[first], truth.velocity[first]), first=first)
     np.testing.assert_array_equal(found.time, truth.time[first:])
     for quantity in RESPONSE_QUANTITIES:
         values = getattr(truth, quantity)[first:]
@@ -43,10 +43,10 @@ def test_from_the_middle_on(hold, tolerance):
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_under_another_force(hold):
-    chain = small_chain("linear")
-    record = measured(chain, hold, snr_db=20.0).record
-    twice = resimulate(chain, record, (REST, REST), 2.0 * record.force)
-    once = resimulate(chain, record, (REST, REST))
+    structure = small_chain("linear")
+    record = measured(structure, hold, snr_db=20.0).record
+    twice = resimulate(structure, record, (REST, REST), 2.0 * record.force)
+    once = resimulate(structure, record, (REST, REST))
     np.testing.assert_allclose(twice.displacement, 2.0 * once.displacement, atol=1e-12)
     np.testing.assert_allclose(once.force, record.force, atol=1e-12)
 
@@ -58,16 +58,16 @@ def test_a_chain_that_the_sampling_is_much_too_slow_for_is_refused():
 
 
 def test_a_motion_that_does_not_stay_finite_is_told():
-    chain = small_chain("van_der_pol")
-    unstable = chain.with_parameters(mu=-50.0 * chain.parameters["mu"])
-    record = measured(chain, samples=129).record
+    structure = small_chain("van_der_pol")
+    unstable = structure.with_parameters(mu=-50.0 * structure.parameters["mu"])
+    record = measured(structure, samples=129).record
     with pytest.raises(OverflowsError):
         resimulate(unstable, record, (REST + 5.0, REST))
 
 
 def test_a_mass_that_was_estimated_at_its_bound_is_said():
-    chain = small_chain()
-    record = measured(chain).record
-    massless = chain.with_parameters(m=chain.parameters["m"] * torch.tensor([1.0, 0.0, 1.0]))
+    structure = small_chain()
+    record = measured(structure).record
+    massless = structure.with_parameters(m=structure.parameters["m"] * torch.tensor([1.0, 0.0, 1.0]))
     with pytest.raises(TooStiffError, match="a mass of it is zero"):
         resimulate(massless, record, (REST, REST))

@@ -12,7 +12,7 @@ from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.record import Response
 from pinn_cli.record.simulation import OverflowsError, Simulation, simulate, substeps_needed
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system import Chain, build_chain, matrices
+from pinn_cli.system import Structure, build_chain, matrices
 from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol
 
 DURATION = 8.0
@@ -35,14 +35,14 @@ def order(error: Callable[[int], float], steps: list[int]) -> float:
 
 
 @pytest.fixture(scope="module", params=CHAINS)
-def chain_and_solution(request) -> tuple[Chain, np.ndarray]:
-    chain = CHAINS[request.param]
-    return chain, states(simulate(chain, FORCE, np.linspace(0.0, DURATION, 17), method="dop853"))
+def chain_and_solution(request) -> tuple[Structure, np.ndarray]:
+    structure = CHAINS[request.param]
+    return structure, states(simulate(structure, FORCE, np.linspace(0.0, DURATION, 17), method="dop853"))
 
 
-def error_of(chain: Chain, solution: np.ndarray, **options) -> Callable[[int], float]:
+def error_of(structure: Structure, solution: np.ndarray, **options) -> Callable[[int], float]:
     def error(steps: int) -> float:
-        response = simulate(chain, FORCE, np.linspace(0.0, DURATION, steps + 1), substeps=1, **options)
+        response = simulate(structure, FORCE, np.linspace(0.0, DURATION, steps + 1), substeps=1, **options)
         return float(np.max(np.abs(states(response)[:: steps // 16] - solution)))
 
     return error
@@ -53,11 +53,11 @@ def test_runge_kutta_is_of_fourth_order_with_the_exact_force(chain_and_solution)
 
 
 def test_substeps_converge_at_fourth_order_too(chain_and_solution):
-    chain, solution = chain_and_solution
+    structure, solution = chain_and_solution
     time = np.linspace(0.0, DURATION, 33)
 
     def error(steps: int) -> float:
-        return float(np.max(np.abs(states(simulate(chain, FORCE, time, substeps=steps // 32))[::2] - solution)))
+        return float(np.max(np.abs(states(simulate(structure, FORCE, time, substeps=steps // 32))[::2] - solution)))
 
     assert order(error, [128, 256, 512]) == pytest.approx(4.0, abs=0.2)
 
@@ -68,56 +68,56 @@ def test_a_held_force_is_of_first_order_only(chain_and_solution):
 
 
 def test_a_held_force_is_late_by_half_a_step():
-    chain = CHAINS["linear"]
+    structure = CHAINS["linear"]
     step = DURATION / 512
-    held = simulate(chain, FORCE, np.linspace(0.0, DURATION, 513), hold="zero_order")
-    late = simulate(chain, lambda time: FORCE(time - 0.5 * step), held.time)
-    exact = simulate(chain, FORCE, held.time)
+    held = simulate(structure, FORCE, np.linspace(0.0, DURATION, 513), hold="zero_order")
+    late = simulate(structure, lambda time: FORCE(time - 0.5 * step), held.time)
+    exact = simulate(structure, FORCE, held.time)
     assert np.ptp(states(held) - states(late)) < 0.15 * np.ptp(states(held) - states(exact))
 
 
 @pytest.mark.parametrize("method", ["rk4", "dop853"])
 def test_linear_response_is_the_matrix_exponential(method):
     # The force is a single sinusoid, which two more states generate: then the whole problem is z' = A z.
-    chain = CHAINS["linear"]
+    structure = CHAINS["linear"]
     omega = 1.3
     generator = np.zeros((8, 8))
-    generator[:6, :6] = matrices.state(chain).numpy()
-    generator[:6, 6] = matrices.input(chain).numpy()[:, 0]
+    generator[:6, :6] = matrices.state(structure).numpy()
+    generator[:6, 6] = matrices.input(structure).numpy()[:, 0]
     generator[6:, 6:] = [[0.0, omega], [-omega, 0.0]]
     time = np.linspace(0.0, DURATION, 513)
     start = np.array([0.0] * 6 + [0.0, 1.0])
     exact = np.array([expm(generator * t) @ start for t in time[::64]])[:, :6]
-    response = simulate(chain, lambda t: np.outer(np.sin(omega * t), [1.0, 0.0, 0.0]), time, method=method)
+    response = simulate(structure, lambda t: np.outer(np.sin(omega * t), [1.0, 0.0, 0.0]), time, method=method)
     np.testing.assert_allclose(states(response)[::64], exact, atol=1e-9 if method == "rk4" else 1e-11)
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_the_methods_agree(hold):
-    chain = CHAINS["duffing"]
+    structure = CHAINS["duffing"]
     time = np.linspace(0.0, DURATION, 257)
-    fine = simulate(chain, FORCE, time, hold=hold, substeps=8)
+    fine = simulate(structure, FORCE, time, hold=hold, substeps=8)
     np.testing.assert_allclose(
-        states(fine), states(simulate(chain, FORCE, time, hold=hold, method="dop853")), atol=1e-9
+        states(fine), states(simulate(structure, FORCE, time, hold=hold, method="dop853")), atol=1e-9
     )
 
 
 def test_adaptive_steps_do_not_leap_over_a_late_pulse():
-    chain = CHAINS["linear"]
+    structure = CHAINS["linear"]
     pulse = Impulse(3, DURATION, 257, peak=10.0, width=0.25, start=6.0, dofs=[2])
     time = np.linspace(0.0, DURATION, 257)
-    adaptive = simulate(chain, pulse.force, time, method="dop853")
+    adaptive = simulate(structure, pulse.force, time, method="dop853")
     assert np.max(np.abs(adaptive.velocity)) > 0.05
-    np.testing.assert_allclose(states(adaptive), states(simulate(chain, pulse.force, time, substeps=8)), atol=1e-8)
+    np.testing.assert_allclose(states(adaptive), states(simulate(structure, pulse.force, time, substeps=8)), atol=1e-8)
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_acceleration_obeys_the_equation_of_motion_at_the_samples(hold):
-    chain = CHAINS["van_der_pol"]
+    structure = CHAINS["van_der_pol"]
     time = np.linspace(0.0, DURATION, 257)
-    response = simulate(chain, FORCE, time, hold=hold)
+    response = simulate(structure, FORCE, time, hold=hold)
     assert response.force == pytest.approx(FORCE(time))
-    force = chain.external_force(response.displacement, response.velocity, response.acceleration)
+    force = structure.external_force(response.displacement, response.velocity, response.acceleration)
     np.testing.assert_allclose(force, response.force, atol=1e-12)
     assert not states(response)[0].any()
 
@@ -130,11 +130,11 @@ def test_a_new_nonlinearity_needs_one_class_only():
         def force(self, e, de, parameters):
             return -parameters["limit"] * e / (1.0 + e * e)
 
-    chain = build_chain(3, Softening(), m=10.0, c=1.0, k=15.0, limit=[5.0, 6.0, 7.0])
+    structure = build_chain(3, Softening(), m=10.0, c=1.0, k=15.0, limit=[5.0, 6.0, 7.0])
     time = np.linspace(0.0, DURATION, 257)
-    ours = simulate(chain, FORCE, time, substeps=4)
-    np.testing.assert_allclose(states(ours), states(simulate(chain, FORCE, time, method="dop853")), atol=1e-7)
-    linear = simulate(chain.linearised(), FORCE, time)
+    ours = simulate(structure, FORCE, time, substeps=4)
+    np.testing.assert_allclose(states(ours), states(simulate(structure, FORCE, time, method="dop853")), atol=1e-7)
+    linear = simulate(structure.linearised(), FORCE, time)
     assert np.max(np.abs(states(ours) - states(linear))) > 0.01
 
 
@@ -145,13 +145,13 @@ def moving_start() -> np.ndarray:
 
 @pytest.mark.parametrize("name", CHAINS)
 def test_from_any_start_and_time_runge_kutta_stays_of_fourth_order(name, moving_start):
-    chain, first = CHAINS[name], 3.0
+    structure, first = CHAINS[name], 3.0
     grid = np.linspace(first, first + DURATION, 17)
-    solution = states(simulate(chain, FORCE, grid, method="dop853", initial=moving_start))
+    solution = states(simulate(structure, FORCE, grid, method="dop853", initial=moving_start))
 
     def error(steps: int) -> float:
         time = np.linspace(first, first + DURATION, steps + 1)
-        response = simulate(chain, FORCE, time, substeps=1, initial=(moving_start[0], moving_start[1]))
+        response = simulate(structure, FORCE, time, substeps=1, initial=(moving_start[0], moving_start[1]))
         return float(np.max(np.abs(states(response)[:: steps // 16] - solution)))
 
     assert order(error, [128, 256, 512]) == pytest.approx(4.0, abs=0.2)
@@ -160,10 +160,10 @@ def test_from_any_start_and_time_runge_kutta_stays_of_fourth_order(name, moving_
 @pytest.mark.parametrize("method", ["rk4", "dop853"])
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_a_simulation_goes_on_from_its_middle(method, hold):
-    chain, middle = CHAINS["duffing"], 100
-    whole = simulate(chain, FORCE, np.linspace(0.0, DURATION, 257), hold, method)
+    structure, middle = CHAINS["duffing"], 100
+    whole = simulate(structure, FORCE, np.linspace(0.0, DURATION, 257), hold, method)
     initial = whole.displacement[middle], whole.velocity[middle]
-    rest = simulate(chain, FORCE, whole.time[middle:], hold, method, initial=initial)
+    rest = simulate(structure, FORCE, whole.time[middle:], hold, method, initial=initial)
     np.testing.assert_allclose(states(rest), states(whole)[middle:], atol=1e-10)
     np.testing.assert_allclose(rest.acceleration, whole.acceleration[middle:], atol=1e-10)
     np.testing.assert_array_equal(rest.time, whole.time[middle:])

@@ -16,11 +16,11 @@ from small_problems import accelerations, measured, small_chain
 from pinn_cli.record.noise import add_noise
 from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Measurements, Record, Response
 from pinn_cli.report.fitness import FORMULAS, fitness_table
-from pinn_cli.report.free_run import REFERENCES, estimated_chain, free_run, free_run_table
+from pinn_cli.report.free_run import REFERENCES, estimated_structure, free_run, free_run_table
 from pinn_cli.report.results import LABELS
 from pinn_cli.report.terminal.columns import WIDTH
 from pinn_cli.report.terminal.fitness import free_run_text
-from pinn_cli.system import Chain, build_chain
+from pinn_cli.system import Structure, build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.training.estimate import Estimate
 
@@ -58,9 +58,9 @@ def from_sample(measurements: Measurements, first: int) -> tuple[Record, Respons
 @pytest.mark.parametrize("first", [0, 50])
 @pytest.mark.parametrize("nonlinearity", ["linear", "duffing", "van_der_pol"])
 def test_the_true_system_reproduces_the_truth(hold, tolerance, first, nonlinearity):
-    chain = small_chain(nonlinearity)
-    record, truth = from_sample(measured(chain, hold), first)
-    run = free_run(chain, estimated(truth), record)
+    structure = small_chain(nonlinearity)
+    record, truth = from_sample(measured(structure, hold), first)
+    run = free_run(structure, estimated(truth), record)
     assert run.response is not None
     assert run.finding == ""
     assert largest_error(run.response, truth) < tolerance
@@ -69,10 +69,10 @@ def test_the_true_system_reproduces_the_truth(hold, tolerance, first, nonlineari
 
 
 def test_a_force_that_is_taken_for_held_is_late():
-    chain = small_chain()
-    measurements = measured(chain)
+    structure = small_chain()
+    measurements = measured(structure)
     record, truth = replace(measurements.record, intersample="zero_order_hold"), measurements.truth.response
-    run = free_run(chain, estimated(truth), record)
+    run = free_run(structure, estimated(truth), record)
     assert run.response is not None
     assert largest_error(run.response, truth) > 1e-2
 
@@ -95,11 +95,11 @@ def test_the_authors_system_reproduces_their_signals():
 
 @pytest.mark.parametrize("hold", HOLDS)
 def test_wrong_stiffness_is_found_out(hold):
-    chain = small_chain()
-    measurements = measured(chain, hold, duration=24.0, samples=513)
+    structure = small_chain()
+    measurements = measured(structure, hold, duration=24.0, samples=513)
     truth = measurements.truth.response
     estimate = estimated(truth, k_1=18.0, k_2=18.0, k_3=18.0)
-    run = free_run(chain, estimate, measurements.record)
+    run = free_run(structure, estimate, measurements.record)
     assert run.response is not None
     assert run.finding.startswith("warning: the estimated parameters do not reproduce the estimated response: ")
     text = free_run_text(run, free_run_table(run, estimate, measurements.record, truth, RUN_LABELS))
@@ -111,64 +111,64 @@ def with_noisy_force(measurements: Measurements, snr_db: float) -> Record:
 
 
 def test_the_noise_of_the_force_is_no_fault_of_the_parameters():
-    chain = small_chain()
-    measurements = measured(chain, duration=24.0, samples=513)
+    structure = small_chain()
+    measurements = measured(structure, duration=24.0, samples=513)
     truth = measurements.truth.response
-    assert free_run(chain, estimated(truth), with_noisy_force(measurements, 20.0)).finding == ""
+    assert free_run(structure, estimated(truth), with_noisy_force(measurements, 20.0)).finding == ""
     # A free run under more noise than signal is another motion altogether.
-    finding = free_run(chain, estimated(truth), with_noisy_force(measurements, -10.0)).finding
+    finding = free_run(structure, estimated(truth), with_noisy_force(measurements, -10.0)).finding
     assert "warning" not in finding
     assert "under the estimated force and from 2.391 s on, to 100.0 %" in finding
     # The noise excuses nothing but itself.
     stiff = estimated(truth, k_1=18.0, k_2=18.0, k_3=18.0)
-    assert free_run(chain, stiff, with_noisy_force(measurements, -10.0)).finding.startswith("warning")
+    assert free_run(structure, stiff, with_noisy_force(measurements, -10.0)).finding.startswith("warning")
 
 
 def test_a_poor_start_is_no_fault_of_the_parameters():
-    chain = small_chain()
-    measurements = measured(chain, duration=24.0, samples=513)
+    structure = small_chain()
+    measurements = measured(structure, duration=24.0, samples=513)
     truth = measurements.truth.response
     velocity = truth.velocity.copy()
     velocity[0] += 0.3 * truth.velocity.std(axis=0)
-    finding = free_run(chain, estimated(replace(truth, velocity=velocity)), measurements.record).finding
+    finding = free_run(structure, estimated(replace(truth, velocity=velocity)), measurements.record).finding
     assert "the estimated start explains it" in " ".join(finding.split())
     assert "warning" not in finding
 
 
-def unstable() -> tuple[Chain, Measurements, Estimate]:
-    chain = small_chain()
-    measurements = measured(chain, duration=40.0, samples=1025)
+def unstable() -> tuple[Structure, Measurements, Estimate]:
+    structure = small_chain()
+    measurements = measured(structure, duration=40.0, samples=1025)
     estimate = estimated(measurements.truth.response, kappa_2=-1e6)
-    return chain, measurements, estimate
+    return structure, measurements, estimate
 
 
 def test_an_unstable_system_is_a_finding():
-    chain, measurements, estimate = unstable()
-    run = free_run(chain, estimate, measurements.record)
+    structure, measurements, estimate = unstable()
+    run = free_run(structure, estimate, measurements.record)
     assert run.response is None
     assert run.finding.startswith("the estimated system is unstable: its free run overflows at ")
     table = free_run_table(run, estimate, measurements.record, measurements.truth.response, RUN_LABELS)
     assert table[list(FORMULAS)].isna().all(axis=None)
-    assert len(table) == 3 * 3 * (5 + chain.ndof)
+    assert len(table) == 3 * 3 * (5 + structure.ndof)
     assert free_run_text(run, table) == run.finding
 
 
 def test_an_unknown_force_leaves_no_free_run():
-    chain = small_chain()
-    measurements = measured(chain)
+    structure = small_chain()
+    measurements = measured(structure)
     force = measurements.record.force.copy()
     force[:, 1] = np.nan
     unforced = np.array([False, False, True])
     record = replace(measurements.record, force=force, unforced=unforced)
-    run = free_run(chain, estimated(measurements.truth.response), record)
+    run = free_run(structure, estimated(measurements.truth.response), record)
     assert run.response is None
     assert run.finding == "the force on DOF 2 is unknown, and a free run needs every force"
 
 
 def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():
-    chain = small_chain()
-    measurements = measured(chain)
-    run = free_run(chain, estimated(measurements.truth.response, k_3=1e12), measurements.record)
+    structure = small_chain()
+    measurements = measured(structure)
+    run = free_run(structure, estimated(measurements.truth.response, k_3=1e12), measurements.record)
     assert run.response is None
     assert "too stiff" in run.finding
 
@@ -176,10 +176,10 @@ def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():
 def test_the_estimated_chain_takes_what_was_estimated():
     prescribed = small_chain()
     parameters = estimated(measured(prescribed).truth.response, k_2=17.0, kappa_3=-4.0).parameters
-    chain = estimated_chain(prescribed, parameters)
-    assert chain.parameters["k"].tolist() == [15.0, 17.0, 15.0]
-    assert chain.parameters["kappa"].tolist() == [100.0, 100.0, -4.0]
-    assert chain.parameters["m"].tolist() == prescribed.parameters["m"].tolist()
+    structure = estimated_structure(prescribed, parameters)
+    assert structure.parameters["k"].tolist() == [15.0, 17.0, 15.0]
+    assert structure.parameters["kappa"].tolist() == [100.0, 100.0, -4.0]
+    assert structure.parameters["m"].tolist() == prescribed.parameters["m"].tolist()
     assert prescribed.parameters["k"].tolist() == [15.0, 15.0, 15.0]
 
 
@@ -187,15 +187,15 @@ def test_the_estimated_chain_takes_what_was_estimated():
 def test_a_parameter_that_the_chain_does_not_have(name):
     prescribed = small_chain()
     with pytest.raises(ValueError, match=f"no parameter {name}"):
-        estimated_chain(prescribed, estimated(measured(prescribed).truth.response, **{name: 1.0}).parameters)
+        estimated_structure(prescribed, estimated(measured(prescribed).truth.response, **{name: 1.0}).parameters)
 
 
 def test_the_table_scores_against_truth_sensors_and_estimate():
-    chain = small_chain()
-    measurements = measured(chain, snr_db=20.0)
+    structure = small_chain()
+    measurements = measured(structure, snr_db=20.0)
     record, truth = accelerations(measurements.record, (1, 3)), measurements.truth.response
     estimate = estimated(replace(truth, displacement=1.1 * truth.displacement))
-    run = free_run(chain, estimate, record)
+    run = free_run(structure, estimate, record)
     table = free_run_table(run, estimate, record, truth, RUN_LABELS)
     assert list(table) == [*LABELS, "against", "group", "quantity", *FORMULAS]
     assert tuple(dict.fromkeys(table["against"])) == REFERENCES

@@ -32,8 +32,8 @@ from pinn_cli.system.connection import Duffing, PowerDamping, VanDerPol
 
 def results(case, estimate=None):
     run = RunDescription("small", 0, "cpu", 1, "", case.labels, True, "none", "none")
-    chain = build_chain(case.record.ndof, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
-    return Results(run, chain, case.record, case.truth, estimate or case.estimate)
+    structure = build_chain(case.record.ndof, Duffing(), m=1.0, c=1.0, k=15.0, kappa=100.0)
+    return Results(run, structure, case.record, case.truth, estimate or case.estimate)
 
 
 def _texts(figure):
@@ -169,8 +169,8 @@ def test_mu_goes_by_its_nonlinearity(make_case):
         (VanDerPol(), r"Van der Pol $\mu$ (N s/m)"),
         (PowerDamping(), r"Power-law damping $\mu$ (N (s/m)$^{2}$)"),
     ):
-        chain = build_chain(1, nonlinearity, m=1.0, c=1.0, k=1.0, mu=1.0)
-        mu = replace(given, parameter=replace(chain.parameter("mu", 0), unknown=True))
+        structure = build_chain(1, nonlinearity, m=1.0, c=1.0, k=1.0, mu=1.0)
+        mu = replace(given, parameter=replace(structure.parameter("mu", 0), unknown=True))
         assert parameters_figure([mu], None).axes[0].get_title() == title
 
 

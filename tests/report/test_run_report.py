@@ -34,7 +34,7 @@ def reported(composed, make_case, tmp_path, monkeypatch):
         changes = {"correlation": np.eye(len(parameters)), **changes}
         estimate = replace(case.estimate, parameters=parameters, **changes)
         config = RunConfig.read(composed(*SMALL))
-        results = Results(config.description, config.chain, case.record, case.truth, estimate)
+        results = Results(config.description, config.structure, case.record, case.truth, estimate)
         return tmp_path, run_report.write_report(results, tmp_path, Stages())
 
     return report
@@ -77,7 +77,7 @@ def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case
     samples = make_samples()
     posterior = make_result(samples, None, "3 divergences")
     config, estimate = RunConfig.read(composed(*SMALL)), replace(case.estimate, parameters=start)
-    results = Results(config.description, config.chain, case.record, case.truth, estimate, posterior=posterior)
+    results = Results(config.description, config.structure, case.record, case.truth, estimate, posterior=posterior)
     text = run_report.write_report(results, tmp_path, Stages())
     table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
     assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))

@@ -85,25 +85,25 @@ def test_displacement_and_velocity_of_every_dof_are_seen_and_no_acceleration(mea
 def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements, nonlinearity, priors):
     """Of a simulated record the prescribed value is the truth."""
     scheme = Bayesian(unknown=["k_*", "c_*", "m_2"], priors=priors)
-    chain = small_chain(nonlinearity)
-    elsewhere = {kind: values.clone() for kind, values in chain.parameters.items()}
+    structure = small_chain(nonlinearity)
+    elsewhere = {kind: values.clone() for kind, values in structure.parameters.items()}
     elsewhere["k"] *= 7.0
     elsewhere["c"][1] = 3.0
     elsewhere["m"][1] = 55.0
     record = scheme.observe(measurements.record)
-    told, other = (scheme.problem(c, record) for c in (chain, chain.with_parameters(**elsewhere)))
-    for kind, values in told.chain.parameters.items():
-        np.testing.assert_array_equal(values, other.chain.parameters[kind])
+    told, other = (scheme.problem(c, record) for c in (structure, structure.with_parameters(**elsewhere)))
+    for kind, values in told.structure.parameters.items():
+        np.testing.assert_array_equal(values, other.structure.parameters[kind])
     for a, b in zip(told.uncertain, other.uncertain, strict=True):
         assert vars(a) == vars(b)
 
 
 def test_the_prescribed_chain_stays_as_it_was(measurements):
-    chain = small_chain()
+    structure = small_chain()
     scheme = Bayesian(unknown="k_2", priors={"k": {"kind": "normal", "mean": 4.0, "std": 1.0}})
-    problem = scheme.problem(chain, scheme.observe(measurements.record))
-    np.testing.assert_array_equal(chain.parameters["k"], [15.0] * 3)
-    np.testing.assert_array_equal(problem.chain.parameters["k"], [15.0, 4.0, 15.0])
+    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    np.testing.assert_array_equal(structure.parameters["k"], [15.0] * 3)
+    np.testing.assert_array_equal(problem.structure.parameters["k"], [15.0, 4.0, 15.0])
 
 
 def test_priors_by_kind_and_by_name(measurements):
@@ -157,10 +157,10 @@ def test_training_works_under_gaussians_that_are_wider_than_any_prior(measuremen
 
 def test_starts_scale_with_the_record(measurements):
     """Forces and masses a thousand times larger at the same motion: everything is a thousand times stiffer."""
-    record, chain = measurements.record, small_chain()
-    heavy = chain.with_parameters(**{**chain.parameters, "m": 1e3 * chain.parameters["m"]})
+    record, structure = measurements.record, small_chain()
+    heavy = structure.with_parameters(**{**structure.parameters, "m": 1e3 * structure.parameters["m"]})
     scheme = Bayesian()
-    weak = scheme.problem(chain, scheme.observe(record))
+    weak = scheme.problem(structure, scheme.observe(record))
     strong = scheme.problem(heavy, scheme.observe(replace(record, force=1e3 * record.force)))
     for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
         assert b.prescribed == pytest.approx(1e3 * a.prescribed, rel=1e-3)

@@ -40,8 +40,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def posed(composition: DictConfig, folder: Path) -> Problem:
     config = RunConfig.read(composition, folder)
-    record = config.observe(config.source.measure(config.chain).record)
-    return config.scheme.problem(config.chain, record)
+    record = config.observe(config.source.measure(config.structure).record)
+    return config.scheme.problem(config.structure, record)
 
 
 REFUSED = {
@@ -75,7 +75,7 @@ def test_a_value_that_nobody_gave_is_asked_for(composed: Compose, folder: Path, 
 def test_what_is_given_or_unknown_makes_a_problem(composed: Compose, folder: Path, overrides):
     problem = posed(composed(*CSV, *overrides), folder)
     assert not problem.record.simulated
-    for values in problem.chain.parameters.values():
+    for values in problem.structure.parameters.values():
         assert np.isfinite(values.numpy()).all()
 
 
@@ -119,7 +119,7 @@ def test_values_from_files_of_the_user(pinn_run: PinnRun, folder: Path, tmp_path
     read: list[list[float]] = []
 
     def task(config: DictConfig) -> None:
-        read.append(RunConfig.read(config, tmp_path).chain.parameters["k"].tolist())
+        read.append(RunConfig.read(config, tmp_path).structure.parameters["k"].tolist())
 
     for chosen in (["experiment=rig"], ["system=rig", *CSV], ["--multirun", "experiment=rig", "system.m=9,11"]):
         arguments = [argument.replace("++", "") for argument in chosen]

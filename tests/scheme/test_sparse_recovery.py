@@ -44,12 +44,12 @@ def test_chosen_sensors_on_chosen_dofs(measurements):
 
 @pytest.mark.parametrize("nonlinearity", NONLINEARITIES)
 def test_every_parameter_but_the_masses_is_uncertain(measurements, nonlinearity):
-    chain = small_chain(nonlinearity)
-    problem = SparseRecovery(parameter_uncertainty=0.2).problem(chain, measurements.record)
-    expected = [(kind, dof) for kind in chain.parameters if kind != "m" for dof in range(3)]
+    structure = small_chain(nonlinearity)
+    problem = SparseRecovery(parameter_uncertainty=0.2).problem(structure, measurements.record)
+    expected = [(kind, dof) for kind in structure.parameters if kind != "m" for dof in range(3)]
     assert [(p.kind, p.index) for p in problem.uncertain] == expected
     for p in problem.uncertain:
-        assert p.prescribed == float(chain.parameters[p.kind][p.index])
+        assert p.prescribed == float(structure.parameters[p.kind][p.index])
         assert p.prior_std == pytest.approx(0.2 * abs(p.prescribed))
 
 
@@ -70,9 +70,11 @@ def test_a_parameter_of_zero_stays_zero(measurements):
 
 
 def test_a_negative_parameter_has_a_positive_spread(measurements):
-    chain = small_chain("van_der_pol")
-    chain = chain.with_parameters(mu=-chain.parameters["mu"])
-    spreads = [p.prior_std for p in SparseRecovery().problem(chain, measurements.record).uncertain if p.kind == "mu"]
+    structure = small_chain("van_der_pol")
+    structure = structure.with_parameters(mu=-structure.parameters["mu"])
+    spreads = [
+        p.prior_std for p in SparseRecovery().problem(structure, measurements.record).uncertain if p.kind == "mu"
+    ]
     assert spreads == pytest.approx([0.05625] * 3)
 
 

@@ -20,9 +20,11 @@ def made() -> IndependentRecord:
 
 def posed(made: IndependentRecord, factor: float, **settings):
     s = made.structure
-    chain = build_chain(3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=(factor * s.k).tolist(), kappa=s.kappa.tolist())
+    structure = build_chain(
+        3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=(factor * s.k).tolist(), kappa=s.kappa.tolist()
+    )
     scheme = StateParameter(unobserved=[], unknown="k_*", **settings)
-    return scheme.problem(chain, made.record)
+    return scheme.problem(structure, made.record)
 
 
 def starts(problem) -> list[np.ndarray]:

@@ -64,27 +64,27 @@ def test_all_other_parameters_are_believed(measurements):
 def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements, nonlinearity):
     """Of a simulated record the prescribed value is the truth."""
     told = posed(measurements, nonlinearity, unknown=["k_*", "c_2"])
-    chain = small_chain(nonlinearity)
-    elsewhere = {kind: values.clone() for kind, values in chain.parameters.items()}
+    structure = small_chain(nonlinearity)
+    elsewhere = {kind: values.clone() for kind, values in structure.parameters.items()}
     elsewhere["k"] *= 7.0
     elsewhere["c"][1] = 3.0
     scheme = StateParameter(unobserved=[2], unknown=["k_*", "c_2"])
-    other = scheme.problem(chain.with_parameters(**elsewhere), scheme.observe(measurements.record))
-    for kind, values in told.chain.parameters.items():
-        np.testing.assert_array_equal(values, other.chain.parameters[kind])
+    other = scheme.problem(structure.with_parameters(**elsewhere), scheme.observe(measurements.record))
+    for kind, values in told.structure.parameters.items():
+        np.testing.assert_array_equal(values, other.structure.parameters[kind])
     assert [(p.prescribed, p.prior_std) for p in told.uncertain] == [
         (p.prescribed, p.prior_std) for p in other.uncertain
     ]
 
 
 def test_the_prescribed_chain_stays_as_it_was(measurements):
-    chain = small_chain()
+    structure = small_chain()
     scheme = StateParameter(unobserved=[2], initial={"k": 3.0})
-    problem = scheme.problem(chain, scheme.observe(measurements.record))
-    np.testing.assert_array_equal(chain.parameters["k"], [15.0] * 3)
-    np.testing.assert_array_equal(problem.chain.parameters["k"][[0, 2]], 15.0)
+    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    np.testing.assert_array_equal(structure.parameters["k"], [15.0] * 3)
+    np.testing.assert_array_equal(problem.structure.parameters["k"][[0, 2]], 15.0)
     (k,) = (p for p in problem.uncertain if p.name == "k_2")
-    assert float(problem.chain.parameters["k"][1]) == k.prescribed != 15.0
+    assert float(problem.structure.parameters["k"][1]) == k.prescribed != 15.0
 
 
 def test_starting_values_by_kind_and_by_name(measurements):
@@ -109,11 +109,11 @@ def test_where_a_force_is_unknown_starts_are_those_that_were_given(measurements)
 
 def test_starting_values_from_the_record_scale_with_it(measurements):
     """Forces and masses a thousand times larger at the same motion: everything is a thousand times stiffer."""
-    record, chain = measurements.record, small_chain()
-    heavy = chain.with_parameters(**{**chain.parameters, "m": 1e3 * chain.parameters["m"]})
+    record, structure = measurements.record, small_chain()
+    heavy = structure.with_parameters(**{**structure.parameters, "m": 1e3 * structure.parameters["m"]})
     stronger = replace(record, force=1000.0 * record.force)
     scheme = StateParameter(unobserved=[2], unknown=["c_*", "k_*", "kappa_*"])
-    weak, strong = (scheme.problem(c, scheme.observe(r)) for c, r in ((chain, record), (heavy, stronger)))
+    weak, strong = (scheme.problem(c, scheme.observe(r)) for c, r in ((structure, record), (heavy, stronger)))
     for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
         # They come from an iterative fit.
         assert b.prescribed == pytest.approx(1000.0 * a.prescribed, rel=1e-3)

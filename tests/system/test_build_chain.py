@@ -15,11 +15,11 @@ LEGAL = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
 
 
 def test_numbers_and_lists_become_float64_of_every_connection():
-    chain = build_chain(3, Duffing(), **{**LEGAL, "k": [15, 14, 16.5], "m": 10})
-    assert chain.ndof == 3
-    assert {value.dtype for value in chain.parameters.values()} == {torch.float64}
-    assert chain.parameters["k"].tolist() == [15.0, 14.0, 16.5]
-    assert chain.parameters["m"].tolist() == [10.0] * 3
+    structure = build_chain(3, Duffing(), **{**LEGAL, "k": [15, 14, 16.5], "m": 10})
+    assert structure.ndof == 3
+    assert {value.dtype for value in structure.parameters.values()} == {torch.float64}
+    assert structure.parameters["k"].tolist() == [15.0, 14.0, 16.5]
+    assert structure.parameters["m"].tolist() == [10.0] * 3
 
 
 @pytest.mark.parametrize(

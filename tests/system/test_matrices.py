@@ -20,13 +20,13 @@ CHAINS = {
 
 
 @pytest.fixture(params=CHAINS)
-def chain(request):
+def structure(request):
     return CHAINS[request.param]
 
 
-def states(chain):
+def states(structure):
     generator = torch.Generator().manual_seed(0)
-    return [torch.randn(6, chain.ndof, generator=generator, dtype=torch.float64) for _ in range(3)]
+    return [torch.randn(6, structure.ndof, generator=generator, dtype=torch.float64) for _ in range(3)]
 
 
 def test_the_papers_appendix_entry_by_entry():
@@ -54,30 +54,32 @@ def test_nonlinear_functions_are_the_papers():
     torch.testing.assert_close(g, torch.cat([torch.zeros_like(e), (e**2 - 1.0) * de], -1))
 
 
-def test_second_order_matrices_agree_with_the_elongation_form(chain):
-    u, v, a = states(chain)
-    g_k, g_c = matrices.nonlinear_functions(chain, u, v).chunk(2, -1)
-    force = a @ matrices.mass(chain).T + v @ matrices.damping(chain).T + u @ matrices.stiffness(chain).T
-    force = force + g_k @ matrices.nonlinear_stiffness(chain).T + g_c @ matrices.nonlinear_damping(chain).T
-    torch.testing.assert_close(force, chain.external_force(u, v, a))
+def test_second_order_matrices_agree_with_the_elongation_form(structure):
+    u, v, a = states(structure)
+    g_k, g_c = matrices.nonlinear_functions(structure, u, v).chunk(2, -1)
+    force = a @ matrices.mass(structure).T + v @ matrices.damping(structure).T + u @ matrices.stiffness(structure).T
+    force = force + g_k @ matrices.nonlinear_stiffness(structure).T + g_c @ matrices.nonlinear_damping(structure).T
+    torch.testing.assert_close(force, structure.external_force(u, v, a))
 
 
-def test_state_equation_agrees_with_the_elongation_form(chain):
-    u, v, f = states(chain)
-    g = matrices.nonlinear_functions(chain, u, v)
+def test_state_equation_agrees_with_the_elongation_form(structure):
+    u, v, f = states(structure)
+    g = matrices.nonlinear_functions(structure, u, v)
     z = torch.cat([u, v], -1)
-    slope = z @ matrices.state(chain).T + g @ matrices.nonlinear_state(chain).T + f @ matrices.input(chain).T
-    torch.testing.assert_close(slope, torch.cat([v, chain.acceleration(u, v, f)], -1))
+    slope = (
+        z @ matrices.state(structure).T + g @ matrices.nonlinear_state(structure).T + f @ matrices.input(structure).T
+    )
+    torch.testing.assert_close(slope, torch.cat([v, structure.acceleration(u, v, f)], -1))
 
 
 def test_output_equation_picks_the_sensors():
-    chain = CHAINS["duffing"]
+    structure = CHAINS["duffing"]
     sensors = {"displacement": [4, 1], "velocity": [2], "acceleration": [1, 3]}
-    u, v, f = states(chain)
-    g = matrices.nonlinear_functions(chain, u, v)
-    y = torch.cat([u, v], -1) @ matrices.output(chain, **sensors).T
-    y = y + g @ matrices.nonlinear_output(chain, **sensors).T + f @ matrices.feedthrough(chain, **sensors).T
-    a = chain.acceleration(u, v, f)
+    u, v, f = states(structure)
+    g = matrices.nonlinear_functions(structure, u, v)
+    y = torch.cat([u, v], -1) @ matrices.output(structure, **sensors).T
+    y = y + g @ matrices.nonlinear_output(structure, **sensors).T + f @ matrices.feedthrough(structure, **sensors).T
+    a = structure.acceleration(u, v, f)
     torch.testing.assert_close(y, torch.stack([u[:, 3], u[:, 0], v[:, 1], a[:, 0], a[:, 2]], -1))
 
 
@@ -96,6 +98,6 @@ def test_a_nonlinearity_that_the_paper_has_no_matrix_for_says_so():
         def force(self, e, de, parameters):
             return parameters["alpha"] * e * de
 
-    chain = build_chain(2, Free(), m=1.0, c=1.0, k=1.0, alpha=1.0)
+    structure = build_chain(2, Free(), m=1.0, c=1.0, k=1.0, alpha=1.0)
     with pytest.raises(ValueError, match="no matrix form"):
-        matrices.nonlinear_stiffness(chain)
+        matrices.nonlinear_stiffness(structure)

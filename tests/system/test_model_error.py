@@ -17,27 +17,27 @@ def nominal(ndof: int = 6):
     return build_chain(ndof, Duffing(), **NOMINAL)
 
 
-def ratios(chain) -> dict[str, np.ndarray]:
-    return {name: value.numpy() / NOMINAL[name] for name, value in chain.parameters.items()}
+def ratios(structure) -> dict[str, np.ndarray]:
+    return {name: value.numpy() / NOMINAL[name] for name, value in structure.parameters.items()}
 
 
 def test_none_changes_nothing():
-    chain = nominal()
-    assert NoModelError().chains(chain) == (chain, chain)
+    structure = nominal()
+    assert NoModelError().chains(structure) == (structure, structure)
 
 
 def test_linear_prescribes_no_nonlinearity_and_leaves_the_truth():
-    chain = nominal()
-    true, prescribed = LinearModelError().chains(chain)
-    assert true is chain
+    structure = nominal()
+    true, prescribed = LinearModelError().chains(structure)
+    assert true is structure
     assert prescribed.nonlinearity.name == "linear"
     assert prescribed.parameters["k"].tolist() == [15.0] * 6
 
 
 def test_perturbed_truth_is_five_to_ten_per_cent_off_either_way_and_the_mass_is_right():
-    chain = nominal(200)
-    true, prescribed = PerturbedModelError(seed=1).chains(chain)
-    assert prescribed is chain
+    structure = nominal(200)
+    true, prescribed = PerturbedModelError(seed=1).chains(structure)
+    assert prescribed is structure
     changed = ratios(true)
     assert np.all(changed.pop("m") == 1.0)
     for ratio in changed.values():
@@ -64,7 +64,7 @@ def test_perturbed_draws_do_not_depend_on_the_other_connections_or_parameters():
 def test_authors_draws_give_the_reference_parameters(shared, case, seed_stride):
     reference = np.load(shared / "data" / "reference_signals" / f"{case}.npz")
     model_error = PerturbedModelError(seed=43810, draws="authors", seed_stride=seed_stride)
-    true, _ = model_error.chains(nominal(reference["m"].size))
+    true, _ = model_error.structures(nominal(reference["m"].size))
     for name, value in true.parameters.items():
         np.testing.assert_allclose(value.numpy(), reference[name], rtol=1e-9)
 
@@ -102,7 +102,7 @@ def test_another_model_error_is_one_class():
     class HeavierModelError(ModelError):
         name = "heavier"
 
-        def chains(self, nominal):
+        def structures(self, nominal):
             return nominal.with_parameters(m=1.1 * nominal.parameters["m"]), nominal
 
     true, prescribed = HeavierModelError().chains(nominal())

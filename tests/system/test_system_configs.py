@@ -14,10 +14,12 @@ CONF = Path(__file__).parents[2] / "conf"
 @pytest.mark.parametrize("name", ["duffing", "van_der_pol", "linear", "power_damping"])
 def test_every_system_config_builds_its_chain(name):
     values = OmegaConf.load(CONF / "demonstration" / f"simulated_{name}.yaml")
-    chain = construct(build_chain, OmegaConf.merge(OmegaConf.load(CONF / "system" / f"{name}.yaml"), values), "system")
-    assert chain.nonlinearity.name == name
+    structure = construct(
+        build_chain, OmegaConf.merge(OmegaConf.load(CONF / "system" / f"{name}.yaml"), values), "system"
+    )
+    assert structure.nonlinearity.name == name
     paper = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0, "mu": 0.75}
-    for parameter, value in chain.parameters.items():
+    for parameter, value in structure.parameters.items():
         assert value.tolist() == [paper[parameter]] * 6
 
 

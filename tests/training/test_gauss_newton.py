@@ -21,8 +21,8 @@ from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.connection import Duffing
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 
@@ -34,17 +34,17 @@ def example(hold: str = "exact") -> Measurements:
     return measured(small_chain(), hold, snr_db=40.0, duration=20.0, samples=1024)
 
 
-def recovered(prescribed: Chain | None = None, record=None, design=None, **settings) -> Estimate:
+def recovered(prescribed: Structure | None = None, record=None, design=None, **settings) -> Estimate:
     scheme = SparseRecovery(unobserved=[3])
     problem = scheme.problem(prescribed or small_chain(), scheme.observe(record or example().record))
     return GaussNewton(**settings).solve(problem, design or Spline(), RunContext())
 
 
-def off_by(relative: float, seed: int) -> Chain:
+def off_by(relative: float, seed: int) -> Structure:
     """The chain with every c, k and kappa off by as much, up or down."""
-    chain, rng = small_chain(), np.random.default_rng(seed)
+    structure, rng = small_chain(), np.random.default_rng(seed)
     factors = {kind: torch.as_tensor(1 + relative * rng.choice([-1, 1], 3)) for kind in ("c", "k", "kappa")}
-    return chain.with_parameters(**{kind: chain.parameters[kind] * factor for kind, factor in factors.items()})
+    return structure.with_parameters(**{kind: structure.parameters[kind] * factor for kind, factor in factors.items()})
 
 
 def covered(estimate: Estimate, truth, quantity: str) -> np.ndarray:
@@ -72,8 +72,8 @@ def test_the_95_percent_band_covers_the_truth():
 def test_there_is_no_time_scale_anywhere():
     speed, slow, truth = 30.0, recovered(), example().truth.response
     record = sped_up(example().record, speed)
-    chain = build_chain(3, Duffing(), m=10.0, c=speed, k=15.0 * speed**2, kappa=100.0 * speed**2)
-    fast = recovered(chain, replace(record, force=record.force * speed**2))
+    structure = build_chain(3, Duffing(), m=10.0, c=speed, k=15.0 * speed**2, kappa=100.0 * speed**2)
+    fast = recovered(structure, replace(record, force=record.force * speed**2))
     for order, quantity in enumerate(QUANTITIES):
         wanted = fitness_percent(getattr(slow.response, quantity), getattr(truth, quantity))
         given = fitness_percent(getattr(fast.response, quantity), speed**order * getattr(truth, quantity))
@@ -172,7 +172,7 @@ def test_coverage_over_noise_seeds_of_the_default_problem(composed: Compose):
     shares = []
     for seed in range(10):
         config = RunConfig.read(composed("noise.snr_db=20", f"seed={seed}"), base=Path.cwd())
-        true, prescribed = config.model_error.chains(config.chain)
+        true, prescribed = config.model_error.structures(config.structure)
         measurements = config.source.measure(true)
         problem = config.scheme.problem(prescribed, config.observe(measurements.record))
         estimate = config.training.solve(problem, config.network, RunContext(seed=seed))

@@ -20,12 +20,12 @@ UNCERTAIN = (
 
 
 def learned(dtype: torch.dtype = torch.float32) -> LearnedParameters:
-    chain = small_chain()
-    values = {kind: value.clone() for kind, value in chain.parameters.items()}
+    structure = small_chain()
+    values = {kind: value.clone() for kind, value in structure.parameters.items()}
     for p in UNCERTAIN:
         values[p.kind][p.index] = p.prescribed
-    record = measured(chain, duration=3.0, samples=33).record
-    return LearnedParameters(Problem(chain.with_parameters(**values), record, UNCERTAIN), dtype)
+    record = measured(structure, duration=3.0, samples=33).record
+    return LearnedParameters(Problem(structure.with_parameters(**values), record, UNCERTAIN), dtype)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

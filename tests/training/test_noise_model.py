@@ -89,9 +89,9 @@ def test_pooled_sensors_share_the_root_mean_square_of_their_levels():
 
 
 def test_noise_is_told_by_the_scatter_of_repeats_where_there_are_any():
-    chain = small_chain()
-    source = Simulated(excitation(chain), Simulation(12.0, 257), Noise(20.0, repeats=4))
-    record = source.measure(chain).record
+    structure = small_chain()
+    source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
+    record = source.measure(structure).record
     response, force = sensor_noise(Spline().build(record), record)
     for quantity, levels in {**response, "force": force}.items():
         sensors = record.sensors(quantity)

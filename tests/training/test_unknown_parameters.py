@@ -17,8 +17,8 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.connection import Duffing
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 
@@ -36,17 +36,17 @@ def softening_example() -> Measurements:
     return measured(softening_chain(), snr_db=50.0, duration=20.0)
 
 
-def softening_chain() -> Chain:
+def softening_chain() -> Structure:
     return small_chain().with_parameters(kappa=torch.tensor([100.0, SOFTENING, 100.0], dtype=torch.float64))
 
 
-def identified(measurements: Measurements, chain: Chain, **settings) -> Estimate:
+def identified(measurements: Measurements, structure: Structure, **settings) -> Estimate:
     """Accelerometers on DOFs 1 and 3 unless the settings say otherwise."""
-    return solved(StateParameter(**{"unobserved": [2], **settings}), measurements, chain)
+    return solved(StateParameter(**{"unobserved": [2], **settings}), measurements, structure)
 
 
-def solved(scheme: Scheme, measurements: Measurements, chain: Chain) -> Estimate:
-    problem = scheme.problem(chain, scheme.observe(measurements.record))
+def solved(scheme: Scheme, measurements: Measurements, structure: Structure) -> Estimate:
+    problem = scheme.problem(structure, scheme.observe(measurements.record))
     return GaussNewton().solve(problem, Spline(), RunContext())
 
 
@@ -59,15 +59,15 @@ def unknowns(estimate: Estimate) -> dict[str, ParameterEstimate]:
     return {p.name: p for p in estimate.parameters if p.unknown}
 
 
-def truth_of(chain: Chain, name: str) -> float:
+def truth_of(structure: Structure, name: str) -> float:
     kind, _, connection = name.rpartition("_")
-    return float(chain.parameters[kind][int(connection) - 1])
+    return float(structure.parameters[kind][int(connection) - 1])
 
 
-def assert_found(estimate: Estimate, chain: Chain, relative: float, deviations: float = 3.0) -> None:
+def assert_found(estimate: Estimate, structure: Structure, relative: float, deviations: float = 3.0) -> None:
     """Every unknown parameter within a few of its standard deviations, and these small."""
     for name, given in unknowns(estimate).items():
-        truth = truth_of(chain, name)
+        truth = truth_of(structure, name)
         assert given.estimate == pytest.approx(truth, abs=deviations * given.std), name
         assert given.estimate == pytest.approx(truth, rel=relative), name
         assert given.std < relative * truth, name
@@ -78,11 +78,11 @@ def assert_found(estimate: Estimate, chain: Chain, relative: float, deviations: 
     [("linear", "exact"), ("duffing", "exact"), ("van_der_pol", "exact"), ("duffing", "zero_order")],
 )
 def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold):
-    estimate, chain = found(nonlinearity, hold), small_chain(nonlinearity)
+    estimate, structure = found(nonlinearity, hold), small_chain(nonlinearity)
     expected = ["k_2", *[f"{kind}_2" for kind in NONLINEARITIES[nonlinearity][1]]]
     assert list(unknowns(estimate)) == expected
     # Between the samples a held force is known only on average.
-    assert_found(estimate, chain, relative=0.05 if hold == "exact" else 0.2)
+    assert_found(estimate, structure, relative=0.05 if hold == "exact" else 0.2)
     assert unknowns(estimate)["k_2"].std < (0.002 if hold == "exact" else 0.01) * 15.0
     assert estimate.summary["stop_reason"] == "converged"
     truth = example(nonlinearity, hold).truth.response
@@ -94,9 +94,9 @@ def test_stiffness_and_nonlinearity_at_a_hidden_dof_are_found(nonlinearity, hold
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 @pytest.mark.parametrize("nonlinearity", ["duffing", "van_der_pol"])
 def test_a_start_ten_times_off_ends_at_the_same_place(nonlinearity, factor):
-    chain = small_chain(nonlinearity)
-    start = {name: factor * truth_of(chain, name) for name in unknowns(found(nonlinearity))}
-    estimate = identified(example(nonlinearity), chain, initial=start)
+    structure = small_chain(nonlinearity)
+    start = {name: factor * truth_of(structure, name) for name in unknowns(found(nonlinearity))}
+    estimate = identified(example(nonlinearity), structure, initial=start)
     for name, given in unknowns(estimate).items():
         expected = unknowns(found(nonlinearity))[name]
         assert given.prescribed == pytest.approx(start[name])
@@ -166,8 +166,8 @@ def test_there_is_no_time_scale_anywhere(names):
     slow = identified(example(), small_chain(), **settings)
     record = sped_up(example().record, speed)
     record = replace(record, force=record.force * speed**2)
-    chain = build_chain(3, Duffing(), m=10.0, c=speed, k=15.0 * speed**2, kappa=100.0 * speed**2)
-    fast = identified(replace(example(), record=record), chain, **settings)
+    structure = build_chain(3, Duffing(), m=10.0, c=speed, k=15.0 * speed**2, kappa=100.0 * speed**2)
+    fast = identified(replace(example(), record=record), structure, **settings)
     factor = {"m": 1.0, "c": speed, "k": speed**2, "kappa": speed**2}
     for given, expected in zip(fast.parameters, slow.parameters, strict=True):
         unit = factor[given.name.split("_")[0]]
@@ -188,10 +188,10 @@ def test_the_correlation_is_that_of_the_parameters_in_their_order():
 @pytest.mark.slow
 @pytest.mark.parametrize("nonlinearity", ["duffing", "van_der_pol"])
 def test_coverage_of_the_intervals_over_noise_seeds(nonlinearity):
-    chain, covered, scores = small_chain(nonlinearity), [], []
+    structure, covered, scores = small_chain(nonlinearity), [], []
     for seed in range(40):
-        for name, given in unknowns(identified(example(nonlinearity, seed=seed), chain)).items():
-            truth = truth_of(chain, name)
+        for name, given in unknowns(identified(example(nonlinearity, seed=seed), structure)).items():
+            truth = truth_of(structure, name)
             covered.append(given.lower_90 <= truth <= given.upper_90)
             scores.append((given.estimate - truth) / given.std)
     # Some of the discrepancy that is inferred where there is none may hide in the parameters: wide rather than narrow.

@@ -55,8 +55,8 @@ def channel(record, dof):
 
 
 def test_the_noise_is_that_of_the_channel() -> None:
-    chain = small_chain()
-    noisy, clean = (measured_record(chain, snr_db=snr).record for snr in (20.0, None))
+    structure = small_chain()
+    noisy, clean = (measured_record(structure, snr_db=snr).record for snr in (20.0, None))
     for dof in np.flatnonzero(noisy.sensors("acceleration")):
         true = float(np.std(noisy.acceleration[:, dof] - clean.acceleration[:, dof]))
         assert channel_noise(noisy, channel(noisy, dof)) == pytest.approx(true, rel=0.3)

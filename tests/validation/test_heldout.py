@@ -19,7 +19,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import TrainedNetwork, Training
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.validation.base import Setup
@@ -140,9 +140,9 @@ def test_a_run_is_scored_and_its_estimate_stays_as_it_is(pinn_run: PinnRun, monk
 
 
 def without_truth(measure):
-    def blind(self: Simulated, chain: Chain) -> Measurements:
-        honest = measure(self, chain)
-        return replace(honest, truth=Truth(Response.unknown(honest.record.time, chain.ndof)))
+    def blind(self: Simulated, structure: Structure) -> Measurements:
+        honest = measure(self, structure)
+        return replace(honest, truth=Truth(Response.unknown(honest.record.time, structure.ndof)))
 
     return blind
 

@@ -11,23 +11,23 @@ from small_problems import small_chain
 
 from pinn_cli.record.record import Record, Response
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate
 
 
 @pytest.fixture(scope="session")
-def frame() -> Chain:
+def frame() -> Structure:
     return small_chain("linear", 3)
 
 
 @pytest.fixture(scope="session")
-def frame_record(frame: Chain) -> Record:
+def frame_record(frame: Structure) -> Record:
     return measure(frame)
 
 
 @pytest.fixture(scope="session")
-def right_estimate(frame: Chain) -> tuple[Problem, Estimate]:
+def right_estimate(frame: Structure) -> tuple[Problem, Estimate]:
     """A problem whose stiffnesses are unknown, and an estimate that is the truth."""
     found = measurements(frame)
     record, truth = found.record.keep({"acceleration": (1, 2, 3)}), found.truth.response

@@ -13,8 +13,8 @@ from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.prediction import predicted
 
 
-def faults(chain, record, excused=()):
-    prediction = predicted(chain, record)
+def faults(structure, record, excused=()):
+    prediction = predicted(structure, record)
     assert prediction is not None
     return channel_faults(prediction, excused)
 
@@ -58,10 +58,10 @@ def test_a_ruined_channel_is_named_with_what_ruined_it(frame, frame_record, kind
 
 
 def test_a_nonlinear_chain_is_simulated():
-    chain = small_chain("duffing", 3)
-    record = measure(chain, strength=2.0)
-    assert faults(chain, record) == []
-    (found,) = faults(chain, altered(record, 3, lambda x: 1.15 * x))
+    structure = small_chain("duffing", 3)
+    record = measure(structure, strength=2.0)
+    assert faults(structure, record) == []
+    (found,) = faults(structure, altered(record, 3, lambda x: 1.15 * x))
     assert (found.kind, found.suspect) == ("gain", "acceleration of DOF 3")
 
 

@@ -10,7 +10,7 @@ from frame_records import altered, measure
 from small_estimates import other_estimate
 
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.estimated_chain import estimated_chain
+from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted
@@ -31,11 +31,11 @@ def with_parameter(given, which, **changes):
 
 
 def of_parameters(problem, estimate):
-    return kinds(parameter_findings(problem, estimate, estimated_chain(problem.chain, estimate.parameters)))
+    return kinds(parameter_findings(problem, estimate, estimated_structure(problem.structure, estimate.parameters)))
 
 
 def of_sensors(problem, estimate):
-    prediction = predicted(estimated_chain(problem.chain, estimate.parameters), problem.record)
+    prediction = predicted(estimated_structure(problem.structure, estimate.parameters), problem.record)
     return kinds(sensor_findings(problem, estimate, prediction))
 
 
@@ -99,9 +99,9 @@ def test_a_training_that_did_not_converge(right_estimate):
 @pytest.mark.parametrize(("start", "word"), [(0.2, "questionable"), (1.5e7, "failed")])
 def test_a_parameter_decades_from_its_start(right_estimate, start, word):
     problem, estimate = right_estimate
-    (found,) = parameter_findings(problem, with_parameter(estimate, "k_2", prescribed=start), problem.chain)
+    (found,) = parameter_findings(problem, with_parameter(estimate, "k_2", prescribed=start), problem.structure)
     assert (found.kind, found.suspect, found.word) == ("parameter", "k_2", word)
-    assert parameter_findings(problem, with_parameter(estimate, "k_2", prescribed=1.0), problem.chain) == []
+    assert parameter_findings(problem, with_parameter(estimate, "k_2", prescribed=1.0), problem.structure) == []
 
 
 def test_an_unknown_parameter_that_left_its_prior(right_estimate):
@@ -112,12 +112,12 @@ def test_an_unknown_parameter_that_left_its_prior(right_estimate):
 
 def test_an_unknown_parameter_at_zero_or_undetermined(right_estimate):
     problem, estimate = right_estimate
-    (found,) = parameter_findings(problem, with_parameter(estimate, "k_1", estimate=0.0), problem.chain)
+    (found,) = parameter_findings(problem, with_parameter(estimate, "k_1", estimate=0.0), problem.structure)
     assert (found.suspect, "ended at zero" in found.text) == ("k_1", True)
     assert of_parameters(problem, with_parameter(estimate, "k_1", std=3.0)) == [("not_identified", "k_1")]
     rough = replace(problem, uncertain=(Parameter("kappa", 0, 1.0, 1.0, unknown=True),))
     named = with_parameter(estimate, "k_1", kind="kappa", std=3.0)
-    assert kinds(parameter_findings(rough, named, problem.chain)) == []
+    assert kinds(parameter_findings(rough, named, problem.structure)) == []
 
 
 def test_prescribed_parameters_that_moved(right_estimate):
@@ -132,8 +132,8 @@ def test_prescribed_parameters_that_moved(right_estimate):
 )
 def test_natural_frequencies_that_the_record_cannot_hold(right_estimate, scale, told):
     problem, estimate = right_estimate
-    chain = problem.chain.with_parameters(k=problem.chain.parameters["k"] * scale)
-    found = parameter_findings(problem, estimate, chain)
+    structure = problem.structure.with_parameters(k=problem.structure.parameters["k"] * scale)
+    found = parameter_findings(problem, estimate, structure)
     assert any(f.kind == "frequencies" and told in f.text and f.word == "failed" for f in found)
 
 

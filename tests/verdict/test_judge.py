@@ -52,9 +52,9 @@ def test_the_prescribed_chain_tells_the_cause_where_the_estimated_one_absorbed_i
 
 def test_a_wrong_mass_is_the_cause(right_estimate):
     problem, estimate = right_estimate
-    m = problem.chain.parameters["m"].clone()
+    m = problem.structure.parameters["m"].clone()
     m[1] *= 5.0
-    verdict = judge(replace(problem, chain=problem.chain.with_parameters(m=m)), estimate)
+    verdict = judge(replace(problem, structure=problem.structure.with_parameters(m=m)), estimate)
     assert (verdict.word, verdict.reasons[0].kind, verdict.reasons[0].suspect) == ("failed", "mass", "m_2")
 
 

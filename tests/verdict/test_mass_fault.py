@@ -10,10 +10,10 @@ from small_problems import small_chain
 from pinn_cli.verdict.chain_faults import mass_fault
 
 
-def with_mass(chain, dof, factor):
-    m = chain.parameters["m"].clone()
+def with_mass(structure, dof, factor):
+    m = structure.parameters["m"].clone()
     m[dof - 1] *= factor
-    return chain.with_parameters(m=m)
+    return structure.with_parameters(m=m)
 
 
 @pytest.mark.parametrize(("dof", "factor"), [(1, 5.0), (2, 0.5), (3, 2.0)])
@@ -25,8 +25,8 @@ def test_one_wrong_mass(frame, frame_record, dof, factor):
 
 
 def test_of_a_nonlinear_chain():
-    chain = small_chain("duffing", 2)
-    found = mass_fault(with_mass(chain, 2, 5.0), measure(chain, strength=2.0))
+    structure = small_chain("duffing", 2)
+    found = mass_fault(with_mass(structure, 2, 5.0), measure(structure, strength=2.0))
     assert found is not None
     assert found.suspect == "m_2"
 

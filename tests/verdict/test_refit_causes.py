@@ -26,7 +26,7 @@ def problem(frame, frame_record):
 
 @pytest.mark.parametrize("levels", [True, False])
 def test_stiffnesses_from_spectra_and_a_few_steps(problem, levels):
-    fitted = refitted(problem.chain, problem.record, FREE, (), levels)
+    fitted = refitted(problem.structure, problem.record, FREE, (), levels)
     assert fitted is not None
     assert fitted.parameters["k"].numpy() == pytest.approx(15.0, rel=0.01)
 
@@ -56,9 +56,9 @@ def test_exchanged_sensors(problem):
 
 
 def test_a_wrong_mass(problem):
-    m = problem.chain.parameters["m"].clone()
+    m = problem.structure.parameters["m"].clone()
     m[1] *= 5.0
-    (found,) = refit_causes(replace(problem, chain=problem.chain.with_parameters(m=m)), ())
+    (found,) = refit_causes(replace(problem, structure=problem.structure.with_parameters(m=m)), ())
     assert (found.kind, found.suspect) == ("mass", "m_2")
 
 
@@ -72,6 +72,6 @@ def test_prescribed_stiffnesses_are_not_refitted(problem):
 
 
 def test_nor_is_a_nonlinear_chain(problem):
-    m = problem.chain.parameters["m"] * 5.0
-    parameters = problem.chain.parameters | {"m": m, "kappa": 0.0 * m + 100.0}
-    assert refit_causes(replace(problem, chain=chain_of(parameters, Duffing())), ()) == []
+    m = problem.structure.parameters["m"] * 5.0
+    parameters = problem.structure.parameters | {"m": m, "kappa": 0.0 * m + 100.0}
+    assert refit_causes(replace(problem, structure=chain_of(parameters, Duffing())), ()) == []

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 
 class ModelError(ABC):
@@ -21,5 +21,5 @@ class ModelError(ABC):
     name: ClassVar[str]
 
     @abstractmethod
-    def chains(self, nominal: Chain) -> tuple[Chain, Chain]:
+    def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
         """The true chain, which is simulated, and the prescribed one, which the estimator is given."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from pinn_cli.system.model_error.base import ModelError
 
 if TYPE_CHECKING:
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 
 class NoModelError(ModelError):
@@ -15,6 +15,6 @@ class NoModelError(ModelError):
 
     name = "none"
 
-    def chains(self, nominal: Chain) -> tuple[Chain, Chain]:
+    def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
         """See :meth:`ModelError.chains`."""
         return nominal, nominal

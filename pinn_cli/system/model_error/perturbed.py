@@ -21,7 +21,7 @@ from pinn_cli.system.model_error.base import ModelError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pinn_cli.system.chain import Chain
+    from pinn_cli.system.structure import Structure
 
 DRAWS = ("independent", "authors")
 # So that the seeds of a thousand connections are still seeds.
@@ -57,7 +57,7 @@ class PerturbedModelError(ModelError):
         self.seed = whole_number("model_error.seed", seed, most=most)
         self.seed_stride = whole_number("model_error.seed_stride", seed_stride, most=MOST_STRIDE)
 
-    def chains(self, nominal: Chain) -> tuple[Chain, Chain]:
+    def structures(self, nominal: Structure) -> tuple[Structure, Structure]:
         """See :meth:`ModelError.chains`."""
         true = {name: value * self._factors(name, value) for name, value in nominal.parameters.items() if name != "m"}
         return nominal.with_parameters(**true), nominal

@@ -76,14 +76,14 @@ class NormalEquations:
 
     Args:
         network: Fixed features, linear readout.
-        problem: Chain, record, uncertain parameters.
+        problem: Structure, record, uncertain parameters.
         device: Where residuals and blocks are computed.
     """
 
     def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
-        self.problem, self.chain = problem, problem.chain
+        self.problem, self.structure = problem, problem.structure
         self.refinement = collocation_refinement(network, problem.record)
-        self.target = targets(problem.record, problem.chain, device, refinement=self.refinement)
+        self.target = targets(problem.record, problem.structure, device, refinement=self.refinement)
         self.network = network.to(device)
         self.observation = network.segments(self.target.observation_time)
         self.physics = network.segments(self.target.physics_time)
@@ -92,9 +92,9 @@ class NormalEquations:
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
         local = isinstance(network, SplineNetwork)
-        self.prescribed = {name: value.to(self.target.force) for name, value in problem.chain.parameters.items()}
+        self.prescribed = {name: value.to(self.target.force) for name, value in problem.structure.parameters.items()}
         self._place_parameters()
-        self.pattern = RowPattern(problem.chain, self.vector, self.target.force)
+        self.pattern = RowPattern(problem.structure, self.vector, self.target.force)
         self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern, True if local else None)
         self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
         self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
@@ -167,7 +167,7 @@ class NormalEquations:
         parameters = self.parameters(point)
         observed, states = self.states(self.observation, point), self.states(self.physics, point)
         through = self.problem.acceleration_through
-        out = observation_residuals(observed, self.observation_target, self.chain, parameters, through)
+        out = observation_residuals(observed, self.observation_target, self.structure, parameters, through)
         forces = self.force_residual(point)
         out["physics"] = forces if self.averages is None else self.averages(forces)
         if states.continuity is not None:
@@ -177,7 +177,7 @@ class NormalEquations:
     def force_residual(self, point: Point) -> Tensor:
         """Force that the motion takes minus the force that acts, at every collocation point, (I, S, n), N."""
         states, parameters = self.states(self.physics, point), self.parameters(point)
-        return physics_residual(states, self.physics_target, self.chain, parameters)
+        return physics_residual(states, self.physics_target, self.structure, parameters)
 
     def weights(self, noise: NoiseModel) -> dict[str, Tensor]:
         """Weight of every residual under a noise model, 0 where a DOF has none: (n,), or (I, S, n) where it varies."""
@@ -255,10 +255,10 @@ class NormalEquations:
         """Linearised equation of motion at a point, with or without its inertia force."""
         parameters = self.parameters(point)
         displacement, velocity, acceleration, _ = self.states(segments, point)
-        slope = self.chain.linearise(displacement, velocity, parameters)
+        slope = self.structure.linearise(displacement, velocity, parameters)
         if not with_mass:
             force = self.observation_target.observer_force
-            acceleration = self.chain.acceleration(displacement, velocity, force, parameters)
+            acceleration = self.structure.acceleration(displacement, velocity, force, parameters)
         mass = parameters["m"] if with_mass else None
         return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
 

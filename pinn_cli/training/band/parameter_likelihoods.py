@@ -39,7 +39,7 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
     states = equations.flat_states(equations.forces, trained.solution.point)
     parameters = equations.parameters(trained.solution.point)
-    force = equations.chain.external_force(states.displacement, states.velocity, states.acceleration, parameters)
+    force = equations.structure.external_force(states.displacement, states.velocity, states.acceleration, parameters)
     found = np.array([float(parameters[p.kind][p.index]) for p in equations.problem.uncertain])
     moved = force.cpu().numpy() + slope @ (marginal.peak - found)
     return ParameterLikelihoods(marginal, conditional_likelihood(equations, trained), moved, slope)

@@ -22,7 +22,7 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
     equations, point = evidence.equations, trained.solution.point
     posterior = ReadoutPosterior(equations, point, trained.factor)
     motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
-    response = estimated_response(equations.problem.record, equations.chain, equations.parameters(point), *motion)
+    response = estimated_response(equations.problem.record, equations.structure, equations.parameters(point), *motion)
     std = Response(
         response.time,
         *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force(equations.forces))),

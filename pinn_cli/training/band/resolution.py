@@ -86,10 +86,10 @@ def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
     """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
     parameters, point = equations.parameters(trained.solution.point), trained.solution.point
     motion = equations.states(equations.observation, point)
-    slope = equations.chain.linearise(motion.displacement, motion.velocity, parameters)
+    slope = equations.structure.linearise(motion.displacement, motion.velocity, parameters)
     stiffness = equations.observation.scatter(slope.stiffness).mean(0).cpu().numpy()
     root = np.sqrt(parameters["m"].cpu().numpy())
-    stretch = equations.chain.incidence.matrix.toarray()
+    stretch = equations.structure.incidence.matrix.toarray()
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
     frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
     highest = float(max(frequencies[frequencies <= band], default=band))

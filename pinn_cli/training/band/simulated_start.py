@@ -22,7 +22,7 @@ def simulated_start(equations: NormalEquations) -> Point | None:
         return None
     rest = np.zeros(problem.record.ndof)
     try:
-        motion = resimulate(problem.chain, problem.record, (rest, rest))
+        motion = resimulate(problem.structure, problem.record, (rest, rest))
     except (OverflowsError, TooStiffError):
         return None
     segments, network = equations.observation, equations.network

@@ -54,7 +54,7 @@ def collocate(problem: Problem, every: Targets, points: int | None, most_rows: i
     """The record at ``points`` uniform samples, low-passed to what a spline of its band can follow.
 
     Args:
-        problem: Chain and record.
+        problem: Structure and record.
         every: The record's targets at all its samples.
         points: P; None: as many as the spline has features, but no more than ``most_rows`` residuals in all.
         most_rows: See ``points``.

@@ -66,7 +66,7 @@ class FunctionSpacePosterior:
         """Share of the band that the forces out of balance fill."""
         search, target = self.search, self.search.rows.target
         states = search.network(target.physics_time)
-        residual = physics_residual(states, target, search.rows.chain, self._values())
+        residual = physics_residual(states, target, search.rows.structure, self._values())
         enforced = target.unforced if bool(target.unforced.any()) else target.equation
         step = float(target.physics_time[1] - target.physics_time[0])
         top = min(0.5 / step, BAND_MARGIN * search.network.cycles / search.network.span)
@@ -91,13 +91,13 @@ class FunctionSpacePosterior:
             time: (N,), the record's.
         """
         samples = evenly_spaced(len(time), min(TIMES, len(time)))
-        chain, parameters = self.search.rows.chain, self._values()
+        structure, parameters = self.search.rows.structure, self._values()
 
         def motion(states: States) -> Tensor:
             return torch.cat((states.displacement.T, states.velocity.T, states.acceleration.T))
 
         def force(states: States) -> Tensor:
-            return chain.external_force(states.displacement, states.velocity, states.acceleration, parameters).T
+            return structure.external_force(states.displacement, states.velocity, states.acceleration, parameters).T
 
         network = self.search.network
         moved, _, _ = linearised(network, observation_time[samples], motion)

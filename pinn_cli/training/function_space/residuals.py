@@ -14,8 +14,8 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.physics import Targets, observation_masks, observation_residuals, physics_residual
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.noise_model import NoiseModel
 
 
@@ -24,7 +24,7 @@ class ResidualRows:
     """Which residuals there are, and what they are divided by.
 
     Attributes:
-        chain: The prescribed model.
+        structure: The prescribed model.
         target: What the motion is compared with, at P points.
         through: Of the accelerations, see :class:`pinn_cli.scheme.problem.Problem`.
         separate: Whether velocity is an output of its own, so that continuity is a residual too.
@@ -32,7 +32,7 @@ class ResidualRows:
             nothing is known about them.
     """
 
-    chain: Chain
+    structure: Structure
     target: Targets
     through: str
     separate: bool
@@ -40,8 +40,8 @@ class ResidualRows:
 
     def observed(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
         """Estimated minus measured response over its noise, (R_o, P)."""
-        residuals = observation_residuals(states, self.target, self.chain, parameters, self.through)
-        mass = self.chain.parameters["m"].detach().cpu().numpy()
+        residuals = observation_residuals(states, self.target, self.structure, parameters, self.through)
+        mass = self.structure.parameters["m"].detach().cpu().numpy()
         rows = []
         for name, mask in observation_masks(self.target, self.through).items():
             weight = torch.as_tensor(noise.observation_weight(name, mass)).to(states.displacement)
@@ -51,7 +51,7 @@ class ResidualRows:
     def enforced(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
         """Forces out of balance over what model and load cells leave open, then continuity, (R_p, P)."""
         std = torch.as_tensor(noise.physics_variance).to(states.displacement).sqrt()
-        force = physics_residual(states, self.target, self.chain, parameters) / std
+        force = physics_residual(states, self.target, self.structure, parameters) / std
         rows = [force[..., self.target.equation].T]
         if states.continuity is not None:
             rows.append(states.continuity.T / noise.continuity)
@@ -96,7 +96,7 @@ class ResidualRows:
         out[first : first + self.force_count] = force[:, equation].transpose(0, 1)
         masks = observation_masks(self.target, self.through)
         if "observer" in masks:
-            mass = self.chain.parameters["m"].detach()
+            mass = self.structure.parameters["m"].detach()
             weight = torch.as_tensor(noise.observation_weight("observer", mass.cpu().numpy())).to(out).sqrt()
             # The observer equation is (f - r) / m: the force that the motion takes, but for m times acceleration.
             motion = observed._replace(acceleration=self._observer(observed, parameters))
@@ -106,18 +106,18 @@ class ResidualRows:
         return out.flatten(0, 1)
 
     def _observer(self, states: States, parameters: Mapping[str, Tensor]) -> Tensor:
-        return self.chain.acceleration(states.displacement, states.velocity, self.target.observer_force, parameters)
+        return self.structure.acceleration(states.displacement, states.velocity, self.target.observer_force, parameters)
 
     def force_by_parameter(
         self, columns: Sequence[Parameter], states: States, parameters: Mapping[str, Tensor]
     ) -> Tensor:
         """(P, n, p), of the force that the motion takes: m a + B' r."""
         own = self.own_by_parameter(columns, states, parameters)
-        return own[:, None] * torch.as_tensor(self.chain.participation(columns)).to(own)
+        return own[:, None] * torch.as_tensor(self.structure.participation(columns)).to(own)
 
     def own_by_parameter(
         self, columns: Sequence[Parameter], states: States, parameters: Mapping[str, Tensor]
     ) -> Tensor:
         """(P, p), what each parameter does to its own connection or mass."""
-        linear = self.chain.linearise(states.displacement, states.velocity, parameters)
+        linear = self.structure.linearise(states.displacement, states.velocity, parameters)
         return linear.by_parameters(columns, states.acceleration)

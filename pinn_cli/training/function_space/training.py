@@ -64,7 +64,7 @@ class FunctionSpaceGaussNewton:
         if not isinstance(design, Mlp):
             hint = f"network={design.name} has neither a linear readout nor layers"
             raise InputError("training", "gauss_newton", "adam, lbfgs or ssbroyden for this network", hint)
-        every = targets(problem.record, problem.chain, run.device)
+        every = targets(problem.record, problem.structure, run.device)
         collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
         network = design.build(problem.record, torch.float64, len(collocation.target.physics_time))
         network.reset(run.seed)
@@ -72,7 +72,7 @@ class FunctionSpaceGaussNewton:
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
         rows = ResidualRows(
-            problem.chain, collocation.target, problem.acceleration_through, network.continuity == "penalised",
+            problem.structure, collocation.target, problem.acceleration_through, network.continuity == "penalised",
             problem.initial_deviation,
         )  # fmt: skip
         force, velocity = force_and_velocity_scale(problem)

@@ -30,7 +30,7 @@ class Losses:
     """The loss terms of one problem; everything that does not change from step to step is prepared once.
 
     Args:
-        problem: Chain, record, uncertain parameters.
+        problem: Structure, record, uncertain parameters.
         points: Number of collocation points, a uniform subset of the samples; the sensors are read at the same ones, as
             the authors of the paper do; None: every sample.
         device, dtype: Of the tensors.
@@ -41,9 +41,9 @@ class Losses:
 
     def __init__(self, problem: Problem, points: int | None, device: str, dtype: torch.dtype) -> None:
         record = problem.record
-        self.chain, self.through = problem.chain, problem.acceleration_through
+        self.structure, self.through = problem.structure, problem.acceleration_through
         self.simultaneous = hold_delay(record) == 0
-        everything = targets(record, problem.chain, device, dtype)
+        everything = targets(record, problem.structure, device, dtype)
         self.target = everything.at(torch.as_tensor(_samples(record, points), device=device))
         self.deviation = problem.initial_deviation
         amplitudes = motion_amplitudes(record)
@@ -51,7 +51,7 @@ class Losses:
             quantity: _largest(getattr(record, quantity)) or amplitudes[quantity] for quantity in RESPONSE_QUANTITIES
         }
         self.scales["observer"] = self.scales["acceleration"]
-        inertia = float(problem.chain.parameters["m"].max()) * amplitudes["acceleration"]
+        inertia = float(problem.structure.parameters["m"].max()) * amplitudes["acceleration"]
         self.scales["force"] = _largest(record.force) or inertia
         self.scales["continuity"] = amplitudes["velocity"]
 
@@ -70,12 +70,12 @@ class Losses:
         """Unweighted loss terms by name, scalars; those that a problem does not have are left out."""
         observed, enforced = self.states(network)
         values = parameters()
-        residuals = observation_residuals(observed, self.target, self.chain, values, self.through)
+        residuals = observation_residuals(observed, self.target, self.structure, values, self.through)
         squares = {name: self._mean_square(residual, name).sum() for name, residual in residuals.items()}
         terms = {"observation": torch.stack(list(squares.values())).sum()}
         if enforced.continuity is not None:
             terms["continuity"] = self._mean_square(enforced.continuity, "continuity").sum()
-        physics = self._mean_square(physics_residual(enforced, self.target, self.chain, values), "force")
+        physics = self._mean_square(physics_residual(enforced, self.target, self.structure, values), "force")
         terms["forced"] = (physics * self.target.measured_force).sum()
         terms["unforced"] = (physics * self.target.unforced).sum()
         if parameters.count or self.deviation is not None:

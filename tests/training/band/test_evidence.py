@@ -27,17 +27,17 @@ def disturbed(
     level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9, through: str = "derivative"
 ) -> tuple[Evidence, NoiseModel, float]:
     """A record with a force of rms ``level`` on every DOF that no sensor sees, over a share of the features' band."""
-    chain, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
-    known = excitation(chain, DURATION, SAMPLES)
+    structure, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
+    known = excitation(structure, DURATION, SAMPLES)
     band = [0.05, share * INTERVALS / DURATION / 2.0]
     unknown = BandedNoise(3, DURATION, SAMPLES, band, level, [1, 2, 3], seed=seed)
-    truth = simulation.run(chain, lambda t: known.force(t) + unknown.force(t))
+    truth = simulation.run(structure, lambda t: known.force(t) + unknown.force(t))
     rng = np.random.default_rng(seed)
     noisy = [getattr(truth, q) + 0.003 * getattr(truth, q).std() * rng.normal(size=(SAMPLES, 3)) for q in QUANTITIES]
     force = known.force(simulation.time)
     force[:, 0] += 0.003 * rng.normal(size=SAMPLES)
     record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
-    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(chain, record, (), through))
+    equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(structure, record, (), through))
     noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
     # An average over a knot interval carries the power of its samples, less what varies within the interval: of what
     # fills the band up to f, the mean of sinc^2 up to f times the interval.
@@ -114,8 +114,8 @@ def dense_band(equations: NormalEquations, point, noise: NoiseModel, step: float
 def test_the_evidence_prefers_the_right_stiffness():
     evidence, noise, put_in = disturbed(0.05, 1)
     right = evidence.train(noise.with_discrepancy(put_in), evidence.equations.start())
-    chain, record = small_chain("linear", k=12.0), evidence.equations.problem.record
-    wrong = Evidence(NormalEquations(evidence.equations.network, Problem(chain, record)), 12, 1e-6, lambda *a: None)
+    structure, record = small_chain("linear", k=12.0), evidence.equations.problem.record
+    wrong = Evidence(NormalEquations(evidence.equations.network, Problem(structure, record)), 12, 1e-6, lambda *a: None)
     # The ridge is relative to the first matrix: the same in both.
     wrong.equations.ridge = evidence.equations.ridge
     assert wrong.train(noise.with_discrepancy(put_in), wrong.equations.start()).log_evidence < right.log_evidence - 10.0
@@ -144,9 +144,9 @@ def test_the_force_sensors_noise_has_the_same_likelihood_through_every_compariso
     # With samples that no feature follows, which tell the noise; with as many features as samples next to nothing does.
     found = {}
     for way in ("derivative", through):
-        chain = small_chain()
-        record = measured(chain, snr_db=50.0, duration=20.0, samples=513).record.keep({"acceleration": (1, 3)})
-        problem = Problem(chain, record, (Parameter("k", 1, 15.0, 150.0, unknown=True),), way)
+        structure = small_chain()
+        record = measured(structure, snr_db=50.0, duration=20.0, samples=513).record.keep({"acceleration": (1, 3)})
+        problem = Problem(structure, record, (Parameter("k", 1, 15.0, 150.0, unknown=True),), way)
         equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
         evidence = Evidence(equations, 20, 1e-6, lambda losses, noise: None)
         noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
@@ -160,15 +160,15 @@ def test_the_force_sensors_noise_has_the_same_likelihood_through_every_compariso
 
 def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
     """Three believed stiffnesses of a Duffing chain and, unless it starts nowhere, one unknown cubic stiffness."""
-    chain = small_chain()
+    structure = small_chain()
     believed = [Parameter("k", dof, 15.0, 1.5) for dof in range(3)]
-    kappa = chain.parameters["kappa"].clone()
+    kappa = structure.parameters["kappa"].clone()
     unknown = []
     if start is not None:
         kappa[1] = start
         unknown = [Parameter("kappa", 1, start, 1e5, unknown=True, positive=True)]
-    record = measured(chain, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
-    problem = Problem(chain.with_parameters(kappa=kappa), record, (*believed, *unknown))
+    record = measured(structure, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
+    problem = Problem(structure.with_parameters(kappa=kappa), record, (*believed, *unknown))
     equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
     noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
     return Evidence(equations, 30, 1e-8, lambda losses, noise: None), noise

@@ -20,14 +20,14 @@ from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.noise_model import NoiseModel
 
 
-def stiffnesses(chain) -> tuple[Parameter, ...]:
-    return tuple(Parameter("k", dof, float(k), 0.075 * float(k)) for dof, k in enumerate(chain.parameters["k"]))
+def stiffnesses(structure) -> tuple[Parameter, ...]:
+    return tuple(Parameter("k", dof, float(k), 0.075 * float(k)) for dof, k in enumerate(structure.parameters["k"]))
 
 
 def posed(nonlinearity: str, ndof: int = 3, uncertain: bool = False) -> tuple[NormalEquations, NoiseModel]:
-    chain = small_chain(nonlinearity, ndof)
-    record = accelerations(measured(chain, snr_db=40.0, duration=6.0, samples=65).record, tuple(range(1, ndof + 1)))
-    problem = Problem(chain, record, stiffnesses(chain) if uncertain else ())
+    structure = small_chain(nonlinearity, ndof)
+    record = accelerations(measured(structure, snr_db=40.0, duration=6.0, samples=65).record, tuple(range(1, ndof + 1)))
+    problem = Problem(structure, record, stiffnesses(structure) if uncertain else ())
     nothing = np.full(ndof, np.nan)
     levels = {"displacement": nothing, "velocity": nothing, "acceleration": np.full(ndof, 0.01)}
     noise = NoiseModel(levels, np.where(record.sensors("force"), 0.02, np.nan), 0.03, 1.0)
@@ -92,7 +92,7 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
     def force(x):
         point = Point(x[:size], x[size:])
         motion = equations.flat_states(equations.physics, point)[:3]
-        return equations.chain.external_force(*motion, equations.parameters(point))
+        return equations.structure.external_force(*motion, equations.parameters(point))
 
     moved = torch.stack(posterior.states(equations.observation))
     for given, function in ((moved, states), (posterior.force(equations.physics), force)):
@@ -109,7 +109,7 @@ def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity, away):
     # A record that a point of the network fits exactly, so that Gauss-Newton is Newton there.
     there = solved(equations, noise, tolerance=1e-6).point
     motion = equations.flat_states(equations.physics, there)[:3]
-    force = equations.chain.external_force(*motion, equations.parameters(there)).numpy()
+    force = equations.structure.external_force(*motion, equations.parameters(there)).numpy()
     record = replace(equations.problem.record, acceleration=motion[2].numpy(), displacement=motion[0].numpy(),
                      force=force, unforced=np.zeros(3, bool))  # fmt: skip
     exact = NormalEquations(equations.network, replace(equations.problem, record=record))
@@ -161,16 +161,16 @@ def test_a_loss_that_is_not_finite_at_the_start_is_divergence():
 
 def softening(positive: bool, prescribed: float = 50.0, prior_std: float = 100.0) -> tuple[NormalEquations, NoiseModel]:
     """A chain whose second spring softens, and an estimator that takes it to harden."""
-    chain = small_chain()
+    structure = small_chain()
     kappa = torch.tensor([100.0, -40.0, 100.0], dtype=torch.float64)
     record = accelerations(
-        measured(chain.with_parameters(kappa=kappa), snr_db=50.0, duration=20.0, samples=257).record, (1, 2, 3)
+        measured(structure.with_parameters(kappa=kappa), snr_db=50.0, duration=20.0, samples=257).record, (1, 2, 3)
     )
     prior = Parameter("kappa", 1, prescribed, prior_std, positive=positive)
     kappa = kappa.clone()
     kappa[1] = prescribed
     stiffness = Parameter("k", 1, 15.0, 1.0)
-    problem = Problem(chain.with_parameters(kappa=kappa), record, (stiffness, prior) if prior_std else (stiffness,))
+    problem = Problem(structure.with_parameters(kappa=kappa), record, (stiffness, prior) if prior_std else (stiffness,))
     nothing, level = np.full(3, np.nan), np.full(3, 0.002)
     noise = NoiseModel(
         {"displacement": nothing, "velocity": nothing, "acceleration": level},

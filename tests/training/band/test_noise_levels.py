@@ -15,8 +15,8 @@ from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.connection import Duffing
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.inference import starting_noise
 from pinn_cli.training.band.noise_levels import _floor, settled, updated, values_taken
@@ -28,7 +28,7 @@ from pinn_cli.training.noise_model import starting_levels
 HIGHEST = 20.0  # Hz, of the frame's force
 
 
-def model(made: IndependentRecord) -> Chain:
+def model(made: IndependentRecord) -> Structure:
     s = made.structure
     return build_chain(3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
 
@@ -123,10 +123,10 @@ def test_the_evidence_is_greatest_at_the_levels_that_are_found():
 
 
 def test_the_scatter_of_repeats_stays_what_it_is():
-    chain = small_chain()
-    source = Simulated(excitation(chain), Simulation(12.0, 257), Noise(20.0, repeats=4))
-    record = source.measure(chain).record.keep({"acceleration": (1, 2)})
-    summary = GaussNewton().solve(Problem(chain, record), Spline(), RunContext()).summary
+    structure = small_chain()
+    source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
+    record = source.measure(structure).record.keep({"acceleration": (1, 2)})
+    summary = GaussNewton().solve(Problem(structure, record), Spline(), RunContext()).summary
     for quantity in ("acceleration", "force"):
         there = record.sensors(quantity)
         found = np.array(summary[f"sigma_{quantity}"], dtype=float)[there]

@@ -42,20 +42,28 @@ def random_record(
     return Record(0.3 * np.arange(SAMPLES) + 2.0, displacement, velocity, acceleration, force, ~forced, hold)
 
 
-def every_other(chain, kinds) -> tuple[Parameter, ...]:
+def every_other(structure, kinds) -> tuple[Parameter, ...]:
     """Some parameters of each kind, in an order of their own, with spreads of their own."""
     chosen = [
-        (kind, dof) for kind in kinds for dof in range(chain.ndof) if (dof + len(kind)) % 3 or dof == chain.ndof - 1
+        (kind, dof)
+        for kind in kinds
+        for dof in range(structure.ndof)
+        if (dof + len(kind)) % 3 or dof == structure.ndof - 1
     ]
     return tuple(
-        Parameter(kind, dof, float(chain.parameters[kind][dof]), (0.05 + 0.01 * i) * float(chain.parameters[kind][dof]))
+        Parameter(
+            kind,
+            dof,
+            float(structure.parameters[kind][dof]),
+            (0.05 + 0.01 * i) * float(structure.parameters[kind][dof]),
+        )
         for i, (kind, dof) in enumerate(reversed(chosen))
     )
 
 
 def posed(record, nonlinearity="duffing", design=None, through="derivative", kinds=()) -> NormalEquations:
-    chain = small_chain(nonlinearity, ndof=record.ndof)
-    problem = Problem(chain, record, every_other(chain, kinds), through)
+    structure = small_chain(nonlinearity, ndof=record.ndof)
+    problem = Problem(structure, record, every_other(structure, kinds), through)
     return NormalEquations((design or Spline(intervals=5)).build(record), problem)
 
 
@@ -253,7 +261,7 @@ def test_global_features_are_never_summed_by_diagonals(ndof):
 def test_parameters_at_a_point():
     equations = posed(random_record(3), kinds=("k", "c"))
     point = somewhere(equations)
-    expected = {name: value.clone() for name, value in equations.chain.parameters.items()}
+    expected = {name: value.clone() for name, value in equations.structure.parameters.items()}
     for parameter, x in zip(equations.problem.uncertain, point.parameters, strict=True):
         expected[parameter.kind][parameter.index] += parameter.prior_std * x
     given = equations.parameters(point)

@@ -54,9 +54,9 @@ def test_the_conditional_is_the_sum_over_all_residuals_at_the_trained_motion(non
     """-1/2 sum_r sum_t sum_i (residual / sigma)^2 - count log sigma, over repeats, samples and DOFs."""
     equations, conditional = example(nonlinearity, record).equations, found(nonlinearity, record).conditional
     problem, point = equations.problem, example(nonlinearity, record).trained.solution.point
-    chain = small_chain(nonlinearity, ndof=2)
-    measuring = source(chain, samples=129, duration=10.0, **RECORDS[record])
-    clean = measuring.measure(chain).truth.response
+    structure = small_chain(nonlinearity, ndof=2)
+    measuring = source(structure, samples=129, duration=10.0, **RECORDS[record])
+    clean = measuring.measure(structure).truth.response
     repeats = [measuring.noise.added_to(clean, r).force for r in range(measuring.noise.repeats)]
     states = equations.flat_states(equations.physics, point)
     sigma = np.nanmax(conditional.sigma_force)
@@ -65,7 +65,7 @@ def test_the_conditional_is_the_sum_over_all_residuals_at_the_trained_motion(non
         values = {kind: value.clone() for kind, value in equations.prescribed.items()}
         for parameter, value in zip(problem.uncertain, theta, strict=True):
             values[parameter.kind][parameter.index] = value
-        residual = physics_residual(states, equations.target, equations.chain, values).numpy()
+        residual = physics_residual(states, equations.target, equations.structure, values).numpy()
         each = np.stack([residual + equations.target.force.numpy() - force for force in repeats])
         return float(-0.5 * np.sum((each / (sigma * np.exp(s))) ** 2) - each.size * s)
 
@@ -149,11 +149,11 @@ def test_the_marginal_is_wider_than_the_conditional_which_takes_the_motion_for_k
 
 
 def test_a_free_decay_tells_parameters_and_no_noise_of_a_force():
-    chain, time = small_chain("linear", ndof=2), np.linspace(0.0, 20.0, 257)
-    motion = simulate(chain, lambda t: np.zeros((len(t), 2)), time, initial=([0.5, 1.0], [0.0, 0.3]))
+    structure, time = small_chain("linear", ndof=2), np.linspace(0.0, 20.0, 257)
+    motion = simulate(structure, lambda t: np.zeros((len(t), 2)), time, initial=([0.5, 1.0], [0.0, 0.3]))
     record = Record(**vars(add_noise(motion, 30.0)), unforced=np.array([True, True]))
     scheme = Bayesian()
-    trained = solved(scheme.problem(chain, scheme.observe(record)))
+    trained = solved(scheme.problem(structure, scheme.observe(record)))
     marginal = parameter_likelihoods(trained.evidence, trained.trained).marginal
     assert np.isnan(marginal.sigma_force).all()
     assert marginal.evaluate(marginal.peak, 0.5)[0] == pytest.approx(marginal.evaluate(marginal.peak, -0.5)[0])

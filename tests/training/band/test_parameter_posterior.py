@@ -12,8 +12,8 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_posterior
@@ -22,7 +22,7 @@ from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 NINETY = norm.ppf(0.95)
 
 
-def chain_with_kappa(*kappa: float) -> Chain:
+def chain_with_kappa(*kappa: float) -> Structure:
     return small_chain().with_parameters(kappa=torch.tensor(kappa, dtype=torch.float64))
 
 
@@ -30,7 +30,7 @@ def unknown(kind: str, dof: int, start: float, std: float, positive: bool = True
     return Parameter(kind, dof, start, std, unknown=True, positive=positive)
 
 
-def posed(true: Chain, model: Chain, uncertain: tuple[Parameter, ...], **settings) -> Evidence:
+def posed(true: Structure, model: Structure, uncertain: tuple[Parameter, ...], **settings) -> Evidence:
     """Accelerometers on DOFs 1 and 3, 50 dB, and parameters of the model that may move."""
     options = {"snr_db": 50.0, "duration": 20.0, "samples": 257, **settings}
     record = accelerations(measured(true, **options).record, (1, 3))

@@ -35,11 +35,11 @@ def evidence_of(problem: Problem, design) -> Evidence:
 
 def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
     """Said and true rms error of the accelerations of a spline whose displacements are fitted to a sine."""
-    chain = small_chain("linear", ndof=1)
-    record = measured(chain, duration=STEP * (SAMPLES - 1), samples=SAMPLES).record.keep({"displacement": (1,)})
+    structure = small_chain("linear", ndof=1)
+    record = measured(structure, duration=STEP * (SAMPLES - 1), samples=SAMPLES).record.keep({"displacement": (1,)})
     points = 12
     omega = 2.0 * np.pi / (per_period * points * STEP)
-    evidence = evidence_of(Problem(chain, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
+    evidence = evidence_of(Problem(structure, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
     equations = evidence.equations
     segments, time = equations.physics, equations.target.physics_time
     features = output_features(equations.network, segments)[0]
@@ -63,18 +63,18 @@ def test_the_error_of_a_sine_is_that_of_its_image(per_period, degree):
 
 
 def test_fourier_features_have_no_images():
-    chain = small_chain("linear", ndof=1)
-    record = measured(chain).record.keep({"displacement": (1,)})
-    evidence = evidence_of(Problem(chain, record), Fourier(harmonics=20))
+    structure = small_chain("linear", ndof=1)
+    record = measured(structure).record.keep({"displacement": (1,)})
+    evidence = evidence_of(Problem(structure, record), Fourier(harmonics=20))
     assert not acceleration_error(evidence, trained(evidence)).any()
     assert knots_wanted(evidence, trained(evidence)) == 1.0
 
 
 def wanted(snr_db: float, knots: float, unknown: bool = False) -> float:
-    chain = small_chain("linear", ndof=2)
-    record = measured(chain, snr_db=snr_db, duration=40.0, samples=801).record.keep({"acceleration": (1, 2)})
+    structure = small_chain("linear", ndof=2)
+    record = measured(structure, snr_db=snr_db, duration=40.0, samples=801).record.keep({"acceleration": (1, 2)})
     uncertain = (Parameter("k", 0, 15.0, 150.0, unknown=True),) if unknown else ()
-    evidence = evidence_of(Problem(chain, record, uncertain), Spline(knots_per_period=knots))
+    evidence = evidence_of(Problem(structure, record, uncertain), Spline(knots_per_period=knots))
     noise = starting_noise(evidence)
     return knots_wanted(evidence, evidence.search(noise, noise.discrepancy, lambda: None))
 
@@ -90,10 +90,10 @@ def test_enough_knots_are_enough():
 
 
 def test_a_motion_is_carried_over_to_finer_features():
-    chain = small_chain("linear", ndof=2)
-    record = measured(chain, snr_db=40.0).record.keep({"acceleration": (1, 2)})
-    coarse = evidence_of(Problem(chain, record), Spline())
-    fine = evidence_of(Problem(chain, record), Spline(least_knots=8.0))
+    structure = small_chain("linear", ndof=2)
+    record = measured(structure, snr_db=40.0).record.keep({"acceleration": (1, 2)})
+    coarse = evidence_of(Problem(structure, record), Spline())
+    fine = evidence_of(Problem(structure, record), Spline(least_knots=8.0))
     assert fine.equations.network.count > 1.3 * coarse.equations.network.count
     at = trained(coarse)
     point = carried_over(at, coarse.equations, fine.equations)

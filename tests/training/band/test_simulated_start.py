@@ -21,9 +21,9 @@ from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 from pinn_cli.training import gauss_newton
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -33,8 +33,8 @@ from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 
-def equations(record: Record, chain: Chain, uncertain=(), design=None) -> NormalEquations:
-    return NormalEquations((design or Spline()).build(record), Problem(chain, record, uncertain))
+def equations(record: Record, structure: Structure, uncertain=(), design=None) -> NormalEquations:
+    return NormalEquations((design or Spline()).build(record), Problem(structure, record, uncertain))
 
 
 @pytest.mark.parametrize("design", [Spline(), Fourier()], ids=["spline", "fourier"])
@@ -76,9 +76,9 @@ def test_there_is_none_where_velocity_is_an_output_of_its_own():
 
 def test_there_is_none_where_the_motion_does_not_stay_finite():
     """A chain that the user prescribed wrongly: its springs push."""
-    chain = small_chain("linear")
-    unstable = chain.with_parameters(k=-5e3 * chain.parameters["k"])
-    record = measured(chain).record
+    structure = small_chain("linear")
+    unstable = structure.with_parameters(k=-5e3 * structure.parameters["k"])
+    record = measured(structure).record
     with pytest.raises(OverflowsError):
         resimulate(unstable, record, (np.zeros(3), np.zeros(3)))
     assert simulated_start(equations(record, unstable)) is None

@@ -13,12 +13,12 @@ from pinn_cli.training.function_space.collocation import Collocation, collocate
 
 
 def problem(snr_db: float | None = 20.0, seed: int = 0) -> Problem:
-    chain = small_chain()
-    return Problem(chain, accelerations(measured(chain, snr_db=snr_db, samples=2049, seed=seed).record))
+    structure = small_chain()
+    return Problem(structure, accelerations(measured(structure, snr_db=snr_db, samples=2049, seed=seed).record))
 
 
 def collocated(given: Problem, points: int | None, most_rows: int) -> Collocation:
-    return collocate(given, targets(given.record, given.chain), points, most_rows)
+    return collocate(given, targets(given.record, given.structure), points, most_rows)
 
 
 def test_there_are_as_many_points_as_the_record_has_independent_values():
@@ -40,7 +40,7 @@ def test_low_passing_takes_as_much_noise_out_as_it_says():
     noisy, clean = problem(), problem(snr_db=None)
     collocation = collocated(noisy, 150, 10000)
     samples = torch.linspace(0, 2048, 150).round().long()
-    truth = targets(clean.record, clean.chain).at(samples)
+    truth = targets(clean.record, clean.structure).at(samples)
     for dof in range(2):
         error = (collocation.target.response["acceleration"] - truth.response["acceleration"])[:, dof]
         assert float(error.square().mean().sqrt()) == pytest.approx(collocation.response["acceleration"][dof], rel=0.35)
@@ -52,6 +52,6 @@ def test_low_passing_takes_as_much_noise_out_as_it_says():
 def test_a_clean_record_stays_as_it_is():
     clean = problem(snr_db=None)
     collocation = collocated(clean, 150, 10000)
-    whole = targets(clean.record, clean.chain).at(torch.linspace(0, 2048, 150).round().long())
+    whole = targets(clean.record, clean.structure).at(torch.linspace(0, 2048, 150).round().long())
     for quantity in ("acceleration",):
         assert relative_error(collocation.target.response[quantity].numpy(), whole.response[quantity].numpy()) < 1e-3

@@ -33,13 +33,13 @@ class Dense:
     """A small problem, its linearisation, and the dense Jacobian by reverse passes."""
 
     def __init__(self, design: str = "fourier-sine", through: str = "derivative", hold: str = "exact") -> None:
-        chain = small_chain()
-        record = accelerations(measured(chain, hold, snr_db=40.0).record, (1, 3))
+        structure = small_chain()
+        record = accelerations(measured(structure, hold, snr_db=40.0).record, (1, 3))
         uncertain = tuple(
-            Parameter(kind, dof, float(chain.parameters[kind][dof]), 0.1 * float(chain.parameters[kind][dof]))
+            Parameter(kind, dof, float(structure.parameters[kind][dof]), 0.1 * float(structure.parameters[kind][dof]))
             for kind, dof in (("m", 1), ("c", 0), ("k", 2), ("kappa", 1))
         )
-        problem = Problem(chain, record, uncertain, through)
+        problem = Problem(structure, record, uncertain, through)
         self.network = DESIGNS[design].build(record)
         with torch.no_grad():
             for weight in self.network.weights:
@@ -49,9 +49,9 @@ class Dense:
             last.mul_(1.0 / max(1.0, float(last.abs().max())))
         self.parameters = LearnedParameters(problem, torch.float64)
         self.parameters.moved.data += 0.05
-        collocation = collocate(problem, targets(problem.record, problem.chain), 48, 10000)
+        collocation = collocate(problem, targets(problem.record, problem.structure), 48, 10000)
         self.noise = collocation.noise_model(0.05, 0.01).with_spread(0.8)
-        self.rows = ResidualRows(chain, collocation.target, through, self.network.continuity == "penalised")
+        self.rows = ResidualRows(structure, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
 
     def residuals(self) -> torch.Tensor:

@@ -26,14 +26,16 @@ from pinn_cli.training.gauss_newton import GaussNewton
 SMALL = Mlp(1, 12, "sine", "exact", "fourier")
 
 
-def uncertain(chain, share: float = 0.05) -> tuple[Parameter, ...]:
-    values = {kind: float(chain.parameters[kind][1]) for kind in ("c", "k", "kappa") if kind in chain.parameters}
+def uncertain(structure, share: float = 0.05) -> tuple[Parameter, ...]:
+    values = {
+        kind: float(structure.parameters[kind][1]) for kind in ("c", "k", "kappa") if kind in structure.parameters
+    }
     return tuple(Parameter(kind, 1, value, share * value) for kind, value in values.items())
 
 
 def problem(hold: str = "exact", snr_db: float = 40.0, seed: int = 0, **settings) -> Problem:
-    chain = small_chain()
-    return Problem(chain, accelerations(measured(chain, hold, snr_db=snr_db, seed=seed).record), **settings)
+    structure = small_chain()
+    return Problem(structure, accelerations(measured(structure, hold, snr_db=snr_db, seed=seed).record), **settings)
 
 
 def truth(hold: str = "exact"):
@@ -93,8 +95,10 @@ def test_it_does_not_know_the_unit_of_time():
 
 
 def test_uncertain_parameters_are_learned_with_their_standard_deviations():
-    chain = small_chain()
-    wrong = replace(chain, parameters={**chain.parameters, "k": chain.parameters["k"] * torch.tensor([1.0, 1.06, 1.0])})
+    structure = small_chain()
+    wrong = replace(
+        structure, parameters={**structure.parameters, "k": structure.parameters["k"] * torch.tensor([1.0, 1.06, 1.0])}
+    )
     given = Problem(wrong, problem().record, uncertain(wrong, 0.1))
     estimate = solved(given)
     k = next(p for p in estimate.parameters if p.name == "k_2")
@@ -107,9 +111,9 @@ def test_uncertain_parameters_are_learned_with_their_standard_deviations():
 
 
 def test_an_unknown_parameter_is_identified():
-    chain = small_chain()
+    structure = small_chain()
     start = Parameter("k", 1, 5.0, 150.0, scale=5.0, unknown=True, positive=True)
-    prescribed = replace(chain, parameters={**chain.parameters, "k": torch.tensor([15.0, 5.0, 15.0]).double()})
+    prescribed = replace(structure, parameters={**structure.parameters, "k": torch.tensor([15.0, 5.0, 15.0]).double()})
     found = solved(Problem(prescribed, problem().record, (start,))).parameters[0]
     assert found.estimate == pytest.approx(15.0, rel=0.01)
 
@@ -150,8 +154,8 @@ def test_the_iteration_limit_is_kept():
 
 
 def test_the_force_that_acts_is_between_the_motions_and_the_measured_one():
-    chain = small_chain("linear")
-    estimate = solved(Problem(chain, problem(snr_db=50.0).record))
+    structure = small_chain("linear")
+    estimate = solved(Problem(structure, problem(snr_db=50.0).record))
     force = truth().force
     assert relative_error(estimate.response.force[:, 0], force[:, 0]) < 0.05
 
@@ -206,8 +210,8 @@ def covered(estimate: Estimate, quantity: str) -> float:
 
 def test_bands_cover_under_a_wrong_model():
     """A linear chain, where the true one is Duffing's."""
-    chain = small_chain("linear")
-    given = Problem(chain, problem(snr_db=50.0).record, uncertain(chain, 0.075)[:2])
+    structure = small_chain("linear")
+    given = Problem(structure, problem(snr_db=50.0).record, uncertain(structure, 0.075)[:2])
     estimate = solved(given)
     assert all(covered(estimate, quantity) > 0.85 for quantity in QUANTITIES)
     k = next(p for p in estimate.parameters if p.name == "k_2")

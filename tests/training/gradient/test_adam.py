@@ -33,12 +33,12 @@ DESIGNS = {
 
 
 def small_problem(hold: str = "exact", **settings) -> Problem:
-    chain = small_chain()
-    return Problem(chain, accelerations(measured(chain, hold, snr_db=40.0).record), **settings)
+    structure = small_chain()
+    return Problem(structure, accelerations(measured(structure, hold, snr_db=40.0).record), **settings)
 
 
-def uncertain(chain, kind: str, dof: int, relative: float) -> Parameter:
-    value = float(chain.parameters[kind][dof])
+def uncertain(structure, kind: str, dof: int, relative: float) -> Parameter:
+    value = float(structure.parameters[kind][dof])
     return Parameter(kind, dof, value, relative * value)
 
 
@@ -64,10 +64,10 @@ def test_the_loss_falls(name, hold):
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
 def test_it_finds_the_motion_where_all_is_measured(hold):
-    chain = small_chain("linear", ndof=1)
-    measurements = measured(chain, hold, snr_db=50.0)
+    structure = small_chain("linear", ndof=1)
+    measurements = measured(structure, hold, snr_db=50.0)
     training = Adam(400, learning_rate=1e-2, collocation_points=None)
-    estimate = training.solve(Problem(chain, measurements.record), Fourier(), RunContext())
+    estimate = training.solve(Problem(structure, measurements.record), Fourier(), RunContext())
     for quantity in (*QUANTITIES, "force"):
         truth = getattr(measurements.truth.response, quantity)
         assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
@@ -143,8 +143,8 @@ def test_nothing_rests_on_the_time_scale(name):
     record = accelerations(measured(slow, snr_db=40.0).record)
     training = short(dtype="float64")
     problems = [
-        Problem(chain, given, (uncertain(chain, "k", 1, 0.1), uncertain(chain, "c", 2, 0.1)))
-        for chain, given in ((slow, record), (fast, sped_up(record, 30.0)))
+        Problem(structure, given, (uncertain(structure, "k", 1, 0.1), uncertain(structure, "c", 2, 0.1)))
+        for structure, given in ((slow, record), (fast, sped_up(record, 30.0)))
     ]
     expected, given = (training.solve(problem, DESIGNS[name], RunContext()) for problem in problems)
     scale = np.abs(expected.response.displacement).max()
@@ -177,9 +177,9 @@ def test_points_that_cannot_follow_the_record_are_refused():
 
 @pytest.mark.parametrize("snr_db", [None, 10.0])
 def test_points_are_judged_by_the_signal_and_not_by_its_noise(snr_db):
-    chain = small_chain()
+    structure = small_chain()
     # 15 periods of the highest frequency of the force: two points in each, and a little more.
-    problem = Problem(chain, accelerations(measured(chain, snr_db=snr_db).record))
+    problem = Problem(structure, accelerations(measured(structure, snr_db=snr_db).record))
     short(collocation_points=40).solve(problem, DESIGNS["mlp"], RunContext())
     with pytest.raises(InputError):
         short(collocation_points=20).solve(problem, DESIGNS["mlp"], RunContext())

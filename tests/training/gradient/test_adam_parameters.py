@@ -15,15 +15,15 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
-from pinn_cli.system.chain import Chain
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.losses import Losses
 
 
-def uncertain(chain: Chain, kind: str, dof: int, relative: float) -> Parameter:
-    value = float(chain.parameters[kind][dof])
+def uncertain(structure: Structure, kind: str, dof: int, relative: float) -> Parameter:
+    value = float(structure.parameters[kind][dof])
     return Parameter(kind, dof, value, relative * value)
 
 
@@ -52,10 +52,14 @@ def test_a_narrow_prior_holds_a_parameter():
 
 
 def test_parameters_come_in_the_order_of_the_problem():
-    chain = small_chain()
-    order = (uncertain(chain, "kappa", 2, 0.1), uncertain(chain, "c", 0, 0.1), uncertain(chain, "k", 1, 0.1))
-    record = accelerations(measured(chain, snr_db=40.0).record)
-    estimate = short().solve(Problem(chain, record, order), Spline(), RunContext())
+    structure = small_chain()
+    order = (
+        uncertain(structure, "kappa", 2, 0.1),
+        uncertain(structure, "c", 0, 0.1),
+        uncertain(structure, "k", 1, 0.1),
+    )
+    record = accelerations(measured(structure, snr_db=40.0).record)
+    estimate = short().solve(Problem(structure, record, order), Spline(), RunContext())
     assert [(p.name, p.prescribed) for p in estimate.parameters] == [("kappa_3", 100.0), ("c_1", 1.0), ("k_2", 15.0)]
     assert all(p.estimate != p.prescribed for p in estimate.parameters)
     assert {"loss_prior", "weight_prior"} <= set(estimate.history)
@@ -63,10 +67,10 @@ def test_parameters_come_in_the_order_of_the_problem():
 
 def one_mass_unknown(name: str, start: float, **settings) -> Problem:
     """A linear one-mass chain with every sensor, one parameter unknown and the others fixed."""
-    chain = small_chain("linear", ndof=1)
+    structure = small_chain("linear", ndof=1)
     every = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True), "parameter_uncertainty": 0.0}
     scheme = StateParameter(**every, unknown=name, initial={name: start}, **settings)
-    return scheme.problem(chain, scheme.observe(measured(chain, snr_db=40.0).record))
+    return scheme.problem(structure, scheme.observe(measured(structure, snr_db=40.0).record))
 
 
 def test_an_unknown_parameter_moves_from_its_start_to_the_truth():
@@ -99,9 +103,9 @@ def test_a_positive_parameter_is_never_below_zero(monkeypatch, positive):
 
 
 def test_believed_and_unknown_parameters_are_told_apart():
-    chain = small_chain()
+    structure = small_chain()
     scheme = StateParameter(unobserved=[2], parameter_uncertainty=0.05)
-    problem = scheme.problem(chain, scheme.observe(measured(chain, snr_db=40.0).record))
+    problem = scheme.problem(structure, scheme.observe(measured(structure, snr_db=40.0).record))
     estimate = short().solve(problem, Spline(), RunContext())
     assert [p.name for p in estimate.parameters if p.unknown] == ["k_2", "kappa_2"]
     assert [p.prior_std for p in estimate.parameters] == [p.prior_std for p in problem.uncertain]
@@ -135,8 +139,8 @@ def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation
     assert training.weights == {"observation": 1.0, "continuity": 1.0, "physics": 100.0, "unforced": None}
     assert (training.collocation_points, training.dtype) == (4096, "float32")
     assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "tanh", "penalised")
-    _, prescribed = config.model_error.chains(config.chain)
-    problem = scheme.problem(prescribed, config.observe(config.source.measure(config.chain).record))
+    _, prescribed = config.model_error.structures(config.structure)
+    problem = scheme.problem(prescribed, config.observe(config.source.measure(config.structure).record))
     assert problem.acceleration_through == "both"
     assert {p.name: p.prescribed for p in problem.uncertain} == starts
     assert all(p.unknown and p.positive for p in problem.uncertain)
@@ -146,8 +150,8 @@ def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation
 def test_the_papers_state_parameter_estimation_runs(composed: Compose):
     few = ("network.width=16", "training.iterations=5", "training.history_every=5")
     config = RunConfig.read(composed(STATE_PARAMETER, *SHRUNK, *few))
-    _, prescribed = config.model_error.chains(config.chain)
-    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.chain).record))
+    _, prescribed = config.model_error.structures(config.structure)
+    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.structure).record))
     estimate = config.training.solve(problem, config.network, RunContext())
     assert [p.name for p in estimate.parameters] == ["k_2", "k_4", "kappa_2", "kappa_4"]
     assert all(p.unknown and p.estimate != p.prescribed for p in estimate.parameters)

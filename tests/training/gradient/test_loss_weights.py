@@ -21,9 +21,9 @@ from pinn_cli.training.learned_parameters import LearnedParameters
 
 
 def objective() -> Objective:
-    chain = small_chain()
-    record = accelerations(measured(chain, snr_db=40.0).record)
-    problem = Problem(chain, record)
+    structure = small_chain()
+    record = accelerations(measured(structure, snr_db=40.0).record)
+    problem = Problem(structure, record)
     network = Mlp(1, 16, "sine").build(record)
     parameters = LearnedParameters(problem, torch.float64)
     return Objective(Losses(problem, 128, "cpu", torch.float64), network, parameters, "equalised")
@@ -61,8 +61,8 @@ def test_equalised_weights_are_frozen_but_for_the_growth_of_the_physics():
 
 
 def test_the_history_has_the_weights_that_were_found(composed: Compose):
-    chain = small_chain()
-    problem = Problem(chain, accelerations(measured(chain, snr_db=40.0).record))
+    structure = small_chain()
+    problem = Problem(structure, accelerations(measured(structure, snr_db=40.0).record))
     training = Adam(iterations=10, stages=2, weights="equalised", collocation_points=128, history_every=5)
     history = training.solve(problem, Mlp(1, 16, "sine"), RunContext()).history
     assert history["iteration"].tolist() == [0, 5, 10, 15, 20]

@@ -30,9 +30,9 @@ NETWORK = Mlp(1, 12, "sine", "exact")
 
 
 def small_problem() -> Problem:
-    chain = small_chain()
+    structure = small_chain()
     stiffness = Parameter("k", 1, 15.0, 1.5)
-    return Problem(chain, accelerations(measured(chain, snr_db=40.0).record), (stiffness,))
+    return Problem(structure, accelerations(measured(structure, snr_db=40.0).record), (stiffness,))
 
 
 @pytest.mark.parametrize("weights", [None, "equalised"])
@@ -60,10 +60,10 @@ def test_going_on_from_a_state_changes_no_bit(name, weights, tmp_path):
 
 @pytest.mark.parametrize("name", CURVED)
 def test_it_finds_the_motion_where_all_is_measured(name):
-    chain = small_chain("linear", ndof=1)
-    measurements = measured(chain, snr_db=50.0)
+    structure = small_chain("linear", ndof=1)
+    measurements = measured(structure, snr_db=50.0)
     training = TRAININGS[name](iterations=150, stages=1, warm_up=0, collocation_points=None)
-    estimate = training.solve(Problem(chain, measurements.record), Fourier(), RunContext())
+    estimate = training.solve(Problem(structure, measurements.record), Fourier(), RunContext())
     for quantity in (*QUANTITIES, "force"):
         truth = getattr(measurements.truth.response, quantity)
         assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
@@ -90,10 +90,10 @@ def test_a_row_of_the_history_is_never_higher_than_the_one_before(name):
 
 def one_mass_unknown(start: float) -> Problem:
     """A linear one-mass chain with every sensor whose stiffness is unknown and cannot be negative."""
-    chain = small_chain("linear", ndof=1)
+    structure = small_chain("linear", ndof=1)
     every = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True), "parameter_uncertainty": 0.0}
     scheme = StateParameter(**every, unknown="k_1", initial={"k_1": start}, positive=["k"])
-    return scheme.problem(chain, scheme.observe(measured(chain, snr_db=40.0).record))
+    return scheme.problem(structure, scheme.observe(measured(structure, snr_db=40.0).record))
 
 
 @pytest.mark.parametrize("name", TRAININGS)

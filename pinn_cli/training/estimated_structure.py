@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pinn_cli.system.chain import Chain
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ParameterEstimate
 
 
-def estimated_chain(prescribed: Chain, parameters: Iterable[ParameterEstimate]) -> Chain:
+def estimated_structure(prescribed: Structure, parameters: Iterable[ParameterEstimate]) -> Structure:
     """The prescribed chain with its estimated parameters in place; those that are not listed stay as prescribed.
 
     Raises:
