@@ -23,12 +23,12 @@ def ratios(structure) -> dict[str, np.ndarray]:
 
 def test_none_changes_nothing():
     structure = nominal()
-    assert NoModelError().chains(structure) == (structure, structure)
+    assert NoModelError().structures(structure) == (structure, structure)
 
 
 def test_linear_prescribes_no_nonlinearity_and_leaves_the_truth():
     structure = nominal()
-    true, prescribed = LinearModelError().chains(structure)
+    true, prescribed = LinearModelError().structures(structure)
     assert true is structure
     assert prescribed.nonlinearity.name == "linear"
     assert prescribed.parameters["k"].tolist() == [15.0] * 6
@@ -36,7 +36,7 @@ def test_linear_prescribes_no_nonlinearity_and_leaves_the_truth():
 
 def test_perturbed_truth_is_five_to_ten_per_cent_off_either_way_and_the_mass_is_right():
     structure = nominal(200)
-    true, prescribed = PerturbedModelError(seed=1).chains(structure)
+    true, prescribed = PerturbedModelError(seed=1).structures(structure)
     assert prescribed is structure
     changed = ratios(true)
     assert np.all(changed.pop("m") == 1.0)
@@ -46,7 +46,7 @@ def test_perturbed_truth_is_five_to_ten_per_cent_off_either_way_and_the_mass_is_
 
 
 def test_perturbed_draws_are_independent_and_seeded():
-    first, again, other = (ratios(PerturbedModelError(seed=seed).chains(nominal())[0]) for seed in (0, 0, 1))
+    first, again, other = (ratios(PerturbedModelError(seed=seed).structures(nominal())[0]) for seed in (0, 0, 1))
     assert np.array_equal(first["k"], again["k"])
     assert not np.any(first["k"] == other["k"])
     assert not np.any(first["k"] == first["c"])
@@ -54,10 +54,10 @@ def test_perturbed_draws_are_independent_and_seeded():
 
 
 def test_perturbed_draws_do_not_depend_on_the_other_connections_or_parameters():
-    short, long = (ratios(PerturbedModelError(seed=3).chains(nominal(ndof))[0]) for ndof in (4, 9))
+    short, long = (ratios(PerturbedModelError(seed=3).structures(nominal(ndof))[0]) for ndof in (4, 9))
     np.testing.assert_array_equal(short["k"], long["k"][:4])
     other = build_chain(4, VanDerPol(), m=10.0, c=1.0, k=15.0, mu=0.75)
-    np.testing.assert_array_equal(short["k"], PerturbedModelError(seed=3).chains(other)[0].parameters["k"] / 15.0)
+    np.testing.assert_array_equal(short["k"], PerturbedModelError(seed=3).structures(other)[0].parameters["k"] / 15.0)
 
 
 @pytest.mark.parametrize(("case", "seed_stride"), [("sr_6dof_perturbed", 1), ("sp_5dof_perturbed", 100)])
@@ -70,7 +70,7 @@ def test_authors_draws_give_the_reference_parameters(shared, case, seed_stride):
 
 
 def test_authors_draws_give_the_papers_table(shared):
-    true, _ = PerturbedModelError(seed=43810, draws="authors").chains(nominal())
+    true, _ = PerturbedModelError(seed=43810, draws="authors").structures(nominal())
     with open(shared / "paper" / "perturbed_parameters.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 18
@@ -105,6 +105,6 @@ def test_another_model_error_is_one_class():
         def structures(self, nominal):
             return nominal.with_parameters(m=1.1 * nominal.parameters["m"]), nominal
 
-    true, prescribed = HeavierModelError().chains(nominal())
+    true, prescribed = HeavierModelError().structures(nominal())
     assert true.parameters["m"][0] == pytest.approx(11.0)
     assert prescribed.parameters["m"][0] == 10.0
