@@ -122,7 +122,7 @@ def reachable(cls: type, seen: set[type]) -> set[type]:
 
 def test_a_problem_has_no_way_to_the_truth():
     assert {field.name for field in dataclasses.fields(Problem)} == {
-        "chain",
+        "structure",
         "record",
         "uncertain",
         "acceleration_through",
