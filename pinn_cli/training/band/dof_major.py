@@ -12,11 +12,12 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.training.band.equation_rows import CHUNK, EquationRows, RowPattern
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.subdomains import Subdomains
 
 
-class DofMajorSums:
-    """Sums over rows [J | P | r] of weighted products, per DOF, as the parts of a bordered band.
+class DofMajorSums(RowSums):
+    """Sums of features that are alive everywhere, per DOF; nothing is averaged.
 
     Args:
         layout: Where the weights stand.
@@ -46,7 +47,7 @@ class DofMajorSums:
         weight: Tensor,
         averages: Subdomains | None = None,
     ) -> None:
-        """Add rows that touch several DOFs and the parameters; residual (I, S, n), weight (n,); nothing is averaged."""
+        """See :meth:`RowSums.add_rows`."""
         assert averages is None, "features that are alive everywhere have no intervals to average over"
         groups, samples, _ = segments.displacement.shape
         chunk = max(1, CHUNK // (groups * samples * self.readout.shape[-1]))
@@ -65,7 +66,7 @@ class DofMajorSums:
             self.parameters[dofs] += weighted[..., self.columns :].movedim(1, 0).flatten(1, 2).mT @ by_parameter
 
     def add_own_rows(self, segments: Segments, gram: Tensor, moment: Tensor, weight: Tensor) -> None:
-        """Add rows that touch their own DOF: gram (I, B, B) of their features, moment (I, B, n), weight (n,)."""
+        """See :meth:`RowSums.add_own_rows`."""
         first = self.pattern.own * self.features
         own = slice(first, first + self.features)
         self.readout[:, :, own, own] += gram[:, None] * weight[None, :, None, None]
@@ -73,17 +74,17 @@ class DofMajorSums:
 
     @property
     def band(self) -> np.ndarray:
-        """(half_width + 1, size), lower band: [i - j, j] is entry [i, j]."""
+        """See :attr:`RowSums.band`."""
         return self.layout.band(self.readout[..., : self.columns]).cpu().numpy()
 
     @property
     def gradient(self) -> np.ndarray:
-        """(size,), of the readout weights."""
+        """See :attr:`RowSums.gradient`."""
         return self.layout.vector(self.readout[..., -1:])[:, 0].cpu().numpy()
 
     @cached_property
     def border(self) -> np.ndarray:
-        """(size, places), of the readout weights against the parameters."""
+        """See :attr:`RowSums.border`."""
         border = self.readout.new_zeros((self.layout.size, self.pattern.count))
         for i, slots, place in self._used():
             columns = self.readout[:, i, :, self.columns : -1][..., slots]
@@ -92,7 +93,7 @@ class DofMajorSums:
 
     @cached_property
     def corner(self) -> np.ndarray:
-        """(places, places), of the parameters against each other."""
+        """See :attr:`RowSums.corner`."""
         corner = self.readout.new_zeros((self.pattern.count, self.pattern.count))
         for i, slots, place in self._used():
             corner[place[:, None], place] += self.parameters[i, :, :-1][slots[:, None], slots]
@@ -100,7 +101,7 @@ class DofMajorSums:
 
     @cached_property
     def slope(self) -> np.ndarray:
-        """(places,), gradient of the parameters."""
+        """See :attr:`RowSums.slope`."""
         slope = self.readout.new_zeros(self.pattern.count)
         for i, slots, place in self._used():
             slope[place] += self.parameters[i, slots, -1]

@@ -27,6 +27,7 @@ from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
@@ -244,7 +245,7 @@ class NormalEquations:
                 sums.add_own_rows(segments, self.grams[name], features.mT @ residual, weights[name])
         return self._system(sums, point, self.precision(noise))
 
-    def _sums(self) -> TimeMajorSums | DofMajorSums:
+    def _sums(self) -> RowSums:
         """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""
         features = self.physics.feature.shape[1]
         if isinstance(self.network, SplineNetwork):
@@ -281,7 +282,7 @@ class NormalEquations:
         """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
         return torch.where(self.unknown, 1.0, noise.spread**-2)
 
-    def _system(self, sums: TimeMajorSums | DofMajorSums, point: Point, precision: Tensor) -> BorderedSystem:
+    def _system(self, sums: RowSums, point: Point, precision: Tensor) -> BorderedSystem:
         pick, band = self.vector.column, sums.band
         if self.ridge is None:
             self.ridge = RELATIVE_RIDGE * float(band[0].max())

@@ -16,21 +16,18 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.training.band.equation_rows import CHUNK, EquationRows, RowPattern
+from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.subdomains import Subdomains
 
 
-class TimeMajorSums:
-    """Sums over rows [J | P | r] of weighted products, as the parts of a bordered band.
+class TimeMajorSums(RowSums):
+    """Sums of local features.
 
     Args:
         stride: Features that one knot interval moves on by: the outputs of a DOF.
         features: B, alive at once.
         count: Of one DOF in all.
         pattern: Of the rows.
-
-    Attributes:
-        corner: (places, places), of the parameters against each other.
-        slope: (places,), their gradient.
     """
 
     def __init__(self, stride: int, features: int, count: int, pattern: RowPattern) -> None:
@@ -44,23 +41,33 @@ class TimeMajorSums:
         self._band = np.zeros((self.half_width + 1, length))
         self._gradient = np.zeros(length)
         self._border = np.zeros((pattern.count, length))
-        self.corner = np.zeros((pattern.count, pattern.count))
-        self.slope = np.zeros(pattern.count)
+        self._corner = np.zeros((pattern.count, pattern.count))
+        self._slope = np.zeros(pattern.count)
 
     @property
     def band(self) -> np.ndarray:
-        """(half_width + 1, size), lower band: [i - j, j] is entry [i, j]."""
+        """See :attr:`RowSums.band`."""
         return self._band[:, self._inside]
 
     @property
     def gradient(self) -> np.ndarray:
-        """(size,), of the readout weights."""
+        """See :attr:`RowSums.gradient`."""
         return self._gradient[self._inside]
 
     @property
     def border(self) -> np.ndarray:
-        """(size, places), of the readout weights against the parameters."""
+        """See :attr:`RowSums.border`."""
         return self._border[:, self._inside].T
+
+    @property
+    def corner(self) -> np.ndarray:
+        """See :attr:`RowSums.corner`."""
+        return self._corner
+
+    @property
+    def slope(self) -> np.ndarray:
+        """See :attr:`RowSums.slope`."""
+        return self._slope
 
     def add_rows(
         self,
@@ -70,15 +77,7 @@ class TimeMajorSums:
         weight: Tensor,
         averages: Subdomains | None = None,
     ) -> None:
-        """Add rows that touch several DOFs and the parameters.
-
-        Args:
-            segments: Of the points, I groups of S.
-            rows: The linearised equation of motion there.
-            residual: (I, S, n), or (I, 1, n) of averages.
-            weight: (n,), or as large as the residual.
-            averages: Of the rows, where the residual is averaged.
-        """
+        """See :meth:`RowSums.add_rows`."""
         table = self._table(segments, rows, residual, averages)  # (C, I, S, n)
         table *= np.broadcast_to(weight.cpu().numpy(), residual.shape) ** 0.5
         if averages is None:
@@ -92,14 +91,7 @@ class TimeMajorSums:
                 self._add_parameters(part, int(first[start]))
 
     def add_own_rows(self, segments: Segments, gram: Tensor, moment: Tensor, weight: Tensor) -> None:
-        """Add rows that touch their own DOF.
-
-        Args:
-            segments: Their groups.
-            gram: (I, B, B) of their features.
-            moment: (I, B, n), features against residual.
-            weight: (n,).
-        """
+        """See :meth:`RowSums.add_own_rows`."""
         first = (segments.feature[:, 0] // self.stride).cpu().numpy()
         products, moments, scale = gram.cpu().numpy(), *(self._in_order(x.cpu().numpy()) for x in (moment, weight))
         for start, stop in _runs(first):
@@ -168,12 +160,12 @@ class TimeMajorSums:
         used, coupled, step = places >= 0, self._in_order(self.pattern.coupled.T), self.stride * n
         for x in range(ends):
             sums = np.einsum("kin,in->kn", own[:, x], part[-1])
-            np.add.at(self.slope, places[:, x][used[:, x]], sums[used[:, x]])
+            np.add.at(self._slope, places[:, x][used[:, x]], sums[used[:, x]])
             for y in range(ends):
                 products = np.einsum("kin,lin->kln", own[:, x], own[:, y])
                 both = used[:, None, x] & used[None, :, y]
                 row, column = (np.broadcast_to(at, both.shape)[both] for at in (places[:, None, x], places[None, :, y]))
-                np.add.at(self.corner, (row, column), products[both])
+                np.add.at(self._corner, (row, column), products[both])
             for kind in range(kinds):
                 for a, offset in enumerate(offsets):
                     products = own[kind, x] * part[a]

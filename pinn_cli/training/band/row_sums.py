@@ -1,0 +1,71 @@
+"""What the weighted products of a linear readout's residual rows are summed into."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.training.band.equation_rows import EquationRows
+from pinn_cli.training.band.subdomains import Subdomains
+
+
+class RowSums(ABC):
+    """Sums over rows [J | P | r] of weighted products, as the parts of a bordered band."""
+
+    @abstractmethod
+    def add_rows(
+        self,
+        segments: Segments,
+        rows: EquationRows,
+        residual: Tensor,
+        weight: Tensor,
+        averages: Subdomains | None = None,
+    ) -> None:
+        """Add rows that touch several DOFs and the parameters.
+
+        Args:
+            segments: Of the points, I groups of S.
+            rows: The linearised equation of motion there.
+            residual: (I, S, n), or (I, 1, n) of averages.
+            weight: (n,), or as large as the residual.
+            averages: Of the rows, where the residual is averaged.
+        """
+
+    @abstractmethod
+    def add_own_rows(self, segments: Segments, gram: Tensor, moment: Tensor, weight: Tensor) -> None:
+        """Add rows that touch their own DOF.
+
+        Args:
+            segments: Their groups.
+            gram: (I, B, B) of their features.
+            moment: (I, B, n), features against residual.
+            weight: (n,).
+        """
+
+    @property
+    @abstractmethod
+    def band(self) -> np.ndarray:
+        """(half_width + 1, size), lower band: [i - j, j] is entry [i, j]."""
+
+    @property
+    @abstractmethod
+    def gradient(self) -> np.ndarray:
+        """(size,), of the readout weights."""
+
+    @property
+    @abstractmethod
+    def border(self) -> np.ndarray:
+        """(size, places), of the readout weights against the parameters."""
+
+    @property
+    @abstractmethod
+    def corner(self) -> np.ndarray:
+        """(places, places), of the parameters against each other."""
+
+    @property
+    @abstractmethod
+    def slope(self) -> np.ndarray:
+        """(places,), gradient of the parameters."""
