@@ -18,7 +18,6 @@ from pinn_cli.paper.fitness_sheet import fitness_sheet
 from pinn_cli.paper.parameter_sheet import parameter_sheet, wrong_values_sheet
 from pinn_cli.paper.rendering import markdown
 from pinn_cli.paper.runs import CaseScores
-from pinn_cli.report.parameters import true_value
 
 TABLE1, TABLE2, TABLE3, *_ = TABLES
 NAN = float("nan")
@@ -43,9 +42,9 @@ def _parameters(error_percent: float = 1.0, std_percent: float = 1.0, case: str 
 def test_table1_agrees_with_the_paper():
     config = RunConfig.read(compose_config(["experiment=paper/sr_6dof_perturbed"]))
     true, _ = config.model_error.structures(config.structure)
-    drawn = {name: values.numpy() for name, values in true.parameters.items()}
+    drawn = {parameter.name: parameter.prescribed for parameter in true.every_parameter()}
     parameters = TABLE1.values[["parameter"]].assign(estimate=15.0)
-    parameters["true"] = [true_value(name, drawn) for name in parameters["parameter"]]
+    parameters["true"] = [drawn[name] for name in parameters["parameter"]]
     run = CaseScores("sr_6dof_perturbed", "uncertain", pd.DataFrame(), parameters, 3.0, 5.0)
     table = compare_wrong_values(TABLE1.values, [run])
     assert list(table) == ["parameter", "prescribed", "published", "drawn", "difference", "uncertain"]
