@@ -11,8 +11,6 @@ from scipy.fft import irfft, rfft, rfftfreq
 from pinn_cli.record.record import Response
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
     from pinn_cli.system.structure import Structure
@@ -38,14 +36,11 @@ class Modes:
     inputs: np.ndarray
 
     @classmethod
-    def of(cls, parameters: Mapping[str, np.ndarray]) -> Modes:
-        """Of the linear part of a chain.
-
-        Args:
-            parameters: ``m``, ``c``, ``k``, each (n,).
-        """
-        m = np.asarray(parameters["m"], dtype=float)
-        n, K, C = len(m), _tridiagonal(parameters["k"]), _tridiagonal(parameters["c"])
+    def of(cls, structure: Structure) -> Modes:
+        """Of the linear part of a structure."""
+        p, stretch = structure.parameters_like(np.empty(0)), structure.incidence.matrix.toarray()
+        m, n = p["m"], structure.ndof
+        K, C = (stretch.T @ (p[kind][:, None] * stretch) for kind in ("k", "c"))
         state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
         poles, vectors = np.linalg.eig(state)
         return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:])
@@ -104,10 +99,4 @@ class Modes:
 
 def modes_of(structure: Structure) -> Modes:
     """Of the linear part of a chain."""
-    return Modes.of(structure.parameters_like(np.empty(0)))
-
-
-def _tridiagonal(x: np.ndarray) -> np.ndarray:
-    """(n, n) matrix of connections (n,), the first of them on the ground."""
-    x = np.asarray(x, dtype=float)
-    return np.diag(x + np.append(x[1:], 0.0)) - np.diag(x[1:], 1) - np.diag(x[1:], -1)
+    return Modes.of(structure)

@@ -19,13 +19,10 @@ from pinn_cli.record.spectrum import periodogram, record_band
 from pinn_cli.verdict.modes import Modes
 
 if TYPE_CHECKING:
-    import torch
-
     from pinn_cli.record.record import Record
+    from pinn_cli.system.parameters import Parameter
     from pinn_cli.system.structure import Structure
 
-# (kind, connection from 0)
-Place = tuple[str, int]
 # Common factors of the unknown stiffnesses that are tried, from where the highest mode is at the end of the record's
 # band (force and sensors may end below it, noise above), and how many of them are followed.
 SCALES, FOLLOWED = np.geomspace(0.03, 100.0, 85), 4
@@ -99,7 +96,7 @@ def _floor(measured: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 
 def refitted(
-    structure: Structure, record: Record, free: Sequence[Place], excused: Sequence[str], levels: bool
+    structure: Structure, record: Record, free: Sequence[Parameter], excused: Sequence[str], levels: bool
 ) -> Structure | None:
     """The linear chain whose free parameters fit the record best; None where there is nothing to fit.
 
@@ -115,9 +112,9 @@ def refitted(
     if not seen or not free:
         return None
     spectra = Spectra.of(record, seen, levels)
-    own = structure.linearised().parameters_like(np.empty(0))
-    first = np.log([max(float(own[kind][dof]), 1e-300) for kind, dof in free])
-    stiff = np.array([float(kind == "k") for kind, _ in free])
+    own = structure.linearised()
+    first = np.log([max(float(own.parameters[p.kind][p.index]), 1e-300) for p in free])
+    stiff = np.array([float(p.kind == "k") for p in free])
 
     def misfit(x: np.ndarray) -> np.ndarray:
         return np.nan_to_num(spectra.misfit(Modes.of(_moved(own, free, x))), nan=50.0, posinf=50.0, neginf=-50.0)
@@ -127,10 +124,10 @@ def refitted(
     starts = _deepest([float(np.sum(np.abs(misfit(x)))) for x in tried])[:FOLLOWED]
     found = [least_squares(misfit, tried[start], loss="soft_l1", max_nfev=EVALUATIONS).x for start in starts]
     polished = [_polished(record, seen, own, free, x, levels) for x in found]
-    return _linear(structure, free, min(polished, key=lambda pair: pair[0])[1])
+    return _moved(own, free, min(polished, key=lambda pair: pair[0])[1])
 
 
-def _stiffening(own: dict[str, np.ndarray], record: Record) -> float:
+def _stiffening(own: Structure, record: Record) -> float:
     """The factor on every stiffness that puts the highest natural frequency at the end of the record's band."""
     highest = float(np.nanmax(Modes.of(own).natural_frequencies))
     return float(record_band(record) / highest) ** 2 if highest > 0 else 1.0
@@ -143,23 +140,16 @@ def _deepest(costs: Sequence[float]) -> list[int]:
     return sorted(minima, key=lambda i: costs[i])
 
 
-def _moved(own: dict[str, np.ndarray], free: Sequence[Place], x: np.ndarray) -> dict[str, np.ndarray]:
-    moved = {name: value.copy() for name, value in own.items()}
-    for (kind, dof), value in zip(free, x, strict=True):
-        moved[kind][dof] = np.exp(np.clip(value, -200.0, 200.0))
-    return moved
-
-
-def _linear(structure: Structure, free: Sequence[Place], x: np.ndarray) -> Structure:
-    linear = structure.linearised()
-    tensors: dict[str, torch.Tensor] = {name: value.double().clone() for name, value in linear.parameters.items()}
-    for (kind, dof), value in zip(free, x, strict=True):
-        tensors[kind][dof] = float(np.exp(value))
-    return linear.with_parameters(**tensors)
+def _moved(own: Structure, free: Sequence[Parameter], x: np.ndarray) -> Structure:
+    """With the free parameters at exp(x)."""
+    values = {kind: given.detach().cpu().double().clone() for kind, given in own.parameters.items()}
+    for parameter, value in zip(free, np.exp(np.clip(x, -200.0, 200.0)), strict=True):
+        values[parameter.kind][parameter.index] = float(value)
+    return own.with_parameters(**values)
 
 
 def _polished(
-    record: Record, seen: list[Channel], own: dict[str, np.ndarray], free: Sequence[Place], x: np.ndarray, levels: bool
+    record: Record, seen: list[Channel], own: Structure, free: Sequence[Parameter], x: np.ndarray, levels: bool
 ) -> tuple[float, np.ndarray]:
     """A few least-squares steps on the histories, every channel weighed by how well it fits at first.
 

@@ -19,9 +19,9 @@ from pinn_cli.verdict.refit import refitted
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.parameters import Parameter
     from pinn_cli.system.structure import Structure
     from pinn_cli.verdict.finding import Finding
-    from pinn_cli.verdict.refit import Place
 
 # Free stiffnesses can make up for much: a cause must leave less than where the chain is prescribed, and this many times
 # less than the fit without it; a gain 15 % off leaves 0.02 where two channels disagree.
@@ -39,7 +39,7 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
             spectra are not those of a linear one, and masses would be blamed for the difference.
         excused: Names of channels whose fault is known already.
     """
-    free = [(p.kind, p.index) for p in problem.uncertain if p.unknown and p.kind == "k"]
+    free = [parameter for parameter in problem.uncertain if parameter.unknown and parameter.kind == "k"]
     if not free or not is_linear(problem.structure) or not np.isfinite(problem.record.force).all():
         return []
     return _Refits(problem.structure, problem.record, free, excused).causes()
@@ -51,7 +51,7 @@ class _Refits:
 
     structure: Structure
     record: Record
-    free: Sequence[Place]
+    free: Sequence[Parameter]
     excused: Sequence[str]
 
     def causes(self) -> list[Finding]:
@@ -67,7 +67,7 @@ class _Refits:
         causes = [cause for cause in found if cause is not None]
         return [min(causes, key=lambda cause: cause.left)] if causes else []
 
-    def fitted(self, record: Record, more: Sequence[Place] = (), levels: bool = True) -> Structure | None:
+    def fitted(self, record: Record, more: Sequence[Parameter] = (), levels: bool = True) -> Structure | None:
         """See `pinn_cli.verdict.refit.refitted`."""
         return refitted(self.structure, record, [*self.free, *more], self.excused, levels)
 
@@ -115,7 +115,7 @@ class _Refits:
 
     def mass(self, dof: int, as_given: float) -> Finding | None:
         """Another mass of a DOF, counted from 0."""
-        fitted = self.fitted(self.record, [("m", dof)])
+        fitted = self.fitted(self.record, [self.structure.parameter("m", dof)])
         left = self.misfit_of(fitted, self.record)
         if fitted is None or left > min(LEFT, as_given / BETTER):
             return None

@@ -24,7 +24,7 @@ def left_over(modes, channel, record, response):
 @pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
 def test_the_response_is_that_of_a_simulation_up_to_free_decays(frame, quantity):
     record = measure(frame, None, quantity=quantity)
-    modes = Modes.of(frame.parameters_like(np.empty(0)))
+    modes = Modes.of(frame)
     response = modes.response(record)
     assert all(left_over(modes, channel, record, response) < 3e-3 for channel in channels(record))
 
@@ -33,12 +33,12 @@ def test_a_held_force(frame):
     record = replace(measure(frame, None), intersample="zero_order_hold")
     held = resimulate(frame, record, (np.zeros(3), np.zeros(3)))
     record = replace(record, acceleration=held.acceleration)
-    modes = Modes.of(frame.parameters_like(np.empty(0)))
+    modes = Modes.of(frame)
     assert all(left_over(modes, c, record, modes.response(record)) < 2e-2 for c in channels(record))
 
 
 def test_natural_frequencies(frame):
-    modes = Modes.of(frame.parameters_like(np.empty(0)))
+    modes = Modes.of(frame)
     exact = 2 * np.sqrt(1.5) * np.sin(np.pi * np.array([1, 3, 5]) / 14) / (2 * np.pi)
     assert modes.natural_frequencies == pytest.approx(exact)
     assert modes.stable

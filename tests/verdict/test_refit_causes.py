@@ -15,7 +15,7 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.verdict.refit import refitted
 from pinn_cli.verdict.refit_causes import refit_causes
 
-FREE = [("k", dof) for dof in range(3)]
+FREE = [Parameter("k", dof) for dof in range(3)]
 
 
 @pytest.fixture
