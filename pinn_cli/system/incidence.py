@@ -40,13 +40,15 @@ class Incidence:
         self.matrix = csr_matrix(matrix, dtype=np.float64)
         self.shape: tuple[int, int] = self.matrix.shape
         self._short = max(self.shape) <= _SHORT
+        # Slices are faster than products of tensors, and a training asks for nothing else.
+        self._is_chain = self.shape[0] == self.shape[1] and (self.matrix != _chain(self.shape[0])).nnz == 0
         self._dense: dict[Any, Any] = {}
         self._tables: dict[Any, Any] = {}
 
     @classmethod
     def structure(cls, ndof: int) -> Incidence:
         """Of masses in a row: connection i joins coordinate i - 1 to i, the first one the ground to the first."""
-        return cls(diags([np.ones(ndof), -np.ones(max(0, ndof - 1))], [0, -1], shape=(ndof, ndof), format="csr"))
+        return cls(_chain(ndof))
 
     @classmethod
     def between(cls, ends: Iterable[Mapping[int, float]], ndof: int) -> Incidence:
@@ -77,6 +79,9 @@ class Incidence:
         return self._product(r, transposed=True)
 
     def _product(self, x: Array, transposed: bool) -> Array:
+        if self._is_chain and isinstance(x, torch.Tensor):
+            before, after = x[..., :-1], x[..., 1:]
+            return torch.cat((before - after, x[..., -1:]) if transposed else (x[..., :1], after - before), -1)
         if self._short:
             by = self._like(x, transposed)
             product: Array = x.dot(by) if isinstance(x, np.ndarray) else x @ by
@@ -174,6 +179,10 @@ class Incidence:
 def _as(x: Any, values: np.ndarray) -> Any:
     """Values as x is: an array of its dtype, or a tensor of its dtype and device."""
     return values.astype(x.dtype) if isinstance(x, np.ndarray) else torch.as_tensor(values).to(x)
+
+
+def _chain(ndof: int) -> csr_matrix:
+    return diags([np.ones(ndof), -np.ones(max(0, ndof - 1))], [0, -1], shape=(ndof, ndof), format="csr")
 
 
 def _padded(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray]:

@@ -109,15 +109,13 @@ class EquationRows:
         pattern: Where the slots stand.
         stiffness, damping: Derivative by the displacements and velocities in the slots, each (I, S, n, D).
         mass: (n,), derivative by the acceleration of the row's own DOF; None without the inertia force.
-        own: (I, S, count), what each parameter does to its own connection or mass, per prior standard deviation.
-        parameter: (I, S, n, kinds, F), the same in the rows.
+        parameter: (I, S, n, kinds, F), derivative by the parameters in the slots, per prior standard deviation.
     """
 
     pattern: RowPattern
     stiffness: Tensor
     damping: Tensor
     mass: Tensor | None
-    own: Tensor
     parameter: Tensor
 
     @classmethod
@@ -139,10 +137,9 @@ class EquationRows:
             spread: Kind of every uncertain parameter to the prior standard deviations of all its members, 0 of those
                 that are held fixed.
         """
-        blocks = [(acceleration if kind == MASS else slope.by_parameter[kind]) * by for kind, by in spread.items()]
-        own = torch.cat(blocks, -1) if blocks else acceleration.new_zeros((*acceleration.shape[:-1], 0))
         stiffness, damping = pattern.by_coordinate(slope.stiffness), pattern.by_coordinate(slope.damping)
-        return cls(pattern, stiffness, damping, mass, own, pattern.by_parameter(own))
+        parameter = pattern.by_parameter(own_by_parameter(slope, acceleration, spread))
+        return cls(pattern, stiffness, damping, mass, parameter)
 
     def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
         """(I, S, n), the rows times a motion (I, S, n), parameters held."""
@@ -160,6 +157,18 @@ class EquationRows:
         if self.mass is not None:
             out[..., self.pattern.own, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
         return out.flatten(3)
+
+
+def own_by_parameter(slope: Linearisation, acceleration: Tensor, spread: dict[str, Tensor]) -> Tensor:
+    """(I, S, count), what each parameter does to its own connection or mass, per prior standard deviation.
+
+    Args:
+        slope: Derivatives of the internal forces.
+        acceleration: What a mass parameter multiplies.
+        spread: Kind to prior standard deviations of all its members, 0 of those that are held fixed.
+    """
+    blocks = [(acceleration if kind == MASS else slope.by_parameter[kind]) * by for kind, by in spread.items()]
+    return torch.cat(blocks, -1) if blocks else acceleration.new_zeros((*acceleration.shape[:-1], 0))
 
 
 def _with_none(x: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
-from pinn_cli.training.band.equation_rows import EquationRows, RowPattern
+from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.row_sums import RowSums
@@ -262,6 +262,12 @@ class NormalEquations:
             acceleration = self.structure.acceleration(displacement, velocity, force, parameters)
         mass = parameters["m"] if with_mass else None
         return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
+
+    def own_by_parameter(self, segments: Segments, point: Point) -> Tensor:
+        """(I, S, places), what each parameter does to its own connection or mass, per prior standard deviation."""
+        displacement, velocity, acceleration, _ = self.states(segments, point)
+        slope = self.structure.linearise(displacement, velocity, self.parameters(point))
+        return own_by_parameter(slope, acceleration, self.spread)
 
     def moved_force(self, rows: EquationRows, step: Point) -> Tensor:
         """Change of the physics residual, as it is enforced, with a small step of weights and parameters.

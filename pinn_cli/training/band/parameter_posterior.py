@@ -39,8 +39,7 @@ def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
     """
     if not equations.vector.kinds:
         return np.zeros(0)
-    rows = equations.rows(equations.physics, trained.solution.point)
-    per_std = equations.physics.scatter(rows.own)  # (N, places)
+    per_std = equations.physics.scatter(equations.own_by_parameter(equations.physics, trained.solution.point))
     force = per_std.square().mean(0).sqrt().cpu().numpy()[equations.vector.column]
     misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
     hidden = np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)

@@ -43,6 +43,8 @@ class TimeMajorSums(RowSums):
         self._border = np.zeros((pattern.count, length))
         self._corner = np.zeros((pattern.count, pattern.count))
         self._slope = np.zeros(pattern.count)
+        self.places = self._in_order(np.moveaxis(pattern.places, 0, -1))  # (kinds, F, n)
+        self._touched = self._parameters_of_slots()
 
     @property
     def band(self) -> np.ndarray:
@@ -128,6 +130,17 @@ class TimeMajorSums(RowSums):
         """Values (..., n) of the DOFs in the band's order."""
         return values if np.array_equal(self.pattern.order, np.arange(self.n)) else values[..., self.pattern.order]
 
+    def _parameters_of_slots(self) -> list[list[list[list[tuple[int, int]]]]]:
+        """By kind, connection and slot: the rows that have both, and the parameter's place."""
+        coupled = self._in_order(self.pattern.coupled.T)
+        return [
+            [
+                [[(int(i), int(ends[i])) for i in np.flatnonzero((ends >= 0) & slot)] for slot in coupled]
+                for ends in connections
+            ]
+            for connections in self.places
+        ]
+
     def _offsets(self) -> list[int]:
         """Of every local weight of a row, from the weight of the row's own DOF and the first feature alive."""
         return [b * self.n + d for d in self.pattern.offsets for b in range(self.features)]
@@ -151,27 +164,27 @@ class TimeMajorSums(RowSums):
 
     def _add_parameters(self, part: np.ndarray, first: int) -> None:
         """Products of the parameters' columns with everything, connection by connection of every row."""
-        n, kinds, ends = self.pattern.places.shape
+        kinds, ends, n = self.places.shape
         if not kinds:
             return
         offsets, place = self._offsets(), first * self.stride * n + self.margin
         own = part[len(offsets) : -1].reshape(kinds, ends, *part.shape[1:])
-        places = self._in_order(np.moveaxis(self.pattern.places, 0, -1))  # (kinds, F, n)
-        used, coupled, step = places >= 0, self._in_order(self.pattern.coupled.T), self.stride * n
+        used, step, length = self.places >= 0, self.stride * n, self.stride * n * part.shape[1]
         for x in range(ends):
             sums = np.einsum("kin,in->kn", own[:, x], part[-1])
-            np.add.at(self._slope, places[:, x][used[:, x]], sums[used[:, x]])
+            np.add.at(self._slope, self.places[:, x][used[:, x]], sums[used[:, x]])
             for y in range(ends):
                 products = np.einsum("kin,lin->kln", own[:, x], own[:, y])
                 both = used[:, None, x] & used[None, :, y]
-                row, column = (np.broadcast_to(at, both.shape)[both] for at in (places[:, None, x], places[None, :, y]))
+                of_row, of_column = self.places[:, None, x], self.places[None, :, y]
+                row, column = (np.broadcast_to(at, both.shape)[both] for at in (of_row, of_column))
                 np.add.at(self._corner, (row, column), products[both])
             for kind in range(kinds):
                 for a, offset in enumerate(offsets):
                     products = own[kind, x] * part[a]
-                    for i in np.flatnonzero(used[kind, x] & coupled[a // self.features]):
+                    for i, parameter in self._touched[kind][x][a // self.features]:
                         start = place + offset + i
-                        self._border[places[kind, x, i], start : start + step * part.shape[1] : step] += products[:, i]
+                        self._border[parameter, start : start + length : step] += products[:, i]
 
 
 def _runs(first: np.ndarray) -> list[tuple[int, int]]:
