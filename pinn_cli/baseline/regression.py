@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from pinn_cli.baseline.linear_gaussian import Filtered
-from pinn_cli.training.band.evidence import updated_spread
+from pinn_cli.training.parameter_spread import updated_spread
 
 # The spread is a fixed point; a few parameters tell it to some tens of percent.
 SPREAD_TOLERANCE, SPREAD_ROUNDS = 0.01, 30
@@ -56,7 +56,7 @@ def regress(filtered: Filtered, at: np.ndarray, spread: float, sharing: np.ndarr
 
 
 def regress_with_spread(filtered: Filtered, at: np.ndarray, spread: float, sharing: np.ndarray) -> Regression:
-    """The same with the spread that the observations ask for (MacKay's update, `pinn_cli.training.band.evidence`)."""
+    """The same with the spread that the observations ask for (MacKay's update)."""
     found = regress(filtered, at, spread, sharing)
     for _ in range(SPREAD_ROUNDS if sharing.any() else 0):
         moved = (at + found.change)[sharing]

@@ -18,6 +18,7 @@ from pinn_cli.training.band.force_residuals import ForceResiduals
 from pinn_cli.training.band.levenberg_marquardt import Solution, minimise
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.parameter_spread import updated_spread
 
 # A mass at its bound of zero has a logarithm too, kg.
 LEAST_MASS = 1e-300
@@ -33,8 +34,6 @@ PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
 SUSPICIOUS_DISCREPANCY = 0.01
 # Parabolas at most, and the gain in log evidence below which another is not worth a solution.
 REFINEMENTS, NEGLIGIBLE_GAIN = 4, 0.5
-# Weight of the user's parameter uncertainty, in parameters, when the common spread is learned from the record.
-PRIOR_PARAMETERS = 0.01
 # Relative change of the spread below which it is settled (a few parameters tell it to some tens of percent), and rounds
 # at most.
 SPREAD_TOLERANCE, SPREAD_ROUNDS = 0.05, 4
@@ -280,22 +279,6 @@ class Evidence:
                 break
             trained = again
         return trained
-
-
-def updated_spread(x: np.ndarray, variance: np.ndarray, spread: float) -> float:
-    """How far believed parameters are off, in common, as far as the record says.
-
-    MacKay's update of one relative variance, s^2 = (nu + sum x^2) / (nu + gamma), with gamma the number of parameters
-    that the record determines and the user's own spread counting as nu parameters. Parameters that are right sharpen
-    each other; parameters that are wrong free each other.
-
-    Args:
-        x: (p,), distances from the prescribed values, in the user's standard deviations.
-        variance: (p,), posterior variances, in their squares.
-        spread: Under which both were found.
-    """
-    determined = float((1.0 - variance / spread**2).clip(min=0.0).sum())
-    return float(np.sqrt((PRIOR_PARAMETERS + float(x @ x)) / (PRIOR_PARAMETERS + determined)))
 
 
 def _parabola_top(three: list[Trained]) -> tuple[float, float] | None:
