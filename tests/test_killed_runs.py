@@ -102,11 +102,13 @@ def test_signals_to_a_process_of_its_own(number: int, status: int, tmp_path: Pat
     code = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); import pinn_cli.main as m; m.main()"
     )
-    program = [sys.executable, "-c", code, *LONGER, "hydra.run.dir=run", "training.checkpoint_every_s=null"]
+    endless = ("training.iterations=1000000", "training.checkpoint_every_s=null")
+    program = [sys.executable, "-c", code, *LONGER, "hydra.run.dir=run", *endless]
     process = subprocess.Popen(program, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     log = tmp_path / "run" / "pinn-run.log"
     while process.poll() is None and "problem:" not in (log.read_text() if log.exists() else ""):
         time.sleep(0.01)
+    time.sleep(4.0)  # torch's optimisers take seconds to import, and before the first step there is nothing to keep
     process.send_signal(number)
     _, err = process.communicate()
     assert process.returncode == status
