@@ -140,7 +140,4 @@ def checked_positive(positive: Any) -> tuple[str, ...]:
 
 def at_starts(prescribed: Structure, unknown: Iterable[Parameter]) -> Structure:
     """The prescribed chain with unknown parameters where they start: of a simulated record they were the truth."""
-    values = {kind: given.clone() for kind, given in prescribed.parameters.items()}
-    for parameter in unknown:
-        values[parameter.kind][parameter.index] = parameter.prescribed
-    return prescribed.with_parameters(**values)
+    return prescribed.with_values({parameter: parameter.prescribed for parameter in unknown})

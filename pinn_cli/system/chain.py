@@ -28,4 +28,4 @@ def chain_of(parameters: dict[str, torch.Tensor], nonlinearity: Nonlinearity) ->
         ValueError: The names or the shapes of the parameters do not fit.
     """
     ndof = parameters[MASS].shape[-1] if MASS in parameters else 1
-    return Structure(parameters, (ConnectionGroup(nonlinearity, Incidence.structure(ndof)),))
+    return Structure(parameters, (ConnectionGroup(nonlinearity, Incidence.chain(ndof)),))

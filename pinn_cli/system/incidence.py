@@ -46,7 +46,7 @@ class Incidence:
         self._tables: dict[Any, Any] = {}
 
     @classmethod
-    def structure(cls, ndof: int) -> Incidence:
+    def chain(cls, ndof: int) -> Incidence:
         """Of masses in a row: connection i joins coordinate i - 1 to i, the first one the ground to the first."""
         return cls(_chain(ndof))
 

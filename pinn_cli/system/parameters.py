@@ -126,10 +126,15 @@ class ParameterVector(Generic[T]):
         ends = [*self.first.values(), self.places][1:]
         return {kind: every[first:end] for (kind, first), end in zip(self.first.items(), ends, strict=True)}
 
-    def values(self, distances: Array) -> dict[str, Array]:
-        """Every parameter of the structure by kind, the moving ones at these distances (p,), in their own units."""
-        moved = self.scattered(distances)
-        return {kind: value + moved[kind] if kind in moved else value for kind, value in self.nominal.items()}  # type: ignore[operator,misc]
+    def values(self, distances: Array, nominal: Mapping[str, Array] | None = None) -> dict[str, Array]:
+        """Every parameter of the structure by kind.
+
+        Args:
+            distances: (p,), of the moving ones, in their own units.
+            nominal: The values on another device, or of another type; None: as they are.
+        """
+        moved, held = self.scattered(distances), self.nominal if nominal is None else nominal
+        return {kind: value + moved[kind] if kind in moved else value for kind, value in held.items()}  # type: ignore[operator,misc]
 
     def each(self, attribute: str) -> np.ndarray:
         """(p,), an attribute of every moving parameter."""

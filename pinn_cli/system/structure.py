@@ -245,6 +245,13 @@ class Structure:
         """The same structure with the named kinds of parameters replaced."""
         return replace(self, parameters={**self.parameters, **tensors})
 
+    def with_values(self, values: Mapping[Parameter, float]) -> Structure:
+        """The same structure with single parameters at other values, all of them float64 on the CPU."""
+        tensors = {kind: given.detach().cpu().double().clone() for kind, given in self.parameters.items()}
+        for parameter, value in values.items():
+            tensors[parameter.kind][parameter.index] = value
+        return self.with_parameters(**tensors)
+
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""
         groups = tuple(replace(group, nonlinearity=Linear()) for group in self.groups)

@@ -14,9 +14,9 @@ def estimated_structure(prescribed: Structure, parameters: Iterable[ParameterEst
     Raises:
         ValueError: A parameter that the chain does not have.
     """
-    values = {kind: value.detach().cpu().double().clone() for kind, value in prescribed.parameters.items()}
+    values = {}
     for found in parameters:
-        if found.kind not in values or found.parameter.index >= len(values[found.kind]):
+        if found.parameter.index >= len(prescribed.parameters.get(found.kind, ())):
             raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {found.name}")
-        values[found.kind][found.parameter.index] = found.estimate
-    return prescribed.with_parameters(**values)
+        values[found.parameter] = found.estimate
+    return prescribed.with_values(values)

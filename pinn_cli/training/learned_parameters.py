@@ -28,9 +28,9 @@ class LearnedParameters(nn.Module):
     def __init__(self, problem: Problem, dtype: torch.dtype) -> None:
         super().__init__()
         self.uncertain = problem.uncertain
-        self.nominal = {name: values.detach().to(dtype) for name, values in problem.structure.parameters.items()}
-        for name, values in self.nominal.items():
-            self.register_buffer(f"nominal_{name}", values)
+        self.vector = ParameterVector(problem.structure.parameters, self.uncertain)
+        for name, values in self.vector.nominal.items():
+            self.register_buffer(f"nominal_{name}", values.detach().to(dtype))
         unit, spread, lower = (
             torch.tensor([getattr(p, name) for p in self.uncertain], dtype=torch.float64)
             for name in ("step", "prior_std", "lower")
@@ -48,8 +48,8 @@ class LearnedParameters(nn.Module):
 
     def forward(self) -> dict[str, Tensor]:
         """Every parameter by kind."""
-        nominal = {name: self.get_buffer(f"nominal_{name}") for name in self.nominal}
-        return ParameterVector(nominal, self.uncertain).values(self.unit * self.moved)
+        nominal = {name: self.get_buffer(f"nominal_{name}") for name in self.vector.nominal}
+        return self.vector.values(self.unit * self.moved, nominal)
 
     @torch.no_grad()
     def respect_bounds(self) -> None:

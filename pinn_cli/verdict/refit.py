@@ -142,10 +142,7 @@ def _deepest(costs: Sequence[float]) -> list[int]:
 
 def _moved(own: Structure, free: Sequence[Parameter], x: np.ndarray) -> Structure:
     """With the free parameters at exp(x)."""
-    values = {kind: given.detach().cpu().double().clone() for kind, given in own.parameters.items()}
-    for parameter, value in zip(free, np.exp(np.clip(x, -200.0, 200.0)), strict=True):
-        values[parameter.kind][parameter.index] = float(value)
-    return own.with_parameters(**values)
+    return own.with_values(dict(zip(free, np.exp(np.clip(x, -200.0, 200.0)).tolist(), strict=True)))
 
 
 def _polished(

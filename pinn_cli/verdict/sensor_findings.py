@@ -73,7 +73,7 @@ def _propagated(
     start = estimate.response.displacement[0], estimate.response.velocity[0]
     for _ in range(DRAWS):
         record = _disturbed(prediction.record, estimate, random)
-        other = predicted(random_chain(problem, estimate, random), record, start)
+        other = predicted(random_structure(problem, estimate, random), record, start)
         if other is None:
             continue
         for c in bad:
@@ -92,7 +92,7 @@ def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) 
     return replace(record, force=force)
 
 
-def random_chain(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:
+def random_structure(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:
     """The estimated chain with every parameter off by its standard deviation at random, correlations allowed for.
 
     Signs are kept: a stiffness that is known to itself has no negative values.

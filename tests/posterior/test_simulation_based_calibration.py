@@ -35,7 +35,7 @@ PRIORS = {
 DESIGN = Spline(intervals=90)
 
 
-def random_chain(nonlinearity: str, ndof: int, generator: np.random.Generator) -> Structure:
+def random_structure(nonlinearity: str, ndof: int, generator: np.random.Generator) -> Structure:
     kinds = ("c", "k", *NONLINEARITIES[nonlinearity][1])
     priors = checked_priors({kind: PRIORS[kind] for kind in kinds})
     values = {kind: prior.sample(generator, ndof).tolist() for kind, prior in priors.items()}
@@ -60,7 +60,7 @@ def rank_and_distance(chain: Structure, seed: int) -> dict[str, tuple[float, flo
 def test_ranks_of_the_truth_are_uniform(nonlinearity, ndof):
     rows = []
     for seed in range(PROBLEMS):
-        chain = random_chain(nonlinearity, ndof, np.random.default_rng([seed, 77]))
+        chain = random_structure(nonlinearity, ndof, np.random.default_rng([seed, 77]))
         rows.append(rank_and_distance(chain, seed))
     for name in rows[0]:
         ranks, distances = np.array([row[name] for row in rows]).T

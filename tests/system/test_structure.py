@@ -67,7 +67,7 @@ def test_the_linearisation_is_the_slope_of_the_force(structure):
 
 
 def test_many_connections_are_looked_up_and_few_multiplied():
-    few, many = Incidence.structure(60), Incidence.structure(70)
+    few, many = Incidence.chain(60), Incidence.chain(70)
     x = np.random.default_rng(0).normal(size=(3, 70))
     np.testing.assert_array_equal(few.elongation(x[:, :60]), many.elongation(x)[:, :60])
     np.testing.assert_array_equal(few.pull(x[:, :60])[:, :59], many.pull(x)[:, :59])
@@ -80,7 +80,7 @@ def test_many_connections_are_looked_up_and_few_multiplied():
 
 
 def test_what_is_coupled_stands_near_each_other():
-    ordered, mixed = Incidence.structure(6), shuffled(6).incidence
+    ordered, mixed = Incidence.chain(6), shuffled(6).incidence
     assert ordered.order.tolist() == list(range(6))
     assert mixed.order.tolist() != list(range(6))
     assert (mixed.offsets, mixed.reach) == (ordered.offsets, ordered.reach) == ((-1, 0, 1), 2)

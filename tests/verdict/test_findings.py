@@ -14,7 +14,7 @@ from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import predicted
-from pinn_cli.verdict.sensor_findings import random_chain, sensor_findings
+from pinn_cli.verdict.sensor_findings import random_structure, sensor_findings
 
 
 def kinds(findings):
@@ -165,7 +165,7 @@ def test_an_unstable_chain_has_no_free_run(right_estimate):
 def test_random_chains_scatter_by_the_standard_deviations(right_estimate):
     problem, estimate = right_estimate
     random = np.random.default_rng(0)
-    k = np.array([random_chain(problem, estimate, random).parameters["k"].numpy() for _ in range(400)])
+    k = np.array([random_structure(problem, estimate, random).parameters["k"].numpy() for _ in range(400)])
     assert k.mean(axis=0) == pytest.approx(15.0, abs=0.003)
     assert k.std(axis=0) == pytest.approx(0.01, rel=0.2)
 

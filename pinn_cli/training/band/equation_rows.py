@@ -143,10 +143,9 @@ class EquationRows:
 
     def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
         """(I, S, n), the rows times a motion (I, S, n), parameters held."""
-        moved = self.stiffness * self.pattern.neighbours(displacement) + self.damping * self.pattern.neighbours(
-            velocity
-        )
-        return moved.sum(-1) if self.mass is None else moved.sum(-1) + self.mass * acceleration
+        beside = self.pattern.neighbours
+        out = (self.stiffness * beside(displacement) + self.damping * beside(velocity)).sum(-1)
+        return out if self.mass is None else out + self.mass * acceleration
 
     def jacobian(self, segments: Segments, dofs: slice) -> Tensor:
         """The given DOFs' rows by the features of the DOFs in their slots, slot by slot, (I, dofs, S, D B)."""
@@ -173,4 +172,4 @@ def own_by_parameter(slope: Linearisation, acceleration: Tensor, spread: dict[st
 
 def _with_none(x: Tensor) -> Tensor:
     """(..., N) with a zero behind it, in the place of what there is not."""
-    return torch.cat((x, torch.zeros_like(x[..., :1]) if x.shape[-1] else x.new_zeros((*x.shape[:-1], 1))), -1)
+    return torch.cat((x, x.new_zeros((*x.shape[:-1], 1))), -1)
