@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import torch
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.labels import Labels
 from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ class Structure:
             that have it, in the order of the groups.
         groups: Connections, C in all. A group's law is elementwise, so a law with memory adds its hidden states to the
             group, and a coordinate that is no displacement of a mass differs by its column of the incidence alone.
+        labels: What the user calls its coordinates and connections.
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -89,6 +91,7 @@ class Structure:
 
     parameters: dict[str, torch.Tensor]
     groups: tuple[ConnectionGroup, ...]
+    labels: Labels = field(default_factory=Labels)
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
@@ -152,17 +155,27 @@ class Structure:
         """What a figure calls each kind of parameter."""
         return LINEAR_TITLES | {k: t for group in self.groups for k, t in group.nonlinearity.titles.items()}
 
+    def dof_name(self, index: int) -> str:
+        """What people call a DOF, counted from 0: its name, or its number from 1."""
+        return self.labels.dof(index)
+
     def parameter(self, kind: str, index: int) -> Parameter:
         """The parameter of a kind that a mass or a connection has, counted from 0, with its present value."""
-        value = float(self.parameters[kind][index])
-        return Parameter(kind, index, value, unit=self.units.get(kind, ""), title=self.titles.get(kind, ""))
+        owner = index if kind == MASS or not self.labels.connections else int(self.members[kind][index])
+        return Parameter(
+            kind,
+            index,
+            float(self.parameters[kind][index]),
+            unit=self.units.get(kind, ""),
+            title=self.titles.get(kind, ""),
+            label=self.labels.owner(kind, owner),
+        )
 
     def every_parameter(self) -> Iterator[Parameter]:
         """All of them, kind by kind."""
-        units, titles = self.units, self.titles
         for kind, values in self.parameters.items():
-            for index, value in enumerate(values.tolist()):
-                yield Parameter(kind, index, value, unit=units.get(kind, ""), title=titles.get(kind, ""))
+            for index in range(len(values)):
+                yield self.parameter(kind, index)
 
     def ends(self, parameter: Parameter) -> np.ndarray:
         """The DOFs, counted from 0, whose equations of motion contain a parameter."""
@@ -255,4 +268,4 @@ class Structure:
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""
         groups = tuple(replace(group, nonlinearity=Linear()) for group in self.groups)
-        return Structure({name: self.parameters[name] for name in LINEAR_UNITS}, groups)
+        return Structure({name: self.parameters[name] for name in LINEAR_UNITS}, groups, self.labels)
