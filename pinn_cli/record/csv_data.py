@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,18 @@ import numpy as np
 from pinn_cli.record.csv_file import CsvFile
 from pinn_cli.record.decimation import decimate
 from pinn_cli.record.record import (
+    GROUND,
     INTERSAMPLE,
     MINIMUM_SAMPLES,
     QUANTITIES,
     RESPONSE_QUANTITIES,
+    Frame,
     Intersample,
     Measurements,
     Record,
     Response,
     Truth,
+    check_frame,
     dof_mask,
 )
 from pinn_cli.settings.errors import InputError
@@ -38,6 +41,8 @@ class CsvData:
         force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
             are not listed are known to be unforced.
         displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
+        ground_acceleration: Column of the ground's acceleration, m/s^2; None: the ground is at rest.
+        frame: What the accelerometers measure where the ground moves: ``absolute``, or ``relative`` to the ground.
         holdout: DOFs whose columns the estimator never sees: they go into the truth, to score it.
         start, stop: Of the window, s, both included; None: the file's ends.
         decimate: Keep every so manieth sample of the window, after an anti-alias filter.
@@ -60,6 +65,8 @@ class CsvData:
     stop: float | None = None
     decimate: int = 1
     intersample: Intersample = "band_limited"
+    ground_acceleration: str | None = None
+    frame: Frame = "absolute"
     base: Path | None = None
     kind: str = "csv"
 
@@ -75,6 +82,7 @@ class CsvData:
         if self.decimate > 1 and self.intersample == "zero_order_hold":
             hint = "a filtered force is no longer held; take data.intersample=band_limited"
             raise InputError("data.decimate", self.decimate, "1 with data.intersample=zero_order_hold", hint)
+        self._check_ground()
         self._check_sensors()
         self._check_columns_differ()
 
@@ -86,40 +94,48 @@ class CsvData:
                 sensor that reads one value throughout.
         """
         self._check_dofs(ndof)
+        time, values = self._read()
+        self._check_alive(values)
+        seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
+        unforced = ~dof_mask(self.force, ndof)
+        seen.force[:, unforced] = 0.0
+        ground = values.pop((GROUND, 0), None)
+        for (quantity, dof), column in values.items():
+            target = truth if dof in self.holdout else seen
+            getattr(target, quantity)[:, dof - 1] = column
+        seen = replace(seen, ground_acceleration=ground)
+        record = Record(**seen.measurable, unforced=unforced, intersample=self.intersample, frame=self.frame)
+        return Measurements(record, Truth(truth))
+
+    @property
+    def _columns(self) -> dict[tuple[str, int], str]:
+        """Quantity and DOF to the name of the column; the ground's has DOF 0."""
         columns = {
             (quantity, dof): column
             for quantity in QUANTITIES
             for dof, column in getattr(self, quantity).items()
             if column is not None
         }
-        time, values = self._read(columns)
-        self._check_alive(columns, values)
-        seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
-        unforced = ~dof_mask(self.force, ndof)
-        seen.force[:, unforced] = 0.0
-        for (quantity, dof), column in zip(columns, values.T, strict=True):
-            target = truth if dof in self.holdout else seen
-            getattr(target, quantity)[:, dof - 1] = column
-        record = Record(**vars(seen), unforced=unforced, intersample=self.intersample)
-        return Measurements(record, Truth(truth))
+        return columns if self.ground_acceleration is None else {**columns, (GROUND, 0): self.ground_acceleration}
 
-    def _check_alive(self, columns: Mapping[tuple[str, int], str], values: np.ndarray) -> None:
+    def _check_alive(self, values: Mapping[tuple[str, int], np.ndarray]) -> None:
         """A response sensor that reads one value throughout has seen nothing; a force may well be zero."""
-        for (quantity, dof), column in zip(columns, values.T, strict=True):
-            if quantity in RESPONSE_QUANTITIES and np.ptp(column) == 0.0:
-                name = getattr(self, quantity)[dof]
+        for (quantity, dof), column in values.items():
+            if quantity != "force" and np.ptp(column) == 0.0:
+                name = self._columns[quantity, dof]
                 hint = f"every sample of it is {column[0]:g}: a dead sensor? Leave it out of data.{quantity}"
-                raise InputError(f"data.{quantity}.{dof}", repr(name), "a column that varies", hint)
+                raise InputError(_setting(quantity, dof), repr(name), "a column that varies", hint)
 
-    def _read(self, columns: Mapping[tuple[str, int], str]) -> tuple[np.ndarray, np.ndarray]:
-        """Times (N,) of the window after decimation, and (N, columns)."""
-        settings = {f"data.{quantity}.{dof}": column for (quantity, dof), column in columns.items()}
+    def _read(self) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray]]:
+        """Times (N,) of the window after decimation, and by quantity and DOF the columns (N,)."""
+        columns = self._columns
+        settings = {_setting(*place): column for place, column in columns.items()}
         file = CsvFile((self.base or Path.cwd()) / Path(self.path).expanduser(), {"data.time": self.time, **settings})
         time = file.increasing_times(self.time)
         first, last = self._window(time)
         time = file.uniform_times(self.time, time[first:last], first)
         values = np.stack([file.numbers(column, first, last) for column in columns.values()], axis=1)
-        return time[:: self.decimate], decimate(values, self.decimate)
+        return time[:: self.decimate], dict(zip(columns, decimate(values, self.decimate).T, strict=True))
 
     def _window(self, time: np.ndarray) -> tuple[int, int]:
         """Rows first..last (excluded) between start and stop."""
@@ -142,6 +158,15 @@ class CsvData:
             raise InputError("data.start", self.start, f"before data.stop={self.stop}")
         whole_number("data.decimate", self.decimate, least=1)
 
+    def _check_ground(self) -> None:
+        column = self.ground_acceleration
+        if column is not None and (not isinstance(column, str) or not column):
+            raise InputError(f"data.{GROUND}", column, "null or the name of a column")
+        check_frame(self.frame, column is not None, f"data.{GROUND} is not given")
+        if column is not None and self.intersample == "zero_order_hold":
+            allowed = f"band_limited with data.{GROUND}"
+            raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
+
     def _check_sensors(self) -> None:
         measured = {dof for quantity in RESPONSE_QUANTITIES for dof in getattr(self, quantity)}
         if not measured:
@@ -157,18 +182,21 @@ class CsvData:
 
     def _check_columns_differ(self) -> None:
         places = {self.time: "data.time"}
-        for quantity in QUANTITIES:
-            for dof, column in getattr(self, quantity).items():
-                if column in places:
-                    raise InputError(f"data.{quantity}.{dof}", repr(column), f"another column than {places[column]}")
-                if column is not None:
-                    places[column] = f"data.{quantity}.{dof}"
+        for place, column in self._columns.items():
+            if column in places:
+                raise InputError(_setting(*place), repr(column), f"another column than {places[column]}")
+            places[column] = _setting(*place)
 
     def _check_dofs(self, ndof: int) -> None:
         for quantity in QUANTITIES:
             for dof in getattr(self, quantity):
                 if not 1 <= dof <= ndof:
                     raise InputError(f"data.{quantity}", dof, f"a DOF between 1 and system.ndof={ndof}")
+
+
+def _setting(quantity: str, dof: int) -> str:
+    """Where the column of a quantity and DOF is given."""
+    return f"data.{quantity}" if quantity == GROUND else f"data.{quantity}.{dof}"
 
 
 def _checked_columns(quantity: str, columns: Any) -> dict[int, str | None]:

@@ -6,22 +6,27 @@ Arrays are numpy float64 (time, dof), SI units. DOFs are counted from 1 wherever
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import one_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 RESPONSE_QUANTITIES = ("displacement", "velocity", "acceleration")
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")
-UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+# Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
+GROUND = "ground_acceleration"
+UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", GROUND: "m/s^2"}
 
 Intersample = Literal["band_limited", "zero_order_hold"]
 INTERSAMPLE: tuple[str, ...] = get_args(Intersample)
+Frame = Literal["absolute", "relative"]
+FRAMES: tuple[str, ...] = get_args(Frame)
 
 # Fewer samples than this are no time history: three points per knot of a spline leave nothing to estimate.
 MINIMUM_SAMPLES = 16
@@ -33,7 +38,11 @@ class Response:
 
     Attributes:
         time: (N,), s.
-        displacement, velocity, acceleration, force: (N, n) in m, m/s, m/s^2, N.
+        displacement, velocity: (N, n), relative to the ground, m, m/s.
+        acceleration: (N, n), m/s^2, in the record's frame: with the ground's (absolute) or without it (relative).
+        force: (N, n), external, N; what the ground's motion does to the masses is no external force.
+        ground_acceleration: (N,), m/s^2; None where the ground is at rest.
+        hidden: (N, h), N, the forces of connections with memory; None where there are none.
     """
 
     time: np.ndarray
@@ -41,6 +50,13 @@ class Response:
     velocity: np.ndarray
     acceleration: np.ndarray
     force: np.ndarray
+    ground_acceleration: np.ndarray | None = None
+    hidden: np.ndarray | None = None
+
+    @property
+    def measurable(self) -> dict[str, Any]:
+        """All of it that sensors may measure, by the name that a record has for it; the times as well."""
+        return {name: getattr(self, name) for name in ("time", *QUANTITIES, GROUND)}
 
     @classmethod
     def unknown(cls, time: np.ndarray, ndof: int) -> Response:
@@ -58,12 +74,15 @@ class Record:
         force: (N, n), measured; a column of NaN where the force is unknown; 0 where there is known to be none.
         unforced: (n,) bool, the DOFs that are known to carry no force.
         intersample: How the force behaves between the samples.
+        ground_acceleration: (N,), measured, m/s^2; None where the ground is at rest.
+        frame: What accelerometers measure where the ground moves: ``absolute``, as sensors on the structure do, or
+            ``relative`` to the ground. Displacements and velocities are relative to it always.
         repeats: Where the histories are means of repeated measurements, how far those scattered.
         simulated: Whether a simulation of the configured structure made it. What is prescribed for an unknown parameter
             is then the truth, and to be forgotten; of a measured record it is what the user knows.
 
     Raises:
-        InputError: No response sensor at all.
+        InputError: No response sensor at all; a held force where the ground moves.
         ValueError: Shapes, time axis, half-filled columns or forces on unforced DOFs that contradict the above.
     """
 
@@ -76,6 +95,8 @@ class Record:
     intersample: Intersample = "band_limited"
     repeats: Repeats | None = None
     simulated: bool = False
+    ground_acceleration: np.ndarray | None = None
+    frame: Frame = "absolute"
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):
@@ -83,8 +104,10 @@ class Record:
         object.__setattr__(self, "unforced", np.asarray(self.unforced, dtype=bool))
         if self.intersample not in INTERSAMPLE:
             raise InputError("data.intersample", self.intersample, f"one of {', '.join(INTERSAMPLE)}")
+        one_of("data.frame", self.frame, FRAMES)
         self._check_time()
         self._check_columns()
+        self._check_ground()
         if not self.observed.any():
             raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
 
@@ -110,6 +133,17 @@ class Record:
                 )
         if np.any(self.force[:, self.unforced] != 0.0):
             raise ValueError("the force on an unforced DOF must be 0")
+
+    def _check_ground(self) -> None:
+        if self.ground_acceleration is None:
+            return
+        values = np.asarray(self.ground_acceleration, dtype=np.float64)
+        object.__setattr__(self, GROUND, values)
+        if values.shape != self.time.shape or not np.isfinite(values).all():
+            raise ValueError(f"{GROUND} must be {self.time.shape} finite numbers; its shape is {values.shape}")
+        if self.intersample == "zero_order_hold":
+            allowed = "band_limited where the ground moves"
+            raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     @property
     def ndof(self) -> int:
@@ -170,6 +204,8 @@ class Record:
     def until(self, samples: int) -> Record:
         """The record's first samples; the scatter of repeats, which is known of the whole, is shared out evenly."""
         histories = {name: getattr(self, name)[:samples] for name in ("time", *QUANTITIES)}
+        if self.ground_acceleration is not None:
+            histories[GROUND] = self.ground_acceleration[:samples]
         repeats = self.repeats
         if repeats is not None:
             left = samples / repeats.samples
@@ -196,6 +232,22 @@ class Measurements:
 
     record: Record
     truth: Truth
+
+
+def check_frame(frame: str, moves: bool, why: str) -> None:
+    """Refuse a frame that does not exist, or one relative to a ground at rest.
+
+    Args:
+        frame: ``data.frame``.
+        moves: Whether the record has a ground acceleration.
+        why: It has none, for the message.
+
+    Raises:
+        InputError: Naming ``data.frame``.
+    """
+    one_of("data.frame", frame, FRAMES)
+    if frame == "relative" and not moves:
+        raise InputError("data.frame", frame, "absolute where the ground is at rest", why)
 
 
 def dof_mask(dofs: Iterable[int], ndof: int) -> np.ndarray:

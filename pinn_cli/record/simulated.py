@@ -45,5 +45,5 @@ class Simulated:
         seen, repeats = self.noise.measured(response)
         intersample = INTERSAMPLE_OF_HOLD[self.simulation.hold]
         unforced = ~self.excitation.forced
-        record = Record(**vars(seen), unforced=unforced, intersample=intersample, repeats=repeats, simulated=True)
+        record = Record(**seen.measurable, unforced=unforced, intersample=intersample, repeats=repeats, simulated=True)
         return Measurements(record, Truth(response, structure.parameters_like(np.empty(0))))

@@ -83,7 +83,7 @@ def test_the_authors_system_reproduces_their_signals():
     signals = dict(np.load(SIGNALS / "sp_5dof.npz"))
     truth = Response(**{name: signals[name] for name in ("time", *QUANTITIES)})
     unforced = ~truth.force.any(axis=0)
-    record = Record(**vars(truth), unforced=unforced, intersample="zero_order_hold")
+    record = Record(**truth.measurable, unforced=unforced, intersample="zero_order_hold")
     # Prescribed are parameters that are far off: all of the true ones come in as estimates.
     prescribed = build_chain(5, Duffing(), m=3.0, c=3.0, k=3.0, kappa=3.0)
     estimates = {f"{name}_{i + 1}": signals[name][i] for name in ("m", "c", "k", "kappa") for i in range(5)}

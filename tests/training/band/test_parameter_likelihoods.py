@@ -151,7 +151,7 @@ def test_the_marginal_is_wider_than_the_conditional_which_takes_the_motion_for_k
 def test_a_free_decay_tells_parameters_and_no_noise_of_a_force():
     structure, time = small_chain("linear", ndof=2), np.linspace(0.0, 20.0, 257)
     motion = simulate(structure, lambda t: np.zeros((len(t), 2)), time, initial=([0.5, 1.0], [0.0, 0.3]))
-    record = Record(**vars(add_noise(motion, 30.0)), unforced=np.array([True, True]))
+    record = Record(**add_noise(motion, 30.0).measurable, unforced=np.array([True, True]))
     scheme = Bayesian()
     trained = solved(scheme.problem(structure, scheme.observe(record)))
     marginal = parameter_likelihoods(trained.evidence, trained.trained).marginal

@@ -1,0 +1,120 @@
+"""The ground's acceleration as a channel of a record: kept with it, read from a CSV file, refused where it is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.record.csv_data import CsvData
+from pinn_cli.record.record import Record, Response
+from pinn_cli.record.repeats import Repeats
+from pinn_cli.settings.errors import InputError
+
+STEP, ROWS = 0.02, 200
+SETTINGS = {"path": "quake.csv", "time": "t", "acceleration": {3: "roof"}, "ground_acceleration": "ground"}
+
+
+def table() -> pd.DataFrame:
+    time = np.round(STEP * np.arange(ROWS), 2)
+    return pd.DataFrame({"t": time, "ground": np.sin(3.0 * time), "roof": np.cos(time), "still": 0.0})
+
+
+@pytest.fixture
+def quake(tmp_path):
+    table().to_csv(tmp_path / "quake.csv", index=False)
+    return tmp_path
+
+
+def read(base, **changes) -> Record:
+    return CsvData(**{**SETTINGS, "base": base, **changes}).measure(3).record
+
+
+def test_a_record_keeps_it_whatever_is_cut_away(quake):
+    record = read(quake, frame="relative")
+    np.testing.assert_allclose(record.ground_acceleration, table()["ground"], rtol=1e-12)
+    for kept in (record.keep({"acceleration": [3]}), replace(record, unforced=record.unforced)):
+        assert kept.ground_acceleration is record.ground_acceleration
+        assert kept.frame == "relative"
+    first = replace(record, repeats=Repeats(2, ROWS, {"ground_acceleration": np.array([4.0])})).until(50)
+    np.testing.assert_array_equal(first.ground_acceleration, record.ground_acceleration[:50])
+    assert first.frame == "relative"
+    assert first.repeats.square["ground_acceleration"] == 1.0
+
+
+def test_no_force_is_needed(quake):
+    record = read(quake)
+    assert record.frame == "absolute"
+    assert record.unforced.all()
+    assert not record.force.any()
+
+
+def test_a_record_without_is_at_rest(quake):
+    assert read(quake, ground_acceleration=None).ground_acceleration is None
+
+
+def test_decimation_and_windows_treat_it_as_every_column(quake):
+    record = read(quake, acceleration={3: "ground"}, ground_acceleration="roof", decimate=2, start=1.0, stop=3.0)
+    swapped = read(quake, decimate=2, start=1.0, stop=3.0)
+    np.testing.assert_array_equal(record.acceleration[:, 2], swapped.ground_acceleration)
+    np.testing.assert_array_equal(record.ground_acceleration, swapped.acceleration[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("expected", "changes"),
+    [
+        ("data.ground_acceleration=3: must be null or the name of a column", {"ground_acceleration": 3}),
+        ("data.ground_acceleration='base': must be a column of quake.csv", {"ground_acceleration": "base"}),
+        (
+            "data.ground_acceleration='roof': must be another column than data.acceleration.3",
+            {"ground_acceleration": "roof"},
+        ),
+        ("data.ground_acceleration='still': must be a column that varies", {"ground_acceleration": "still"}),
+        ("data.frame=fixed: must be one of absolute, relative", {"frame": "fixed"}),
+        (
+            "data.frame=relative: must be absolute where the ground is at rest",
+            {"frame": "relative", "ground_acceleration": None},
+        ),
+        (
+            "data.intersample=zero_order_hold: must be band_limited with data.ground_acceleration",
+            {"intersample": "zero_order_hold"},
+        ),
+    ],
+)
+def test_a_setting_that_cannot_be_used(quake, expected, changes):
+    with pytest.raises(InputError) as error:
+        read(quake, **changes)
+    assert str(error.value).startswith(expected)
+
+
+def test_a_gap_is_told_by_its_line(tmp_path):
+    values = table()
+    values.loc[7, "ground"] = np.nan
+    values.to_csv(tmp_path / "quake.csv", index=False)
+    with pytest.raises(InputError, match="column 'ground', line 9=empty or NaN"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("match", "changes"),
+    [
+        ("ground_acceleration must be", {"ground_acceleration": np.zeros(ROWS - 1)}),
+        ("ground_acceleration must be", {"ground_acceleration": np.full(ROWS, np.nan)}),
+        ("data.frame=fixed", {"frame": "fixed"}),
+        ("data.intersample", {"intersample": "zero_order_hold"}),
+    ],
+)
+def test_a_record_refuses_contradictions(quake, match, changes):
+    with pytest.raises(ValueError, match=match):
+        replace(read(quake), **changes)
+
+
+def test_a_response_says_what_sensors_may_measure():
+    response = Response.unknown(np.arange(20.0), 2)
+    assert set(response.measurable) == {
+        *("time", "displacement", "velocity", "acceleration", "force", "ground_acceleration")
+    }
+    assert response.ground_acceleration is None
+    assert response.hidden is None
