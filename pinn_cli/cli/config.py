@@ -300,6 +300,6 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)
     span = {"ndof": structure.ndof, "duration": simulation.duration, "samples": simulation.samples}
-    excitation = build(config.excitation, "excitation", **span)
+    excitation = build(config.excitation, "excitation", base=base, **span)
     simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
     return Source(simulated.measure, simulated=True, snr_db=noise.snr_db)

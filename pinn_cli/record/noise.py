@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.record import GROUND, QUANTITIES, Response
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 
 STREAMS = ("independent", "shared")
+# In the order of their streams.
+CHANNELS = (*QUANTITIES, GROUND)
 # Noise of 1e-15 times the signal, which is the last digit of a number.
 LARGEST_SNR_DB = 300
 # Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
@@ -51,8 +53,9 @@ class Noise:
             raise InputError("noise.snr_db", self.snr_db, allowed)
         whole_number("seed", self.seed)
         if self.seeds is not None:
-            if not isinstance(self.seeds, Mapping) or set(self.seeds) != set(QUANTITIES):
-                raise InputError("noise.seeds", self.seeds, f"null or one seed for each of {', '.join(QUANTITIES)}")
+            if not isinstance(self.seeds, Mapping) or set(self.seeds) - {GROUND} != set(QUANTITIES):
+                allowed = f"null or one seed for each of {', '.join(QUANTITIES)}, and {GROUND} where the ground moves"
+                raise InputError("noise.seeds", self.seeds, allowed)
             for quantity, seed in self.seeds.items():
                 whole_number(f"noise.seeds.{quantity}", seed, most=LARGEST_LEGACY_SEED)
 
@@ -86,22 +89,40 @@ def add_noise(
     """The response with noise on every channel that is not identically zero, so on forces of forced DOFs only.
 
     Args:
-        response: (N, n) each; not changed.
+        response: (N, n) each, and the ground's acceleration if there is one; not changed.
         snr_db: See :class:`Noise`.
         seed: See :class:`Noise`.
         seeds: See :class:`Noise`.
         repeat: Which measurement of the same response; each has streams of its own.
+
+    Raises:
+        InputError: ``seeds`` have none for the ground that moves.
     """
     if snr_db is None:
         return response
     noisy = {}
-    for quantity in QUANTITIES:
-        values = getattr(response, quantity).copy()
+    for quantity, clean in _histories(response).items():
+        values = clean.copy()
+        if seeds is not None and quantity not in seeds:
+            raise InputError("noise.seeds", dict(seeds), f"with a seed for {quantity}")
         for i in np.flatnonzero(np.any(values != 0.0, axis=0)):
             deviation = math.sqrt(np.mean(values[:, i] ** 2) / 10.0 ** (snr_db / 10.0))
             values[:, i] += deviation * _standard_normal(quantity, int(i), len(values), (seed, repeat), seeds)
         noisy[quantity] = values
-    return replace(response, **noisy)
+    return _with_histories(response, noisy)
+
+
+def _histories(response: Response) -> dict[str, np.ndarray]:
+    """Quantity to (N, channels); the ground's one channel comes last, where it moves."""
+    histories = {quantity: getattr(response, quantity) for quantity in QUANTITIES}
+    ground = response.ground_acceleration
+    return histories if ground is None else {**histories, GROUND: ground[:, None]}
+
+
+def _with_histories(response: Response, histories: Mapping[str, np.ndarray]) -> Response:
+    """The reverse of :func:`_histories`."""
+    given = {name: values[:, 0] if name == GROUND else values for name, values in histories.items()}
+    return replace(response, **given)
 
 
 def _standard_normal(
@@ -111,14 +132,15 @@ def _standard_normal(
         return np.random.RandomState(seeds[quantity] + i).standard_normal(samples)
     seed, repeat = stream
     # The first repeat is what a single measurement with this seed is.
-    entropy = [seed, QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
+    entropy = [seed, CHANNELS.index(quantity), i, *([repeat] if repeat else [])]
     return np.random.default_rng(entropy).standard_normal(samples)
 
 
 def averaged(measured: Sequence[Response]) -> tuple[Response, Repeats]:
     """Mean of repeats, (N, n) each, and their scatter about it."""
-    histories = {q: np.stack([getattr(response, q) for response in measured]) for q in QUANTITIES}
+    every = [_histories(response) for response in measured]
+    histories = {q: np.stack([one[q] for one in every]) for q in every[0]}
     means = {q: values.mean(axis=0) for q, values in histories.items()}
-    square = {q: np.sum((histories[q] - means[q]) ** 2, axis=(0, 1)) for q in QUANTITIES}
-    time = measured[0].time
-    return Response(time, **means), Repeats(len(measured), len(time), square)
+    square = {q: np.sum((values - means[q]) ** 2, axis=(0, 1)) for q, values in histories.items()}
+    first = measured[0]
+    return _with_histories(first, means), Repeats(len(measured), len(first.time), square)

@@ -14,8 +14,8 @@ class Repeats:
     Attributes:
         count: How often the experiment was measured, R.
         samples: N of each.
-        square: Quantity to (n,), sum over samples and repeats of the squared distance from the repeats' mean; NaN where
-            there is no sensor.
+        square: Quantity to (n,), the ground's acceleration to (1,), sum over samples and repeats of the squared
+            distance from the repeats' mean; NaN where there is no sensor.
     """
 
     count: int

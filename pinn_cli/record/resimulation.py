@@ -1,4 +1,4 @@
-"""What a chain does under the force of a record."""
+"""What a structure does under the force of a record and the motion of its ground."""
 
 from __future__ import annotations
 
@@ -30,16 +30,24 @@ class TooStiffError(ValueError):
 
 
 def resimulate(
-    structure: Structure, record: Record, initial: Sequence[np.ndarray], force: np.ndarray | None = None, first: int = 0
+    structure: Structure,
+    record: Record,
+    initial: Sequence[np.ndarray],
+    force: np.ndarray | None = None,
+    first: int = 0,
+    ground: np.ndarray | None = None,
 ) -> Response:
-    """The response of a chain to the force of a record, which does between samples what the record says.
+    """The response of a structure to the force of a record, which does between samples what the record says.
+
+    The measured motion of its ground acts as well, through the same spline; the acceleration is in the record's frame.
 
     Args:
         structure: Any.
-        record: For its times and its ``intersample`` behaviour.
+        record: For its times, its ``intersample`` behaviour and its frame.
         initial: Displacement and velocity (n,) at sample ``first``.
         force: (N, n), N, another force at the record's samples; None: the record's own.
         first: Sample to begin with.
+        ground: (N,), m/s^2, another ground acceleration at the record's samples; None: the record's own.
 
     Raises:
         OverflowsError: The response does not stay finite.
@@ -52,7 +60,10 @@ def resimulate(
         raise TooStiffError(f"it takes {substeps} steps per sample, and {MOST_SUBSTEPS} are allowed")
     hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
     time, force = record.time[first:], (record.force if force is None else force)[first:]
-    return simulate(structure, _between_samples(time, force, hold), time, hold, initial=initial)
+    moved = record.ground_acceleration if ground is None else ground
+    shaking = None if moved is None else force_spline(time, moved[first:])
+    acting = _between_samples(time, force, hold)
+    return simulate(structure, acting, time, hold, initial=initial, ground=shaking, frame=record.frame)
 
 
 def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
@@ -63,6 +74,6 @@ def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
 
 
 def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
-    """A band-limited force at any time, from its samples (N, n) at times (N,): the spline of `SPLINE_DEGREE`."""
+    """A band-limited history at any time, from its samples (N, ...) at times (N,): the spline of `SPLINE_DEGREE`."""
     spline: Force = make_interp_spline(time, force, k=SPLINE_DEGREE)
     return spline

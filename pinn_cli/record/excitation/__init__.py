@@ -2,7 +2,8 @@
 
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.excitation.base import Excitation
+from pinn_cli.record.excitation.ground_motion import GroundMotion
 from pinn_cli.record.excitation.impulse import Impulse
 from pinn_cli.record.excitation.sine_sweep import SineSweep
 
-__all__ = ["BandedNoise", "Excitation", "Impulse", "SineSweep"]
+__all__ = ["BandedNoise", "Excitation", "GroundMotion", "Impulse", "SineSweep"]

@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
 
 from pinn_cli.record.excitation.base import Excitation, checked_band
+from pinn_cli.record.excitation.sinusoids import sum_of_sinusoids
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, LARGEST_WHOLE, one_of, positive_number, whole_number
 
@@ -63,14 +63,7 @@ class BandedNoise(Excitation):
 
     def signals(self, time: np.ndarray) -> np.ndarray:
         """See :meth:`Excitation.signals`."""
-        # With w = exp(2 pi i t / P) the sum is the real part of a polynomial in w. Horner's scheme needs no array of
-        # (time, bins) and takes a tenth of the cosines' time, but loops over the bins: at few times, form the powers.
-        turn = 2j * np.pi / self.period
-        if len(time) < len(self.bins):
-            return np.real(np.exp(turn * np.outer(time, self.bins)) @ self._coefficients)
-        w = np.exp(turn * time)
-        signals: np.ndarray = np.real(polyval(w, self._coefficients) * w ** self.bins[0]).T
-        return signals
+        return sum_of_sinusoids(time, self.period, self.bins, self._coefficients)
 
     def _bins_in_band(self) -> np.ndarray:
         low, high = self.band

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from pinn_cli.settings.legal_values import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 
 class Excitation(ABC):
@@ -34,15 +34,20 @@ class Excitation(ABC):
         samples: Of the record.
         dofs: The forced DOFs, counted from 1.
 
+    Attributes:
+        needs_force: Whether one DOF at least has to be forced.
+
     Raises:
         InputError: Naming ``simulation.<setting>`` or ``excitation.dofs``.
     """
+
+    needs_force: ClassVar[bool] = True
 
     def __init__(self, ndof: int, duration: float, samples: int, dofs: Sequence[int]) -> None:
         self.ndof = ndof
         self.duration = positive_number("simulation.duration", duration)
         self.samples = whole_number("simulation.samples", samples, least=MINIMUM_SAMPLES)
-        self.dofs = _checked_dofs(dofs, ndof)
+        self.dofs = _checked_dofs(dofs, ndof) if self.needs_force or dofs else ()
 
     @property
     def forced(self) -> np.ndarray:
@@ -54,11 +59,16 @@ class Excitation(ABC):
         """Half the record's sampling rate, Hz."""
         return (self.samples - 1) / (2.0 * self.duration)
 
+    @property
+    def ground(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        """The ground's acceleration, (M,) s to (M,) m/s^2, at any times; None where it is at rest."""
+        return None
+
     def force(self, time: np.ndarray) -> np.ndarray:
         """(time, ndof), N, at any times (time,), s; zero on the DOFs that carry none."""
         time = np.asarray(time, dtype=np.float64)
         force = np.zeros((len(time), self.ndof))
-        force[:, np.asarray(self.dofs) - 1] = self.signals(time)
+        force[:, np.asarray(self.dofs, dtype=int) - 1] = self.signals(time)
         return force
 
     @abstractmethod

@@ -1,0 +1,142 @@
+"""An earthquake: the ground moves."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.excitation.base import Excitation
+from pinn_cli.record.excitation.filtered_noise import Envelope, FilteredNoise, Spectrum
+from pinn_cli.record.excitation.recorded_motion import RecordedMotion
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import finite_number, positive_number
+
+log = logging.getLogger(__name__)
+
+# m/s^2, of filtered noise, and the part of the record's Nyquist frequency that it reaches, unless it is said.
+DEFAULT_PEAK, DEFAULT_HIGHEST = 3.0, 0.5
+# Power of a recorded motion above the record's Nyquist frequency that is worth a word.
+TOLD_POWER = 1e-4
+
+
+class GroundMotion(Excitation):
+    """The acceleration of the ground: that of a file, or filtered noise under an envelope; known at every time.
+
+    Args:
+        ndof, duration, samples: Of the structure and the record, see :class:`Excitation`.
+        path: Of a recorded motion, see :meth:`RecordedMotion.read`; a relative one starts at ``base``. None: filtered
+            noise (:class:`FilteredNoise`).
+        step: s, between the values of a file without times.
+        scale: m/s^2, what one unit of the file is; 9.81 where the file is in g.
+        peak: m/s^2, the largest acceleration at the record's samples.
+        rms: m/s^2, root mean square: of filtered noise in its strong phase (expected), of a file over its length. At
+            most one of peak and rms is given. None of them: a file as it is, filtered noise with a peak of 3 m/s^2.
+        ground_frequency, ground_damping, high_pass, high_pass_damping: See :class:`Spectrum`.
+        highest: Highest frequency of filtered noise, Hz; None: half the Nyquist frequency of the record.
+        rise, strong, decay: See :class:`Envelope`.
+        seed: Of the phases.
+        force: Settings of a :class:`BandedNoise` that acts as well; None: no external force.
+        base: The directory the user started the command in; None: the current one.
+
+    Raises:
+        InputError: Naming ``excitation.<setting>``.
+    """
+
+    needs_force: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        ndof: int,
+        duration: float,
+        samples: int,
+        path: str | None = None,
+        step: float | None = None,
+        scale: float = 1.0,
+        peak: float | None = None,
+        rms: float | None = None,
+        ground_frequency: float = 2.5,
+        ground_damping: float = 0.6,
+        high_pass: float = 0.25,
+        high_pass_damping: float = 0.6,
+        highest: float | None = None,
+        rise: float = 4.0,
+        strong: float = 15.0,
+        decay: float = 10.0,
+        seed: int = 0,
+        force: Mapping[str, Any] | None = None,
+        base: Path | None = None,
+    ) -> None:
+        self.acting = None if force is None else _acting(force, ndof, duration, samples)
+        super().__init__(ndof, duration, samples, () if self.acting is None else self.acting.dofs)
+        if peak is not None and rms is not None:
+            raise InputError("excitation.rms", rms, f"null with excitation.peak={peak}", "one of them is the scale")
+        motion: FilteredNoise | RecordedMotion
+        if path is None:
+            spectrum = Spectrum(ground_frequency, ground_damping, high_pass, high_pass_damping)
+            highest = DEFAULT_HIGHEST * self.nyquist if highest is None else self._checked_highest(highest)
+            motion = FilteredNoise(self.duration, highest, spectrum, Envelope(rise, strong, decay), seed)
+            unscaled, strength = DEFAULT_PEAK if rms is None else None, 1.0
+        else:
+            motion = RecordedMotion.read((base or Path()) / Path(path).expanduser(), step)
+            self._tell_differences(motion, path)
+            unscaled, strength = None, float(np.sqrt(np.mean(motion.samples**2)))
+        self._motion = motion
+        self.factor = self._factor(scale, unscaled if peak is None else peak, rms, strength)
+
+    @property
+    def ground(self) -> Callable[[np.ndarray], np.ndarray]:
+        """See :attr:`Excitation.ground`."""
+        return self._acceleration
+
+    def signals(self, time: np.ndarray) -> np.ndarray:
+        """See :meth:`Excitation.signals`."""
+        return np.zeros((len(time), 0)) if self.acting is None else self.acting.signals(time)
+
+    def _acceleration(self, time: np.ndarray) -> np.ndarray:
+        return np.asarray(self.factor * self._motion(np.asarray(time, dtype=np.float64)))
+
+    def _checked_highest(self, highest: float) -> float:
+        if positive_number("excitation.highest", highest) > self.nyquist:
+            allowed = f"at most the Nyquist frequency of the record, {self.nyquist:.4g} Hz"
+            raise InputError("excitation.highest", highest, allowed, "take more simulation.samples")
+        return float(highest)
+
+    def _factor(self, scale: float, peak: float | None, rms: float | None, strength: float) -> float:
+        """By which the motion is multiplied."""
+        if finite_number("excitation.scale", scale) == 0.0:
+            raise InputError("excitation.scale", scale, "a number other than 0")
+        if peak is not None:
+            largest = float(np.max(np.abs(self._motion(np.linspace(0.0, self.duration, self.samples)))))
+            if not largest > 0.0:
+                raise InputError("simulation.duration", self.duration, "long enough for the ground to move")
+            return positive_number("excitation.peak", peak) / largest
+        return float(scale) if rms is None else positive_number("excitation.rms", rms) / strength
+
+    def _tell_differences(self, motion: RecordedMotion, path: str) -> None:
+        """What of a recorded motion the record has not, or the other way round."""
+        name = Path(path).name
+        if motion.duration > self.duration:
+            log.info(
+                "%s lasts %.4g s; simulation.duration=%.4g uses its beginning", name, motion.duration, self.duration
+            )
+        elif motion.duration < self.duration:
+            log.info("%s lasts %.4g s; the ground is at rest after that", name, motion.duration)
+        above = motion.power_above(self.nyquist)
+        if above > TOLD_POWER:
+            log.warning(
+                "%.2g %% of the power of %s lies above the Nyquist frequency of the record, %.4g Hz: it is aliased; "
+                "take more simulation.samples",
+                100.0 * above, name, self.nyquist,
+            )  # fmt: skip
+
+
+def _acting(force: Mapping[str, Any], ndof: int, duration: float, samples: int) -> BandedNoise:
+    if not isinstance(force, Mapping) or not {"band", "rms", "dofs"} <= set(force) <= {"band", "rms", "dofs", "seed"}:
+        hint = "e.g. excitation.force={band: [0.5, 10], rms: 100, dofs: [3], seed: 0}"
+        raise InputError("excitation.force", force, "null, or band, rms, dofs and perhaps seed of a banded noise", hint)
+    return BandedNoise(ndof, duration, samples, **force)

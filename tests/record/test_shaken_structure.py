@@ -1,0 +1,134 @@
+"""Structures on moving ground against equations of motion that are written out here, and what of it is measured."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pinn_cli.record.excitation import GroundMotion
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.resimulation import resimulate
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation, simulate
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Duffing, Linear
+
+M, C, K, KAPPA = (2000.0, 2000.0, 1500.0), (5e3, 4e3, 3e3), (8e6, 7.2e6, 5.6e6), 1e10
+FRAME = build_chain(3, Duffing(), m=list(M), c=list(C), k=list(K), kappa=KAPPA)
+DURATION, SAMPLES = 6.0, 601
+FORCE = {"band": [0.5, 10.0], "rms": 2e3, "dofs": [2], "seed": 1}
+GENERATED = {"rise": 1.0, "strong": 3.0, "decay": 1.0, "highest": 15.0}
+
+
+def by_hand(motion: GroundMotion, time: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Displacement, velocity (relative) and absolute acceleration of the three storeys, (N, 3) each."""
+
+    def absolute(t, x1, x2, x3, v1, v2, v3):
+        r1 = C[0] * v1 + K[0] * x1 + KAPPA * x1**3
+        r2 = C[1] * (v2 - v1) + K[1] * (x2 - x1) + KAPPA * (x2 - x1) ** 3
+        r3 = C[2] * (v3 - v2) + K[2] * (x3 - x2) + KAPPA * (x3 - x2) ** 3
+        f = motion.force(np.array([t]))[0, 1]
+        return (r2 - r1) / M[0], (f + r3 - r2) / M[1], -r3 / M[2]
+
+    def rate(t, y):
+        ground = motion.ground(np.array([t]))[0]
+        return [*y[3:], *(a - ground for a in absolute(t, *y))]
+
+    options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-14, "max_step": 0.01}
+    y = solve_ivp(rate, (0.0, time[-1]), np.zeros(6), t_eval=time, **options).y
+    return y[:3].T, y[3:].T, np.array([absolute(t, *state) for t, state in zip(time, y.T, strict=True)])
+
+
+@pytest.mark.parametrize("settings", [{"path": "el_centro", "force": FORCE}, GENERATED], ids=["el_centro", "filtered"])
+def test_it_moves_as_the_equations_written_out_say(request, settings):
+    if "path" in settings:
+        folder = request.getfixturevalue("shared") / "data" / "ground_motion"
+        settings = {**settings, "path": str(folder / f"{settings['path']}.csv")}
+    motion = GroundMotion(3, DURATION, SAMPLES, **settings)
+    simulation = Simulation(DURATION, SAMPLES)
+    found = simulation.run(FRAME, motion.force, motion.ground)
+    u, v, absolute = by_hand(motion, simulation.time)
+    for given, expected in ((found.displacement, u), (found.velocity, v), (found.acceleration, absolute)):
+        assert np.sqrt(np.mean((given - expected) ** 2)) < 1e-6 * np.sqrt(np.mean(expected**2))
+    relative = simulation.run(FRAME, motion.force, motion.ground, "relative").acceleration
+    np.testing.assert_allclose(relative, found.acceleration - found.ground_acceleration[:, None], atol=1e-12)
+    np.testing.assert_array_equal(found.ground_acceleration, motion.ground(simulation.time))
+    np.testing.assert_array_equal(found.force, motion.force(simulation.time))
+
+
+def test_a_ground_that_accelerates_evenly_is_a_weight():
+    """Relative to it the structure hangs by -m g: the static deflection, around which it vibrates."""
+    chain = build_chain(1, Linear(), m=2.0, c=0.0, k=50.0)
+    time = np.linspace(0.0, 4.0, 401)
+    response = simulate(
+        chain, lambda t: np.zeros((len(t), 1)), time, substeps=10, ground=lambda t: np.full(len(t), 3.0)
+    )
+    deflection = -2.0 * 3.0 / 50.0
+    np.testing.assert_allclose(response.displacement[:, 0], deflection * (1 - np.cos(5.0 * time)), atol=1e-8)
+    np.testing.assert_allclose(response.acceleration[:, 0], 3.0 * (1 - np.cos(5.0 * time)), atol=1e-6)
+    assert not response.force.any()
+
+
+def simulated(frame: str = "absolute", **noise) -> Simulated:
+    motion = GroundMotion(3, DURATION, SAMPLES, force=FORCE, **GENERATED)
+    return Simulated(motion, Simulation(DURATION, SAMPLES), Noise(**noise), frame)
+
+
+def test_a_simulated_record_measures_the_ground_with_noise_of_its_own():
+    record, truth = (it := simulated(snr_db=30.0, seed=4).measure(FRAME)).record, it.truth.response
+    noise = record.ground_acceleration - truth.ground_acceleration
+    ratio = 10.0 * math.log10(np.mean(truth.ground_acceleration**2) / np.mean(noise**2))
+    assert ratio == pytest.approx(30.0, abs=0.5)
+    assert record.unforced.tolist() == [True, False, True]
+    others = [getattr(record, q) - getattr(truth, q) for q in QUANTITIES]
+    columns = [x for each in others for x in each.T if x.any()]
+    assert max(abs(np.corrcoef(noise, x)[0, 1]) for x in columns) < 0.15
+
+
+def test_the_noise_of_the_other_channels_stays_what_it_was():
+    record, truth = (it := simulated(snr_db=30.0, seed=4).measure(FRAME)).record, it.truth.response
+    values = truth.acceleration[:, 1]
+    drawn = np.random.default_rng([4, 2, 1]).standard_normal(SAMPLES)
+    expected = values + math.sqrt(np.mean(values**2) / 1000.0) * drawn
+    np.testing.assert_array_equal(record.acceleration[:, 1], expected)
+
+
+def test_repeats_and_seeds_know_the_ground():
+    record = simulated(snr_db=20.0, repeats=4).measure(FRAME).record
+    one = simulated(snr_db=20.0).measure(FRAME)
+    true = one.truth.response.ground_acceleration
+    expected = np.std(one.record.ground_acceleration - true) / 2.0
+    assert record.repeats.noise_of_mean("ground_acceleration")[0] == pytest.approx(expected, rel=0.1)
+    seeds = dict(zip(QUANTITIES, (1, 2, 3, 4), strict=True))
+    with pytest.raises(InputError, match="seed for ground_acceleration"):
+        simulated(snr_db=20.0, seeds=seeds).measure(FRAME)
+    drawn = simulated(snr_db=20.0, seeds={**seeds, "ground_acceleration": 5}).measure(FRAME).record
+    expected = np.random.RandomState(5).standard_normal(SAMPLES)
+    assert np.corrcoef(drawn.ground_acceleration - true, expected)[0, 1] > 0.999
+
+
+@pytest.mark.parametrize("frame", ["absolute", "relative"])
+@pytest.mark.parametrize("first", [0, 200])
+def test_a_free_run_goes_on_under_the_measured_ground(frame, first):
+    it = simulated(frame, snr_db=None).measure(FRAME)
+    record, truth = it.record, it.truth.response
+    assert record.frame == frame
+    found = resimulate(FRAME, record, (truth.displacement[first], truth.velocity[first]), first=first)
+    for quantity in ("displacement", "acceleration"):
+        expected = getattr(truth, quantity)[first:]
+        assert np.max(np.abs(getattr(found, quantity) - expected)) < 1e-4 * np.max(np.abs(expected))
+    np.testing.assert_allclose(found.ground_acceleration, record.ground_acceleration[first:], atol=1e-9)
+    still = resimulate(FRAME, record, np.zeros((2, 3)), 0.0 * record.force, ground=0.0 * record.time)
+    assert not still.displacement.any()
+
+
+def test_a_held_force_and_a_relative_frame_without_ground_are_refused():
+    motion = GroundMotion(3, DURATION, SAMPLES)
+    held = Simulated(motion, Simulation(DURATION, SAMPLES, hold="zero_order"), Noise())
+    with pytest.raises(InputError, match=r"simulation\.hold=zero_order: must be exact where the ground moves"):
+        held.measure(FRAME)
