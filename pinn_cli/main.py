@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
+from pinn_cli.runs.signs_of_life import signs_of_life
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.tracking_state import is_tracked
 
@@ -47,7 +49,8 @@ def run(composed: DictConfig) -> float | None:
         from pinn_cli.tracking.follow import follow
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
-    with follow(config.tracking, tracked_run, resuming) as tracked:
+    telling = nullcontext() if in_sweep else signs_of_life(stages)
+    with telling, follow(config.tracking, tracked_run, resuming) as tracked:
         if finished:
             text = f"finished before; tracking={config.tracking.name} has it now"
         else:

@@ -29,6 +29,7 @@ from pinn_cli.record.record import (
 )
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, finite_number, is_whole_number, one_of, whole_number
+from pinn_cli.settings.paths import located
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class CsvData:
     """Which column of a CSV file is what, and which part of it is used.
 
     Attributes:
-        path: Of the file; a relative one starts at ``base``.
+        path: Of the file; a relative one starts at ``base``, and ``~`` is home.
         time: Column of the times, s, uniform within the window.
         force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
             are not listed are known to be unforced.
@@ -130,7 +131,7 @@ class CsvData:
         """Times (N,) of the window after decimation, and by quantity and DOF the columns (N,)."""
         columns = self._columns
         settings = {_setting(*place): column for place, column in columns.items()}
-        file = CsvFile((self.base or Path.cwd()) / Path(self.path).expanduser(), {"data.time": self.time, **settings})
+        file = CsvFile(located(self.path, self.base or Path.cwd()), {"data.time": self.time, **settings})
         time = file.increasing_times(self.time)
         first, last = self._window(time)
         time = file.uniform_times(self.time, time[first:last], first)

@@ -13,6 +13,8 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.settings.paths import located
+
 # Where and how a run is made, which may differ from one start of it to the next.
 LEFT_OUT = ("device", "threads", "resume", "figures", "strict", "tracking", "training.checkpoint_every_s")
 PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
@@ -41,7 +43,7 @@ class Identity:
         """
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
         path = OmegaConf.select(config, "data.path")
-        content = None if path is None else _content((base or Path()) / str(path))
+        content = None if path is None else _content(located(str(path), base))
         if content:
             settings["data.path"] = content
         return cls(settings, {name: package_version(name) or "unknown" for name in PACKAGES})
@@ -103,8 +105,10 @@ def _text(value: Any) -> str:
 
 def _content(file: Path) -> str | None:
     try:
+        if not file.is_file():  # a pipe would be waited for, a device would never end
+            return None
         return f"file of SHA-256 {hashlib.sha256(file.read_bytes()).hexdigest()[:16]}"
-    except OSError:  # whoever needs it says so
+    except (OSError, ValueError):  # whoever needs it says so
         return None
 
 

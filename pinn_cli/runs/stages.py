@@ -24,17 +24,26 @@ class Stages:
     def __init__(self) -> None:
         self._start = time.perf_counter()
         self._seconds: dict[str, float] = {}
+        self._entered: list[str] = []
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
         """Time a block; a stage that comes twice is added up."""
         start = time.perf_counter()
+        self._entered.append(name)
         try:
             yield
         finally:
+            self._entered.pop()
             seconds = time.perf_counter() - start
             self._seconds[name] = self._seconds.get(name, 0.0) + seconds
             log.info("%s: %.2f s", name, seconds)
+
+    @property
+    def current(self) -> str:
+        """The stage that lasts, of nested ones the innermost; empty between stages."""
+        entered = self._entered.copy()  # read by another thread
+        return entered[-1] if entered else ""
 
     @property
     def seconds(self) -> dict[str, float]:

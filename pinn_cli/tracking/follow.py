@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 
 # Seconds from one batch of rows to the next: a database is not to be written to at each iteration.
 EVERY_S = 5.0
+# To one that has failed nothing is told for twice as long as before, up to so long: each try may take a while.
+MOST_S = 320.0
 
 
 class Followed:
@@ -45,7 +47,7 @@ class Followed:
     ) -> None:
         self.tracker, self.directory, self.state, self.clock = tracker, directory, state, clock
         self._waiting: list[dict[str, float]] = []
-        self._flushed = clock()
+        self._flushed, self._every_s = clock(), EVERY_S
         self._complained = False
         self._complete = False
 
@@ -55,15 +57,19 @@ class Followed:
         if self.tracker is None or row["iteration"] <= last:
             return
         self._waiting.append(dict(row))
-        if self.clock() - self._flushed >= EVERY_S:
+        if self.clock() - self._flushed >= self._every_s:
             self.flush()
 
     def flush(self) -> None:
         """Hand over the rows that wait; they wait on if the tracker fails."""
-        rows, self._flushed = self._waiting, self.clock()
-        if rows and self._tried(lambda tracker: tracker.rows(rows)):
-            self._waiting = []
-            self._keep(logged=rows[-1]["iteration"])
+        rows = self._waiting
+        if rows:
+            handed = self._tried(lambda tracker: tracker.rows(rows))
+            self._every_s = EVERY_S if handed else min(2.0 * self._every_s, MOST_S)
+            if handed:
+                self._waiting = []
+                self._keep(logged=rows[-1]["iteration"])
+        self._flushed = self.clock()
 
     def results(self) -> None:
         """Hand over what the run has left in its directory, and the rows that the tracker missed."""

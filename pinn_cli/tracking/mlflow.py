@@ -15,7 +15,10 @@ from pinn_cli.runs.lock import locked
 from pinn_cli.runs.tracking_state import NOTHING, TrackingState
 from pinn_cli.runs.writing import replacing
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import true_or_false
+from pinn_cli.settings.paths import located
 from pinn_cli.tracking.base import FAILED, FINISHED, INTERRUPTED, TrackedRun, Tracker, Tracking, require
+from pinn_cli.tracking.mlflow_store import SQLITE, Store
 from pinn_cli.tracking.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -24,7 +27,6 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-SQLITE = "sqlite:///"
 STATUS = {FINISHED: "FINISHED", FAILED: "FAILED", INTERRUPTED: "KILLED"}
 # Tag with the key that the run's directory has.
 KEY = "key"
@@ -38,7 +40,8 @@ class MlflowTracking(Tracking):
     """One run of MLflow for each run.
 
     Args:
-        uri: Of the tracking store; a relative SQLite file starts where pinn-run is called. ``http://...`` is a server.
+        uri: Of the tracking store; a relative SQLite file starts where pinn-run is called, and ``~`` is home.
+            ``http://...`` is a server.
         experiment: That runs are listed under.
         artifacts: Folder for the runs' files, where the store is a SQLite file; None: beside it.
         files: Whether the run's files are copied there, or only its numbers are kept.
@@ -59,20 +62,28 @@ class MlflowTracking(Tracking):
         base: Path | None = None,
     ) -> None:
         require("mlflow", self.name)
-        for setting, value in (("uri", uri), ("experiment", experiment)):
-            if not isinstance(value, str) or not value:
-                raise InputError(f"tracking.{setting}", value, "a text")
-        if not isinstance(files, bool):
-            raise InputError("tracking.files", files, "true or false")
-        self.experiment, self.files = experiment, files
         start = (base or Path()).absolute()
-        self.database = start / uri.removeprefix(SQLITE) if uri.startswith(SQLITE) else None
-        self.uri = uri if self.database is None else f"{SQLITE}{self.database}"
-        beside = None if self.database is None else self.database.with_name(f"{self.database.stem}-artifacts")
-        self.artifacts = beside if artifacts is None else start / artifacts
+        self.store = Store.of(uri, start)
+        if not isinstance(experiment, str) or not experiment.strip():
+            raise InputError("tracking.experiment", experiment, "a text")
+        self.experiment, self.files = experiment, true_or_false("tracking.files", files)
+        self.artifacts = self._artifacts(artifacts, start)
+
+    def _artifacts(self, given: object, start: Path) -> Path | None:
+        """The folder of the runs' files; None where the server says where they go."""
+        if given is not None and (not isinstance(given, str) or not given):
+            raise InputError("tracking.artifacts", given, "null or a folder")
+        if given is None:
+            database = self.store.database
+            return None if database is None else database.with_name(f"{database.stem}-artifacts")
+        folder = located(given, start)
+        if os.path.lexists(folder) and not folder.is_dir():
+            raise InputError("tracking.artifacts", given, "null or a folder", "what is there is no folder")
+        return folder
 
     def open(self, tracked: TrackedRun, state: TrackingState, known: bool) -> MlflowTracker:
         """See :meth:`Tracking.open`."""
+        self.store.check()
         try:
             client, experiment = self._connected()
             found = _patiently(lambda: _found(client, state.key)) if known else None
@@ -86,7 +97,7 @@ class MlflowTracking(Tracking):
             return MlflowTracker(client, run, self.files, logged)
         except Exception as error:
             hint = str(error).partition("\n")[0]
-            raise InputError("tracking.uri", self.uri, "a store that MLflow can use", hint) from error
+            raise InputError("tracking.uri", self.store.uri, "a store that MLflow can use", hint) from error
 
     def abandon(self, key: str) -> None:
         """See :meth:`Tracking.abandon`."""
@@ -97,13 +108,14 @@ class MlflowTracking(Tracking):
 
     def _connected(self) -> tuple[MlflowClient, str]:
         """A client, and the number of the experiment; one process at a time, so that there is one database and one."""
-        if self.database is None:
+        database = self.store.database
+        if database is None:
             client = self._client()
             return client, self._experiment(client)
-        self.database.parent.mkdir(parents=True, exist_ok=True)
-        with locked(self.database.with_name(f".{self.database.name}.lock")):
-            if not self.database.exists():
-                self._make_tables(self.database)
+        database.parent.mkdir(parents=True, exist_ok=True)
+        with locked(database.with_name(f".{database.name}.lock")):
+            if not database.exists():
+                self._make_tables(database)
             client = self._client()
             return client, self._experiment(client)
 
@@ -122,9 +134,10 @@ class MlflowTracking(Tracking):
         os.environ["MLFLOW_DISABLE_TELEMETRY"] = os.environ["DO_NOT_TRACK"] = "true"
         os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
         logging.getLogger("alembic").setLevel(logging.WARNING)
+        logging.getLogger("urllib3").setLevel(logging.ERROR)  # which tells each try
         from mlflow.tracking import MlflowClient
 
-        return _patiently(lambda: MlflowClient(tracking_uri=uri or self.uri))
+        return _patiently(lambda: MlflowClient(tracking_uri=uri or self.store.uri))
 
     def _new(self, client: MlflowClient, experiment: str, tracked: TrackedRun, key: str) -> str:
         tags = {**{n: str(v) for n, v in tracked.labels.items()}, "directory": str(tracked.directory), KEY: key}

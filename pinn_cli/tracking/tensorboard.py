@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pinn_cli.runs.tracking_state import NOTHING, TrackingState
 from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.paths import located
 from pinn_cli.tracking.base import TrackedRun, Tracker, Tracking, require
 from pinn_cli.tracking.outcome import Outcome
 
@@ -34,7 +35,7 @@ class TensorboardTracking(Tracking):
         require("tensorboard", self.name)
         if directory is not None and (not isinstance(directory, str) or not directory):
             raise InputError("tracking.directory", directory, "null or a folder")
-        self.directory = None if directory is None else (base or Path()).absolute() / directory
+        self.directory = None if directory is None else located(directory, (base or Path()).absolute())
 
     def open(self, run: TrackedRun, state: TrackingState, known: bool) -> TensorboardTracker:
         """See :meth:`Tracking.open`."""
@@ -49,8 +50,8 @@ class TensorboardTracking(Tracking):
                     events.unlink()
             # A reader passes over what lies there of later rows: those that were written, but not noted, before a kill.
             writer = SummaryWriter(log_dir=str(place), purge_step=int(state.logged) + 1 if known else None)
-        except OSError as error:
-            hint = f"{place}: {error.strerror}"
+        except (OSError, ValueError) as error:  # a null character is a ValueError
+            hint = f"{place}: {getattr(error, 'strerror', None) or error}"
             raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
         tracker = TensorboardTracker(writer, place, run)
         if not known:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import math
+import os
 import re
 from pathlib import Path
 
@@ -42,6 +44,31 @@ def with_cell(column: str, row: int, cell: object) -> pd.DataFrame:
         (with_cell("f", 99, "overload"), "rig.csv, column 'f', line 101='overload': must be a finite number"),
         (with_cell("a1", 50, "1,5"), "rig.csv, column 'a1', line 52='1,5'"),
         (with_cell("a1", 50, "inf"), "rig.csv, column 'a1', line 52='inf'"),
+        (
+            with_cell("t", 0, "2024-05-01T12:00:00.0"),
+            "rig.csv, column 't', line 2='2024-05-01T12:00:00.0': must be a finite number; write times as seconds",
+        ),
+        (with_cell("t", 0, "12:00:00"), "rig.csv, column 't', line 2='12:00:00': must be a finite number; write times"),
+        (with_cell("a2", 0, "1,5"), "rig.csv, column 'a2', line 2='1,5': must be a finite number; write decimals with"),
+        (
+            table().assign(a1=table()["a1"] > 0),
+            "rig.csv, column 'a1', line 2='True': must be a finite number; write 1 and",
+        ),
+        (with_cell("a1", 5, "False"), "rig.csv, column 'a1', line 7='False': must be a finite number; write 1 and"),
+        (with_cell("a1", 5, "x" * 99), f"rig.csv, column 'a1', line 7='{'x' * 60}...': must be a finite number"),
+        (
+            table() * [1e300, 1, 1, 1],
+            "rig.csv, column 't', line 101=9.9e+299, its largest number: must be between 1e-30",
+        ),
+        (
+            table() * [1e-300, 1, 1, 1],
+            "rig.csv, column 't', line 101=9.9e-301, its largest number: must be between 1e-",
+        ),
+        (table() * [1, 1, 1e300, 1], "rig.csv, column 'a1', line 2=1e+300, its largest number: must be between 1e-30 "),
+        (
+            table() * [1, 1, 1e-300, 1],
+            "rig.csv, column 'a1', line 2=1e-300, its largest number: must be between 1e-30 ",
+        ),
         (with_cell("t", 3, "now"), "rig.csv, column 't', line 5='now'"),
         (with_cell("t", 3, ""), "rig.csv, column 't', line 5=empty or NaN"),
         (with_cell("t", 3, 0.02), "rig.csv, column 't', line 5=0.02: must be later than the line before it, 0.02"),
@@ -79,7 +106,17 @@ def test_a_blank_line_in_the_middle_is_a_gap_on_its_own_line(tmp_path):
         (b"", "must be a readable file of comma-separated values"),
         (b"t,f,a1,a2\n1,2,3,4\n1,2,3,4,5,6\n", "line 3"),
         (b"t;f;a1;a2\n0;1;2;3\n", "the file must be separated by commas"),
-        (b"\xff\xfe\x00\x01", "must be a readable file"),
+        (b"\xff\xfe\x00\x01", "must be UTF-8 text; it is UTF-16"),
+        (b"t,f,a1,a2\n0,1,2,\xb2\n", "rig.csv, line 2=byte 0xb2: must be UTF-8 text; the file is in another encoding"),
+        (gzip.compress(b"t,f,a1,a2\n0,1,2,3\n" * 99)[:40], "must be a text file; it is gzip: unpack it"),
+        (b"PK\x03\x04 no more", "must be a text file; it is a zip archive or a spreadsheet: unpack it"),
+        (
+            b"t,f,a1,a1,a2\n0,1,2,3,4\n",
+            "data.acceleration.1='a1': must be the name of one column of rig.csv; it is there 2",
+        ),
+        (b"t,f,a1,a2," + b"x" * 140_000 + b"\n0,1,2,3,4\n", "must be a readable file"),
+        (b"t,f,a1,A2\n", "which has 't', 'f', 'a1', 'A2'"),
+        (b"t,f,a1," + b",".join(b"c%d" % i for i in range(900)) + b"\n", "'c15', 'c16' and 883 more"),
     ],
 )
 def test_a_file_that_is_no_csv(tmp_path, content, expected):
@@ -87,9 +124,33 @@ def test_a_file_that_is_no_csv(tmp_path, content, expected):
     assert expected in message(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["rig.csv.gz", "rig.zip"])
+def test_a_packed_file_is_to_be_unpacked_whatever_is_in_it(tmp_path, name):
+    (tmp_path / name).write_bytes(b"hello")
+    assert message(tmp_path, path=name).startswith(f"data.path={tmp_path / name}: must be a text file; unpack it")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "rig.csv")
+    assert "it is a pipe or a device" in message(tmp_path)
+
+
+def test_a_file_beyond_memory(tmp_path, monkeypatch):
+    table().to_csv(tmp_path / "rig.csv", index=False)
+    monkeypatch.setattr("pinn_cli.record.csv_text.of_this_machine", lambda: 2**10)
+    assert "must be a file of at most 5.96e-08 GiB" in message(tmp_path)
+
+
+@pytest.mark.parametrize("path", ["nowhere\0.csv", "~nobody-of-that-name/rig.csv", "n" * 300])
+def test_a_path_that_leads_nowhere(tmp_path, path):
+    assert message(tmp_path, path=path).startswith(f"data.path={tmp_path / path}: must be a ")
+
+
 def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
     assert message(tmp_path).startswith(f"data.path={tmp_path / 'rig.csv'}: must be a file that exists")
-    assert message(tmp_path, path=str(tmp_path)).startswith(f"data.path={tmp_path}: must be a readable file")
+    assert message(tmp_path, path=str(tmp_path)).startswith(
+        f"data.path={tmp_path}: must be a readable file of comma-separated values; it is a folder"
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -53,3 +54,20 @@ def test_what_is_written_is_read(composed: Compose) -> None:
     identity = Identity.of(composed())
     assert Identity.read(identity.content) == identity
     assert identity.versions["torch"] != "unknown"
+
+
+def test_a_file_in_the_home_folder_counts_by_what_is_in_it(
+    composed: Compose, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    config = composed("data=csv", 'data.path="~/rig.csv"')
+    (tmp_path / "rig.csv").write_text("t,f\n0,1\n")
+    was = Identity.of(config, tmp_path / "elsewhere")
+    (tmp_path / "rig.csv").write_text("t,f\n0,2\n")
+    (change,) = Identity.of(config, tmp_path / "elsewhere").changes_from(was)
+    assert change.startswith("data.path=file of SHA-256")
+
+
+def test_a_pipe_has_no_content_and_is_not_waited_for(composed: Compose, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "rig.csv")
+    assert Identity.of(composed(*CSV), tmp_path).settings["data.path"] == "rig.csv"

@@ -233,3 +233,18 @@ def test_a_run_is_followed_from_start_to_end(
     assert {"error_percent/k_1", "seconds/total", "training/iterations"} <= set(outcome.metrics)
     assert "fitness.csv" in {file.name for file in outcome.files}
     assert not {"checkpoint.pt", "run.lock", FILE} & {file.name for file in outcome.files}
+
+
+def test_a_tracker_that_fails_is_asked_less_and_less_often_until_it_is_back(job: TrackedRun) -> None:
+    notes, now, asked = Notes(broken=True), [0.0], []
+    tell = notes.rows
+    notes.rows = lambda rows: (asked.append(now[0]), tell(rows))  # type: ignore[method-assign,assignment,func-returns-value]
+    tracked = noted(job, notes, lambda: now[0])
+    for second in range(100):
+        now[0], notes.broken = float(second), second < 80
+        tracked.row(row(second + 1))
+    assert asked == [5.0, 15.0, 35.0, 75.0]
+    for second in range(100, 200):
+        now[0] = float(second)
+        tracked.row(row(second + 1))
+    assert asked[4:7] == [155.0, 160.0, 165.0]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -193,12 +195,57 @@ def test_an_unusable_store_is_told_before_anything_runs(pinn_run: PinnRun, tmp_p
     assert not (tmp_path / "outputs").exists()
 
 
-@pytest.mark.parametrize("setting", [{"uri": 5}, {"experiment": ""}, {"files": "yes"}])
+@pytest.mark.parametrize(
+    "setting",
+    [
+        *({"uri": uri} for uri in (5, "", "runs", "ftp://here", "databricks", "postgresql://here/runs", "file:/x")),
+        *({"uri": uri} for uri in ("sqlite://", "sqlite:///", "http://", "http://here:99999", "http://[")),
+        {"experiment": ""},
+        {"files": "yes"},
+        *({"artifacts": folder} for folder in (5, "", ["a"], __file__)),
+    ],
+)
 def test_impossible_settings_are_named(setting: dict[str, Any]) -> None:
-    from pinn_cli.tracking.mlflow import MlflowTracking
-
     with pytest.raises(InputError, match=f"tracking.{next(iter(setting))}"):
         MlflowTracking(**setting)
+
+
+def told(uri: str, directory: Path) -> str:
+    """What a store that cannot be used says, and in how few seconds."""
+    begun = time.monotonic()
+    job = TrackedRun(directory, "run", {}, {}, "")
+    with pytest.raises(InputError) as error, follow(MlflowTracking(uri), job, resuming=False):
+        pass
+    assert time.monotonic() - begun < 30.0
+    assert list(directory.glob("tracking.json")) == []
+    return str(error.value)
+
+
+def test_a_port_where_nothing_answers_is_told_at_once(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    expected = "must be a server that runs; nothing answers there (Connection refused)"
+    assert told(f"http://127.0.0.1:{port}", tmp_path) == f"tracking.uri=http://127.0.0.1:{port}: {expected}"
+
+
+def test_a_server_that_takes_calls_and_says_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "1")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        uri = f"http://127.0.0.1:{server.getsockname()[1]}"
+        assert told(uri, tmp_path).startswith(f"tracking.uri={uri}: must be a store that MLflow can use; ")
+    assert os.environ["MLFLOW_HTTP_REQUEST_MAX_RETRIES"] == "1"
+
+
+@pytest.mark.parametrize("name", ["rig.csv", "folder", "pipe"])
+def test_what_is_no_database_is_left_alone(tmp_path: Path, name: str) -> None:
+    (tmp_path / "rig.csv").write_text("t,f\n0,1\n")
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    before = sorted(tmp_path.iterdir())
+    uri = f"sqlite:///{tmp_path / name}"
+    assert told(uri, tmp_path).startswith(f"tracking.uri={uri}: must be a SQLite file, sqlite:///FILE, or a server")
+    assert (tmp_path / "rig.csv").read_text() == "t,f\n0,1\n"
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_it_is_imported_only_where_it_is_chosen(tmp_path: Path) -> None:
