@@ -1,11 +1,14 @@
-"""The examples of docs/extending.md: added to the package as they stand, they run."""
+"""The examples of docs/extending.md: in an installed package of somebody's own, as they stand, they run."""
 
 import importlib
+import importlib.metadata
 import json
 import re
 import runpy
 import shlex
+import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pandas as pd
@@ -14,9 +17,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PAGE, TUTORIAL = (ROOT / "docs" / name for name in ("extending.md", "tutorial.md"))
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-PLACE = re.compile(r"# (\S+\.(?:py|yaml))\n")
-# Files that an example may bring along, one in each folder.
-FOLDERS = ("pinn_cli", "conf")
+PLACE = re.compile(r"# (\S+\.(?:py|yaml|toml))\n")
+# Files that an example brings along, one in each folder.
+FOLDERS = ("conf", "my_pinn")
 
 
 def examples():
@@ -31,34 +34,44 @@ def examples():
 
 
 EXAMPLES = examples()
+(PYPROJECT,) = [text for language, text in FENCED.findall(PAGE.read_text(encoding="utf-8")) if language == "toml"]
+ENTRY_POINTS = tomllib.loads(PYPROJECT)["project"]["entry-points"]
 
 
-@pytest.fixture
-def extended(tmp_path, monkeypatch):
-    """A folder with the files of every example; the package looks for modules there too while a test runs."""
-    known = set(sys.modules)
-    for files, _ in EXAMPLES.values():
+def write_package(folder):
+    """The page's package: every example's files and its pyproject.toml."""
+    for files in (*(files for files, _ in EXAMPLES.values()), {"pyproject.toml": PYPROJECT}):
         for name, text in files.items():
-            place, package = tmp_path / "extended" / name, Path(name).parent.as_posix().replace("/", ".")
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_text(text, encoding="utf-8")
-            if package.startswith("pinn_cli."):
-                searched = importlib.import_module(package).__path__
-                monkeypatch.setattr(sys.modules[package], "__path__", [*searched, str(place.parent)])
-    importlib.invalidate_caches()
-    yield tmp_path / "extended"
-    for name in [name for name in set(sys.modules) - known if str(tmp_path) in str(sys.modules[name])]:
-        del sys.modules[name]
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text, encoding="utf-8")
 
 
 @pytest.fixture
-def example(extended, pinn_run):
+def installed(tmp_path, monkeypatch):
+    """The package's folder, in which a test is; Python knows of it what `pip install -e` would tell."""
+    folder, known = tmp_path / "my_pinn", set(sys.modules)
+    write_package(folder)
+    information = folder / "my_pinn-0.1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-pinn\nVersion: 0.1\n")
+    lines = [f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in points.items())
+             for group, points in ENTRY_POINTS.items()]  # fmt: skip
+    (information / "entry_points.txt").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(folder)
+    yield folder
+    for name in [name for name in set(sys.modules) - known if name.partition(".")[0] == "my_pinn"]:
+        del sys.modules[name]
+    importlib.invalidate_caches()
+
+
+@pytest.fixture
+def example(installed, pinn_run):
     """Run an example's only command; returns the run's directory."""
 
     def call(heading):
         (command,) = EXAMPLES[heading][1]
         arguments = shlex.split(command)[1:]
-        outcome = pinn_run("--config-dir", str(extended / "conf"), *arguments, "figures=false")
+        outcome = pinn_run("--config-dir", str(installed / "conf"), *arguments, "figures=false")
         assert outcome.status == 0, outcome.err
         return outcome.directory
 
@@ -85,9 +98,30 @@ def fitness(directory, estimator="pinn"):
 def test_an_example_is_one_file_and_one_yaml(heading):
     files, commands = EXAMPLES[heading]
     new = [name for name in files if "/" in name]
-    assert sorted(name.partition("/")[0] for name in new) == sorted(FOLDERS)
+    assert sorted(name.partition("/")[0] for name in new) == list(FOLDERS)
     assert not any((ROOT / name).exists() for name in new)
     assert len(commands) == 1
+
+
+@pytest.mark.parametrize("heading", EXAMPLES)
+def test_an_example_is_refused_where_its_package_is_not_installed(heading, tmp_path, pinn_run):
+    write_package(tmp_path / "my_pinn")
+    (command,) = EXAMPLES[heading][1]
+    outcome = pinn_run("--config-dir", "my_pinn/conf", *shlex.split(command)[1:])
+    assert outcome.status == 2
+    assert "_target_=my_pinn." in outcome.err
+    assert "entry point" in outcome.err
+
+
+@pytest.mark.slow
+def test_pip_registers_the_package(tmp_path):
+    write_package(tmp_path / "my_pinn")
+    place = tmp_path / "place"
+    command = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*command, "--target", str(place), str(tmp_path / "my_pinn")], check=True, cwd=tmp_path)
+    (found,) = importlib.metadata.distributions(path=[str(place)])
+    points = {point.name: point.value for point in found.entry_points}
+    assert points == ENTRY_POINTS["pinn_cli.plugins"]
 
 
 def test_a_law_of_a_connection(example):

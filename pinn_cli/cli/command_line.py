@@ -27,6 +27,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
@@ -228,6 +229,7 @@ def _explained(error: Exception) -> Exception:
 
 
 def _run_hydra(jobs: Jobs) -> None:
+    check_what_is_composed()
     given = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
     try:

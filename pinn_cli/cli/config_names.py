@@ -12,6 +12,8 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.cli.composing import check_what_is_composed
+
 
 def option_names(group: str, config_dir: str | None = None) -> Iterator[str]:
     """Every option of a group, in its folders too (`paper/sr_6dof_snr50`); a leading underscore marks no option."""
@@ -42,6 +44,7 @@ def options_with(setting: str, config_dir: str | None = None) -> list[str]:
 def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:
     """All settings and groups as a user types them, under these overrides, or by default if they do not compose."""
     searchpath = [f"hydra.searchpath=[file://{Path(config_dir).resolve()}]"] if config_dir else []
+    check_what_is_composed()
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
         try:
             config = compose("config", overrides=[*overrides, *searchpath])

@@ -13,7 +13,8 @@ from pinn_cli.settings.suggestion import suggestion
 
 _EXCLUSIVE = ("run", "multirun", "cfg", "info", "shell_completion")
 # Hydra's options, which it has no public list of: `pinn-run --hydra-help` prints them. Long name, short name, and how
-# argparse reads them; those without take no value.
+# argparse reads them; those without take no value. Three are left out: --experimental-rerun unpickles the file that it
+# is given, --config-path imports a package, and --config-name would have another main configuration.
 _INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 _OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--help", "-h"): {},
@@ -25,10 +26,7 @@ _OPTIONS: dict[tuple[str, ...], dict[str, Any]] = {
     ("--run", "-r"): {},
     ("--multirun", "-m"): {},
     ("--shell-completion", "-sc"): {},
-    ("--config-path", "-cp"): {"nargs": None},
-    ("--config-name", "-cn"): {"nargs": None},
     ("--config-dir", "-cd"): {"nargs": None},
-    ("--experimental-rerun",): {"nargs": None},
     ("--info", "-i"): {"const": "all", "nargs": "?", "choices": _INFO},
 }
 
@@ -54,6 +52,8 @@ def read_options(arguments: list[str]) -> Namespace:
         print(f"pinn-run {version('pinn-cli')}")
         sys.exit(0)
     options = _parser().parse_intermixed_args(given)
+    if options.config_dir == "":
+        raise InputError("--config-dir", "''", "an existing folder", "is a variable of the shell empty?")
     chosen = [name for name in _EXCLUSIVE if getattr(options, name)]
     if len(chosen) > 1:
         raise InputError("options", " ".join(f"--{name}" for name in chosen), "one of them at a time")

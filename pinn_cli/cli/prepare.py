@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from hydra import compose, initialize_config_module
 
+from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.runs.stages import Stages
 
 if TYPE_CHECKING:
@@ -65,6 +66,8 @@ def compose_config(overrides: Sequence[str]) -> DictConfig:
 
     Raises:
         hydra.errors.HydraException: The overrides do not compose.
+        InputError: They choose a class that is not registered.
     """
+    check_what_is_composed()
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
         return compose("config", overrides=list(overrides))

@@ -136,6 +136,8 @@ COMPOSITION_ERRORS = {
     "bad flag value": (["--cfg", "jobs"], ["jobs:", "job, hydra, all"]),
     "flags at odds": (["--cfg", "job", "--multirun"], ["--multirun --cfg"]),
     "no such folder": (["--config-dir", "nowhere"], ["--config-dir=nowhere:", "folder"]),
+    "no folder's name": (["--config-dir", ""], ["--config-dir='':", "folder"]),
+    "no such logger": (["hydra.verbose=maybe"], ["hydra.verbose=maybe:", "true, false"]),
     "wrong type for Hydra": (["hydra.callbacks=5"], ["hydra.callbacks=5:"]),
 }
 
@@ -182,7 +184,8 @@ def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
 def test_the_options_are_those_of_hydra(pinn_run: PinnRun) -> None:
     """Hydra has no public list of them; its help does."""
     flags = [line.partition(" : ")[0] for line in pinn_run("--hydra-help").out.splitlines() if line.startswith("--")]
-    assert sorted(",".join(names) for names in _OPTIONS) == sorted(flags)
+    loading = {"--config-path,-cp", "--config-name,-cn", "--experimental-rerun"}  # code, or another main configuration
+    assert sorted({",".join(names) for names in _OPTIONS} | loading) == sorted(flags)
 
 
 def test_config_dir_adds_configs(pinn_run: PinnRun, tmp_path: Path) -> None:

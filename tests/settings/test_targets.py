@@ -1,17 +1,21 @@
-"""A configuration chooses classes of this package and of torch, and runs nothing else."""
+"""A configuration chooses registered classes, each at its place, and runs nothing else."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
-import torch
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.settings import registry
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.power_damping import PowerDamping
+
+DUFFING = "pinn_cli.system.connection.duffing.Duffing"
+PLUGIN = "package_of_one_s_own.mine.Mine"
 
 
 def node(**entries: object) -> DictConfig:
@@ -22,23 +26,30 @@ def node(**entries: object) -> DictConfig:
     "target",
     [
         "os.system",
-        "subprocess.run",
         "builtins.eval",
         "pinn_cli",
         "pinn_cli_evil.Class",
-        "pinn_cli.runs.directories.shutil.rmtree",  # begins well, but is another package's function
-        "pinn_cli.runs.directories.Path",  # another package's class, imported here
-        "pinn_cli.runs.directories.discard",  # a function
+        "pinn_cli.runs.directories.shutil.rmtree",
+        "pinn_cli.runs.directories.Path",
+        "pinn_cli.runs.directories.RunDirectories",  # ours, at another place
+        "pinn_cli.network.mlp.Mlp",
+        DUFFING.lower(),
+        f" {DUFFING}",
+        "torch.nn.SiLU",
         "torch.load",
         "torch.hub.load",
-        "torch.os.system",
+        PLUGIN,
         "",
         5,
+        ["a"],
+        None,
     ],
 )
 def test_other_targets_are_refused(target: object, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="_target_"):
+    before = set(sys.modules)
+    with pytest.raises(InputError, match=r"data\._target_"):
         build(node(_target_=target, path=str(tmp_path)), "data")
+    assert set(sys.modules) == before
     assert tmp_path.is_dir()
 
 
@@ -48,20 +59,62 @@ def test_targets_are_checked_to_the_leaves_before_anything_is_built() -> None:
         check_classes(config)
 
 
-def test_build_of_our_classes_and_torch_s() -> None:
-    assert isinstance(build(node(_target_="torch.nn.SiLU"), "activation"), torch.nn.SiLU)
-    assert isinstance(build(node(_target_="pinn_cli.system.connection.duffing.Duffing"), "n"), Duffing)
-    built = build(node(_target_="pinn_cli.system.connection.power_damping.PowerDamping", exponent=1.5), "n")
+def test_a_place_without_classes_takes_none() -> None:
+    with pytest.raises(InputError, match=r"noise._target_=os.system: must be left out"):
+        check_classes(node(noise=node(_target_="os.system")))
+
+
+def test_build_of_our_classes() -> None:
+    assert isinstance(build(node(_target_=DUFFING), "system.nonlinearity"), Duffing)
+    target = "pinn_cli.system.connection.power_damping.PowerDamping"
+    built = build(node(_target_=target, exponent=1.5), "system.nonlinearity")
     assert isinstance(built, PowerDamping)
     assert built.exponent == 1.5
+
+
+def test_what_is_shipped_is_what_the_files_say() -> None:
+    conf = Path(__file__).parents[2] / "conf"
+
+    def targets(content: object) -> set[str]:
+        if not isinstance(content, dict):
+            return set()
+        own = {content["_target_"]} if "_target_" in content else set()
+        return own.union(*map(targets, content.values()))
+
+    for file in conf.rglob("*.yaml"):
+        found = targets(OmegaConf.to_container(OmegaConf.load(file), resolve=False))
+        place = ".".join(file.parent.relative_to(conf).parts) or "hydra.callbacks"
+        assert found <= registry.shipped().get(place, set()), file
+    assert all(target.startswith(("pinn_cli.", "hydra_plugins.pinn_run.")) for target in
+               set().union(*registry.shipped().values()))  # fmt: skip
+
+
+def test_an_installed_package_registers_its_classes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package, information = tmp_path / "package_of_one_s_own", tmp_path / "of_one_s_own-1.dist-info"
+    package.mkdir()
+    information.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "mine.py").write_text("class Mine:\n    def __init__(self, size=1):\n        self.size = size\n")
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: of-one-s-own\nVersion: 1\n")
+    points = "[pinn_cli.plugins]\nnetwork.mine = package_of_one_s_own.mine:Mine\nnowhere = os:system\n"
+    (information / "entry_points.txt").write_text(points)
+    monkeypatch.syspath_prepend(tmp_path)
+    check_classes(node(network=node(_target_=PLUGIN)))
+    assert "package_of_one_s_own" not in sys.modules
+    assert build(node(_target_=PLUGIN, size=3), "network").size == 3
+    for place in ("training", "noise", "nowhere"):
+        with pytest.raises(InputError, match=f"{place}._target_={PLUGIN}"):
+            build(node(_target_=PLUGIN), place)
+    with pytest.raises(InputError, match=r"nowhere._target_=os.system"):
+        build(node(_target_="os.system"), "nowhere")
 
 
 @pytest.mark.parametrize(
     ("target", "told"),
     [
-        ("pinn_cli.system.connection.duffin.Duffing", "did you mean pinn_cli.system.connection.duffing?"),
-        ("pinn_cli.system.connection.duffing.Duffin", "did you mean Duffing?"),
-        ("pinn_cli.sistem.Duffing", "existing class"),
+        ("pinn_cli.system.connection.duffin.Duffing", f"did you mean {DUFFING}?"),
+        ("pinn_cli.system.connection.duffing.Duffin", f"did you mean {DUFFING}?"),
+        ("my_package.MyLaw", "entry point system.NAME of pinn_cli.plugins"),
     ],
 )
 def test_misspelt_targets_are_told(target: str, told: str) -> None:
@@ -71,12 +124,13 @@ def test_misspelt_targets_are_told(target: str, told: str) -> None:
 
 
 def test_entries_are_compared_with_the_signature() -> None:
-    target = "pinn_cli.record.simulation.Simulation"
-    with pytest.raises(InputError, match=r"simulation.duraton=3: .*simulation.duration.*did you mean duration"):
-        build(node(_target_=target, duraton=3, samples=64), "simulation")
-    with pytest.raises(InputError, match=r"simulation.samples=\(missing\)"):
-        build(node(_target_=target, duration=3.0), "simulation")
+    target = "pinn_cli.record.excitation.impulse.Impulse"
+    with pytest.raises(InputError, match=r"excitation.strt=3: .*excitation.start.*did you mean start"):
+        build(node(_target_=target, strt=3), "excitation", ndof=1, duration=1.0, samples=16)
+    target = "pinn_cli.network.spline.Spline"
+    with pytest.raises(InputError, match=r"network.deg=3: .*network.degree"):
+        build(node(_target_=target, deg=3), "network")
 
 
 def test_arguments_that_a_class_does_not_take_are_left_out() -> None:
-    assert build(node(_target_="pinn_cli.system.connection.duffing.Duffing"), "n", base="unused").name == "duffing"
+    assert build(node(_target_=DUFFING), "system.nonlinearity", base="unused").name == "duffing"

@@ -1,0 +1,266 @@
+"""A configuration executes nothing: wherever it says to, a marker file stays unwritten and one line says why."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from calls import SMALL, Outcome, PinnRun
+from omegaconf import OmegaConf
+
+MARKER = "marker"
+# A class of an installed package that starts the program that it is given, and a module that acts when it is imported.
+STARTER = "torch.distributed.elastic.multiprocessing.subprocess_handler.subprocess_handler.SubprocessHandler"
+IMPORTED = "acting_when_imported.Anything"
+
+
+@pytest.fixture
+def marker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What must not appear; the module and the package of configurations that would write it lie on the path."""
+    place, marker = tmp_path / "importable", tmp_path / MARKER
+    package = place / "acting_package"
+    package.mkdir(parents=True)
+    act = f"import pathlib\npathlib.Path({str(marker)!r}).touch()\n"
+    (place / "acting_when_imported.py").write_text(act + "class Anything:\n    pass\n")
+    (package / "__init__.py").write_text(act)
+    monkeypatch.syspath_prepend(place)
+    return marker
+
+
+def refused(outcome: Outcome, marker: Path, told: str) -> None:
+    """Exit status 2, one line that says what, and nothing was executed or left behind."""
+    assert outcome.status == 2, outcome.err
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert told in outcome.err
+    assert not marker.exists()
+    assert not (marker.parent / "outputs").exists()
+
+
+PLACES = (
+    "system", "excitation", "model_error", "data", "scheme", "network", "training", "posterior", "validation",
+    "tracking",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("place", ["network", "data", "tracking"])
+def test_a_target_on_the_command_line(pinn_run: PinnRun, marker: Path, place: str) -> None:
+    refused(pinn_run(f"++{place}._target_={IMPORTED}"), marker, f"{place}._target_={IMPORTED}")
+
+
+OTHERS = (
+    STARTER,
+    "torch.nn.SiLU",
+    "os.system",
+    "pinn_cli.runs.directories.RunDirectories",
+    "pinn_cli.network",
+    "5",
+    "''",
+)
+
+
+@pytest.mark.parametrize("target", OTHERS)
+def test_other_targets(pinn_run: PinnRun, marker: Path, target: str) -> None:
+    given = f"{{entrypoint: touch, args: ['{marker}'], env: {{}}, stdout: null, stderr: null, local_rank_id: 0}}"
+    refused(pinn_run(f"++network={given}", f"++network._target_={target}"), marker, "network._target_=")
+
+
+@pytest.mark.parametrize("name", ["network", "baseline", "noise", "simulation", "data.force", "system.nonlinearity"])
+def test_a_target_within_a_node(pinn_run: PinnRun, marker: Path, name: str) -> None:
+    refused(pinn_run(f"++{name}.deep={{a: [{{_target_: {IMPORTED}}}]}}"), marker, f"{name}.deep.a[0]._target_")
+
+
+def test_a_class_of_another_place(pinn_run: PinnRun, marker: Path) -> None:
+    target = "pinn_cli.training.gradient.adam.Adam"
+    refused(pinn_run(f"network._target_={target}"), marker, f"network._target_={target}")
+
+
+@pytest.mark.parametrize("group", [*PLACES, "baseline", "hydra/launcher", "hydra/sweeper"])
+def test_a_target_in_a_file_of_one_s_own(pinn_run: PinnRun, marker: Path, group: str) -> None:
+    folder = marker.parent / "own" / group
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text(f"_target_: {IMPORTED}\n")
+    sweep = ("--multirun", "seed=0,1") if group.startswith("hydra") else ()
+    outcome = pinn_run("--config-dir", "own", f"{group}=mine", *sweep)
+    refused(outcome, marker, f"{group.replace('/', '.')}._target_={IMPORTED}")
+
+
+def test_a_target_in_a_job_of_a_sweep(pinn_run: PinnRun, marker: Path) -> None:
+    folder = marker.parent / "own" / "network"
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_text(f"_target_: {IMPORTED}\n")
+    outcome = pinn_run("--config-dir", "own", "--multirun", "network=spline,mine")
+    assert outcome.status == 2
+    assert f"network._target_={IMPORTED}" in outcome.err
+    assert not marker.exists()
+
+
+def test_a_target_that_is_put_together(pinn_run: PinnRun, marker: Path) -> None:
+    outcome = pinn_run("+case={a: acting_when_imported.Anything}", "network._target_=${case.a}")
+    refused(outcome, marker, "network._target_=${case.a}")
+    made = "'${oc.create:{_target_:acting_when_imported.Anything}}'"
+    refused(pinn_run(f"++network.depth={made}"), marker, "network.depth._target_=acting_when_imported.Anything")
+
+
+def test_a_directory_that_is_resumed(pinn_run: PinnRun, marker: Path) -> None:
+    assert pinn_run(*SMALL, task=lambda config: None).status == 0
+    stored = next((marker.parent / "outputs").rglob(".hydra")) / "config.yaml"
+    content = stored.read_text()
+    for place in ("network", "system", "tracking"):
+        config = OmegaConf.create(content)
+        OmegaConf.update(config, f"{place}._target_", IMPORTED, force_add=True)
+        OmegaConf.save(config, stored)
+        before = {file: file.read_bytes() for file in marker.parent.rglob("*") if file.is_file()}
+        outcome = pinn_run(f"resume={stored.parents[1]}")
+        assert outcome.status == 2
+        assert f"{place}._target_={IMPORTED}" in outcome.err
+        assert not marker.exists()
+        after = {file: file.read_bytes() for file in marker.parent.rglob("*") if file.is_file()}
+        log = stored.parents[1] / "pinn-run.log"  # has the refusal, too
+        assert {**after, log: b""} == {**before, log: b""}
+
+
+HYDRA_NODES = {
+    "callback": ("callbacks: {x: {_target_: acting_when_imported.Anything}}", "hydra.callbacks.x._target_"),
+    "callback within": (
+        "callbacks: {sweep: {_target_: pinn_cli.sweep.callback.SweepCallback, x: {_target_: os.system}}}",
+        "hydra.callbacks.sweep",
+    ),
+    "callback put together": ("callbacks: {x: '${network}'}", "hydra.callbacks.x"),
+    "handler's factory": (
+        "job_logging: {handlers: {x: {(): acting_when_imported.Anything}}}",
+        "hydra.job_logging.handlers.x.class",
+    ),
+    "handler's class": (
+        "job_logging: {handlers: {x: {class: acting_when_imported.Anything}}}",
+        "hydra.job_logging.handlers.x.class=acting_when_imported.Anything",
+    ),
+    "handler of Hydra's": (
+        "hydra_logging: {handlers: {x: {class: logging.FileHandler, filename: victim, mode: w}}}",
+        "hydra.hydra_logging.handlers.x.class=logging.FileHandler",
+    ),
+    "formatter's factory": (
+        "job_logging: {formatters: {full: {(): acting_when_imported.Anything}}}",
+        "hydra.job_logging.formatters.full.()",
+    ),
+    "formatter's class": (
+        "hydra_logging: {formatters: {simple: {class: acting_when_imported.Anything}}}",
+        "hydra.hydra_logging.formatters.simple.class",
+    ),
+    "looked up in a text": (
+        "job_logging: {formatters: {full: {format: 'ext://acting_when_imported.Anything'}}}",
+        "hydra.job_logging.formatters.full.format",
+    ),
+    "filter": ("job_logging: {filters: {x: {(): acting_when_imported.Anything}}}", "hydra.job_logging.filters"),
+    "logging put together": ("job_logging: '${network}'", "hydra.job_logging"),
+    "file that is emptied": (
+        "job_logging: {handlers: {file: {mode: w}}}",
+        "hydra.job_logging.handlers.file.mode=w",
+    ),
+    "file elsewhere": (
+        "job_logging: {handlers: {file: {filename: victim}}}",
+        "hydra.job_logging.handlers.file.filename=victim",
+    ),
+    "log named elsewhere": ("job: {name: ../../victim}", "hydra.job.name=../../victim"),
+    "folder elsewhere": ("output_subdir: ../..", "hydra.output_subdir=../.."),
+    "environment": ("job: {env_set: {GIT_CONFIG_COUNT: '1'}}", "hydra.job.env_set.GIT_CONFIG_COUNT=1"),
+    "library path": ("job: {env_set: {LD_PRELOAD: evil.so}}", "hydra.job.env_set.LD_PRELOAD=evil.so"),
+    "overrides": ("overrides: {hydra: ['hydra.searchpath=[pkg://acting_package]']}", "hydra.overrides="),
+}
+
+
+@pytest.mark.parametrize(("content", "told"), HYDRA_NODES.values(), ids=HYDRA_NODES.keys())
+def test_the_hydra_node_of_an_experiment(pinn_run: PinnRun, marker: Path, content: str, told: str) -> None:
+    folder = marker.parent / "own" / "experiment"
+    folder.mkdir(parents=True)
+    (folder / "theirs.yaml").write_text(f"# @package _global_\nhydra:\n  {content}\n")
+    victim = marker.parent / "victim"
+    victim.write_text("mine")
+    # A single run and a sweep are started in different ways, and showing a configuration sets up logs, too.
+    more = (("--cfg", "job"), ("--multirun", "seed=0,1"), ())[len(content) % 3]
+    refused(pinn_run("--config-dir", "own", "experiment=theirs", *more), marker, told)
+    assert victim.read_text() == "mine"
+
+
+def test_a_search_path_that_is_imported(pinn_run: PinnRun, marker: Path) -> None:
+    folder = "pkg://acting_package"
+    for plus, *more in (("",), ("+", "--multirun", "seed=0,1"), ("++", "--info", "searchpath")):
+        refused(pinn_run(f"{plus}hydra.searchpath=[{folder}]", *more), marker, f"hydra.searchpath={folder}")
+    own = marker.parent / "own" / "hydra" / "sweeper"
+    own.mkdir(parents=True)
+    target = "hydra_plugins.pinn_run.sweepers.BasicSweeper"
+    (own / "mine.yaml").write_text(f"_target_: {target}\nparams: {{hydra.searchpath: '[{folder}]'}}\n")
+    outcome = pinn_run("--config-dir", "own", "hydra/sweeper=mine", "--multirun", "seed=0,1")
+    assert outcome.status == 2
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize("option", ["--experimental-rerun", "--config-path", "--config-name"])
+def test_options_of_hydra_that_load_code_are_none(pinn_run: PinnRun, marker: Path, option: str) -> None:
+    refused(pinn_run(option, "pkg://acting_package"), marker, f"option={option}")
+
+
+SHELL = {
+    "commands": ("setup: ['touch {marker}']", "hydra.launcher.setup"),
+    "option with a line break": ('partition: "short\\ntouch {marker}"', "hydra.launcher.partition"),
+    "any option": ("additional_parameters: {{wrap: 'touch {marker}'}}", "hydra.launcher.additional_parameters.wrap"),
+    "pickles elsewhere": ("submitit_folder: '{marker}'", "hydra.launcher.submitit_folder"),
+}
+
+
+@pytest.mark.parametrize(("content", "told"), SHELL.values(), ids=SHELL.keys())
+def test_what_reaches_a_shell_is_typed(pinn_run: PinnRun, marker: Path, content: str, told: str) -> None:
+    folder = marker.parent / "own" / "experiment"
+    folder.mkdir(parents=True)
+    text = f"# @package _global_\nhydra:\n  launcher:\n    {content.format(marker=marker)}\n"
+    (folder / "theirs.yaml").write_text(text)
+    command = ("--config-dir", "own", "experiment=theirs", "hydra/launcher=slurm", "--multirun", "seed=0,1")
+    refused(pinn_run(*command), marker, told)
+    shown = pinn_run("hydra/launcher=slurm", "hydra.launcher.setup=[module load python]", "--cfg", "hydra")
+    assert "module load python" in shown.out, shown.err
+
+
+def test_a_foreign_ray_is_typed(pinn_run: PinnRun, marker: Path) -> None:
+    folder = marker.parent / "own" / "experiment"
+    folder.mkdir(parents=True)
+    (folder / "theirs.yaml").write_text(
+        "# @package _global_\nhydra: {launcher: {ray: {init: {address: ray.example.org:6379}}}}\n"
+    )
+    command = ("--config-dir", "own", "experiment=theirs", "hydra/launcher=ray_cluster", "--multirun", "seed=0,1")
+    refused(pinn_run(*command), marker, "hydra.launcher.ray.init.address=ray.example.org:6379")
+
+
+def test_what_a_user_sets_of_hydra_still_works(pinn_run: PinnRun) -> None:
+    for allowed in (
+        ("hydra.job.env_set={OMP_NUM_THREADS: 1}", "hydra.job.env_copy=[HOME]", "hydra.verbose=[pinn_cli.runs]"),
+        ("hydra/job_logging=stdout", "hydra/hydra_logging=none"),
+        ("hydra.job_logging.formatters.full.format='%(message)s'", "hydra.job_logging.root.level=DEBUG"),
+    ):
+        assert pinn_run(*allowed, task=lambda config: None).err == ""
+
+
+def test_a_repository_s_configuration_runs_no_program(tmp_path: Path) -> None:
+    """`git` is asked which commit runs, with none of its variables and none of the repository's programs."""
+    checkout, marker, script = tmp_path / "checkout", tmp_path / MARKER, tmp_path / "script"
+    script.write_text(f"#!/bin/sh\ntouch {marker}\n")
+    script.chmod(0o755)
+    place = checkout / "pinn_cli" / "report"
+    place.mkdir(parents=True)
+    (place / "file").write_text("a")
+    git = ["git", "-C", str(checkout), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    for arguments in (["init", "-q"], ["add", "."], ["commit", "-qm", "a"], ["config", "core.fsmonitor", str(script)]):
+        subprocess.run([*git, *arguments], check=True)
+    code = (
+        "import pinn_cli.report.run_record as module\n"
+        f"module.__file__ = {str(place / 'run_record.py')!r}\n"
+        "print(module.git_revision())"
+    )
+    variables = {"GIT_CONFIG_COUNT": "1", "GIT_CONFIG_KEY_0": "core.fsmonitor", "GIT_CONFIG_VALUE_0": str(script)}
+    variables |= {"GIT_DIR": str(tmp_path), "GIT_TRACE": str(marker)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **variables}, capture_output=True, text=True, check=True
+    )
+    assert len(done.stdout.strip()) == 40, done.stderr
+    assert not marker.exists()
