@@ -54,7 +54,7 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
         raise InputError("hydra.overrides", typed, "left out of files", "it is the command line that has overrides")
     for name in ("hydra_logging", "job_logging"):
         check_logging(f"hydra.{name}", hydra[name])
-    _check_callbacks(hydra["callbacks"])
+    _check_callbacks(hydra["callbacks"], complete=hydra["job"]["config_name"] is not None)
     for name in ("launcher", "sweeper"):
         _check_plugin(name, hydra[name], typed)
     _check_environment(hydra["job"])
@@ -77,7 +77,8 @@ def check_search_path(places: object) -> None:
             raise InputError("hydra.searchpath", place, "a list of folders, file://FOLDER", "or --config-dir FOLDER")
 
 
-def _check_callbacks(callbacks: object) -> None:
+def _check_callbacks(callbacks: object, complete: bool) -> None:
+    """`complete`: with the main configuration, which `--hydra-help` has not."""
     if not isinstance(callbacks, dict):
         raise InputError(CALLBACKS, callbacks, "a mapping of names to callbacks")
     for name, callback in callbacks.items():
@@ -90,7 +91,7 @@ def _check_callbacks(callbacks: object) -> None:
             if isinstance(value, str) and "${" in value:
                 raise InputError(path, value, "written out")
     missing = shipped()[CALLBACKS] - {callback["_target_"] for callback in callbacks.values()}
-    if missing:
+    if missing and complete:
         raise InputError(CALLBACKS, sorted(callbacks), "left as it is, or added to", f"{min(missing)} keeps runs apart")
 
 
