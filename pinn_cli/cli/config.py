@@ -145,7 +145,7 @@ class RunConfig:
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        structure = _chain(config)
+        structure = _structure(config)
         source = _source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name) for name in names}
@@ -274,11 +274,14 @@ def _check_available(device: str) -> None:
         raise InputError("device", device, "cpu or a CUDA device that is there", hint)
 
 
-def _chain(config: DictConfig) -> Structure:
+def _structure(config: DictConfig) -> Structure:
     """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
     from pinn_cli.system.building import build_chain, build_partial_chain
+    from pinn_cli.system.topology import build_partial_structure, build_structure
 
-    return construct(build_chain if _is_simulated(config) else build_partial_chain, config.system, "system")
+    named = config.system.get("kind") == "structure"
+    whole, partial = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
+    return construct(whole if _is_simulated(config) else partial, config.system, "system")
 
 
 def _is_simulated(config: DictConfig) -> bool:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import torch
+import numpy as np
 
 from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.simulation import STEP_TIMES_RATE, substeps_needed
+from pinn_cli.record.simulation import at_rest, fastest_rates
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 
@@ -51,20 +51,27 @@ def check_size(simulation: Simulation, structure: Structure, repeats: int = 1) -
 
 def _check_steps(simulation: Simulation, structure: Structure, most: int) -> None:
     intervals = simulation.samples - 1
-    step = simulation.duration / intervals
     if simulation.substeps is not None:
         if simulation.substeps > most // intervals:
             raise InputError("simulation.substeps", simulation.substeps, f"at most {most // intervals}")
         return
-    steps = intervals * substeps_needed(structure, step)
+    steps = intervals * simulation.steps_per_sample(structure)
     if steps <= most:
         return
-    undamped = structure.with_parameters(c=torch.zeros_like(structure.parameters["c"]))
-    stiff = intervals * substeps_needed(undamped, step) > most
-    rate = STEP_TIMES_RATE * most / simulation.duration
+    oscillation, decay = fastest_rates(structure)
+    stiff = oscillation >= decay
+    rate = simulation.step_times_rate * most / simulation.duration
     allowed = f"a natural frequency above {rate / (2.0 * math.pi):.3g} Hz" if stiff else f"a decay above {rate:.3g} 1/s"
     takes = f"the simulation takes {steps:.1e} steps, of which {most:.1e} are allowed"
     name = "k" if stiff else "c"
-    value, least = float(structure.parameters[name].max()), float(structure.parameters["m"].min())
-    hint = f"{takes}; a larger system.m or a shorter simulation.duration makes them fewer, too"
-    raise InputError(f"system.{name}", value, f"small enough for {least:.3g} kg not to have {allowed}", hint)
+    sizes = at_rest(structure)[0 if stiff else 1]
+    parameter = structure.parameter(name, int(np.argmax(sizes)))
+    own, least = abs(parameter.prescribed), float(structure.parameters["m"].min())
+    rest = f"at rest its law adds {sizes.max() - own:.3g}; " if sizes.max() > own else ""
+    hint = f"{rest}{takes}; a larger mass or a shorter simulation.duration makes them fewer, too"
+    raise InputError(
+        structure.labels.setting(parameter),
+        float(sizes.max()),
+        f"small enough for {least:.3g} kg not to have {allowed}",
+        hint,
+    )

@@ -15,7 +15,7 @@ from pinn_cli.system.parameters import LINEAR_UNITS
 from pinn_cli.system.structure import Structure
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from pinn_cli.system.connection.base import Nonlinearity
 
@@ -35,14 +35,17 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
         InputError: Naming ``system.<parameter>``: ndof is no positive integer; a parameter is missing, unknown, of the
             wrong length, not finite or of a sign that makes no sense.
     """
+    nonlinearity = _with_given(nonlinearity, parameters)
     for name in (*LINEAR_UNITS, *nonlinearity.parameters):
         if parameters.get(name) is None:
             names = ", ".join((*LINEAR_UNITS, *nonlinearity.parameters))
             raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {names}")
     structure = build_partial_chain(ndof, nonlinearity, **parameters)
-    for name, value in parameters.items():
-        if structure.parameters[name].isnan().any():
-            raise InputError(f"system.{name}", value, "given in every entry: null is for what is unknown of a record")
+    for name, tensor in structure.parameters.items():
+        if tensor.isnan().any():
+            raise InputError(
+                f"system.{name}", parameters[name], "given in every entry: null is for what is unknown of a record"
+            )
     return structure
 
 
@@ -55,13 +58,18 @@ def build_partial_chain(
     what is to be estimated is missing.
     """
     ndof = whole_number("system.ndof", ndof, least=1, most=MOST_DOFS)
+    nonlinearity = _with_given(nonlinearity, parameters)
     names = (*LINEAR_UNITS, *nonlinearity.parameters)
     for name, value in parameters.items():
-        if name not in names:
+        if name not in names and (value is not None or name not in nonlinearity.optional):
             raise InputError(f"system.{name}", value, f"left out: a {nonlinearity.name} chain has {', '.join(names)}")
     values = {name: _per_connection(name, parameters.get(name), ndof) for name in names}
     _check_signs(values, nonlinearity)
     return chain_of({name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}, nonlinearity)
+
+
+def _with_given(nonlinearity: Nonlinearity, parameters: Mapping[str, Any]) -> Nonlinearity:
+    return nonlinearity.of_given([name for name, value in parameters.items() if value is not None])
 
 
 def _per_connection(name: str, value: Any, ndof: int) -> list[float]:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from pinn_cli.system.parameters import MASS
+
+if TYPE_CHECKING:
+    from pinn_cli.system.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -27,3 +31,13 @@ class Labels:
         """Name of the mass, or of the connection counted among all, that has a parameter; "" if it has none."""
         names = self.dofs if kind == MASS else self.connections
         return names[index] if names else ""
+
+    def setting(self, parameter: Parameter) -> str:
+        """Where a user gives a parameter: ``system.k``, or of what has a name ``system.connections.brace.k``."""
+        if not parameter.label:
+            return f"system.{parameter.kind}"
+        return (
+            f"system.mass.{parameter.label}"
+            if parameter.kind == MASS
+            else (f"system.connections.{parameter.label}.{parameter.kind}")
+        )

@@ -161,15 +161,20 @@ class Structure:
 
     def parameter(self, kind: str, index: int) -> Parameter:
         """The parameter of a kind that a mass or a connection has, counted from 0, with its present value."""
-        owner = index if kind == MASS or not self.labels.connections else int(self.members[kind][index])
-        return Parameter(
-            kind,
-            index,
-            float(self.parameters[kind][index]),
-            unit=self.units.get(kind, ""),
-            title=self.titles.get(kind, ""),
-            label=self.labels.owner(kind, owner),
-        )
+        value = float(self.parameters[kind][index])
+        if kind == MASS:
+            unit, title, label = LINEAR_UNITS[MASS], LINEAR_TITLES[MASS], self.labels.owner(kind, index)
+            return Parameter(kind, index, value, unit=unit, title=title, label=label)
+        connection = int(self.members[kind][index])
+        law = self._law_of[connection]
+        unit, title = (LINEAR_UNITS | {**law.units}).get(kind, ""), (LINEAR_TITLES | {**law.titles}).get(kind, "")
+        label = self.labels.owner(kind, connection)
+        return Parameter(kind, index, value, unit=unit, title=title, label=label)
+
+    @cached_property
+    def _law_of(self) -> list[Nonlinearity]:
+        """Of every connection."""
+        return [group.nonlinearity for group in self.groups for _ in range(group.incidence.shape[0])]
 
     def every_parameter(self) -> Iterator[Parameter]:
         """All of them, kind by kind."""

@@ -2,8 +2,9 @@
 
 from dataclasses import replace
 
+from structures import braced, shuffled
+
 from pinn_cli.system.labels import Labels
-from tests.structures import braced, shuffled
 
 DOFS = ("ground_floor", "mezzanine", "roof")
 CONNECTIONS = ("storey_1", "storey_2", "storey_3", "brace", "tie", "damper")

@@ -8,7 +8,7 @@ import torch
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
+from pinn_cli.system.connection import Duffing, Friction, Linear, Polynomial, PowerDamping, VanDerPol
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 2.5, 3.0])
@@ -47,5 +47,51 @@ def test_units():
         (VanDerPol(), {"mu": "N s/m"}),
         (PowerDamping(2), {"mu": "N (s/m)^2"}),
         (PowerDamping(1.5), {"mu": "N (s/m)^1.5"}),
+        (Polynomial([7, 2]), {"k_2": "N/m^2", "k_7": "N/m^7"}),
+        (Friction(0.1), {"F_c": "N"}),
     ):
         assert build_chain(2, kind, m=1.0, c=1.0, k=1.0, **dict.fromkeys(own, 1.0)).units == units | own
+
+
+@pytest.mark.parametrize("orders", [[2], [3], [7], [2, 3], [2, 5, 7], [2, 3, 4, 5, 6, 7]])
+def test_a_polynomial_spring_is_the_sum_of_its_powers(orders):
+    e = np.linspace(-0.3, 0.4, 12).reshape(4, 3)
+    values = {f"k_{order}": np.array([1.0, -2.0, 0.5]) * order for order in orders}
+    expected = sum(values[f"k_{order}"] * e**order for order in orders)
+    np.testing.assert_allclose(Polynomial(orders).force(e, e, values), expected, rtol=1e-13, atol=1e-16)
+    tensors = {name: torch.tensor(value) for name, value in values.items()}
+    np.testing.assert_allclose(
+        Polynomial(orders).force(torch.tensor(e), None, tensors), expected, rtol=1e-13, atol=1e-16
+    )
+
+
+def test_a_chain_has_the_orders_that_are_given():
+    unused = dict.fromkeys(("k_4", "k_5", "k_6", "k_7"))
+    chain = build_chain(2, Polynomial(), m=1.0, c=1.0, k=1.0, k_2=0.0, k_3=[2.0, 3.0], **unused)
+    assert list(chain.parameters) == ["m", "c", "k", "k_2", "k_3"]
+    with pytest.raises(InputError, match=r"given one of k_2, k_3, .*k_7; system\.nonlinearity\.orders"):
+        build_chain(2, Polynomial(), m=1.0, c=1.0, k=1.0)
+    with pytest.raises(InputError, match=r"system\.k_4=1\.0: must be left out"):
+        build_chain(2, Polynomial([3]), m=1.0, c=1.0, k=1.0, k_3=1.0, k_4=1.0)
+    with pytest.raises(InputError, match=r"system\.k_3=nothing"):
+        build_chain(2, Polynomial([3]), m=1.0, c=1.0, k=1.0)
+
+
+@pytest.mark.parametrize("orders", [[], [1], [8], [2, 2], [2.0], 3, "23", [True]])
+def test_a_polynomial_refuses_orders_that_it_cannot_have(orders):
+    with pytest.raises(InputError, match=r"system\.nonlinearity\.orders"):
+        Polynomial(orders)
+
+
+def test_friction_turns_round_within_its_speed_and_is_a_damper_at_rest():
+    law, rates = Friction(0.02), np.array([-1.0, -0.02, 0.0, 1e-6, 0.1])
+    force = law.force(rates, rates, {"F_c": np.full(5, 30.0)})
+    np.testing.assert_allclose(force, 30.0 * np.tanh(rates / 0.02), rtol=1e-14)
+    assert force[3] == pytest.approx(1e-6 * law.damping_at_rest({"F_c": np.array(30.0)}))
+    assert law.stiffness_at_rest({"F_c": np.array(30.0)}) == 0.0
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.inf, "slow", None])
+def test_friction_refuses_a_speed_that_is_none(speed):
+    with pytest.raises(InputError, match=r"system\.nonlinearity\.speed"):
+        Friction(speed)

@@ -2,8 +2,10 @@
 
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection.duffing import Duffing
+from pinn_cli.system.connection.friction import Friction
 from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.connection.power_damping import PowerDamping
 from pinn_cli.system.connection.van_der_pol import VanDerPol
 
-__all__ = ["Duffing", "Linear", "Nonlinearity", "PowerDamping", "VanDerPol"]
+__all__ = ["Duffing", "Friction", "Linear", "Nonlinearity", "Polynomial", "PowerDamping", "VanDerPol"]

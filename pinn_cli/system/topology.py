@@ -1,0 +1,242 @@
+"""From named coordinates and connections, as a user writes them (``system=structure``), to a structure."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.labels import Labels
+from pinn_cli.system.laws import law_called, law_settings
+from pinn_cli.system.parameters import LINEAR_UNITS, MASS
+from pinn_cli.system.structure import ConnectionGroup, Structure
+from pinn_cli.system.support import loose_dofs
+
+log = logging.getLogger(__name__)
+
+GROUND = "ground"
+# What a connection says of itself beside its parameters and the settings of its law.
+_PLACE = ("between", "weights", "law")
+_NAME = "a name: letters, digits and _, a letter first"
+
+
+@dataclass(frozen=True, eq=False)
+class _Connection:
+    """One connection as written: which coordinates stretch it, its law, and its parameters; NaN where unknown."""
+
+    name: str
+    weights: dict[int, float]
+    law: Nonlinearity
+    settings: tuple[tuple[str, str], ...]
+    parameters: dict[str, float]
+
+    @property
+    def group(self) -> tuple[object, ...]:
+        """Connections that have the same are of one law."""
+        return self.law.name, type(self.law), self.settings, self.law.parameters
+
+
+def build_structure(
+    dofs: Sequence[str],
+    mass: float | Mapping[str, float],
+    connections: Mapping[str, Mapping[str, Any]],
+    kind: str = "structure",
+) -> Structure:
+    """A structure of which everything is given.
+
+    Args:
+        dofs: Names of the coordinates.
+        mass: Of each, kg; or one number for all.
+        connections: Name to ``between: [a, b]`` (its elongation is that of b less that of a; ``ground`` does not move)
+            or ``weights: {a: 0.8, b: -0.6}``, ``law``, its settings, and the value of each of its parameters.
+        kind: The name of the config group's choice.
+
+    Raises:
+        InputError: Naming ``system.<setting>``.
+    """
+    structure = build_partial_structure(dofs, mass, connections, kind)
+    for parameter in structure.every_parameter():
+        if math.isnan(parameter.prescribed):
+            setting = structure.labels.setting(parameter)
+            hint = "0 is a value; null is for what is unknown of a measured record"
+            raise InputError(setting, "nothing", "given", hint)
+    return structure
+
+
+def build_partial_structure(
+    dofs: Sequence[str],
+    mass: float | Mapping[str, float | None] | None,
+    connections: Mapping[str, Mapping[str, Any]],
+    kind: str = "structure",
+) -> Structure:
+    """The same where a value may be missing, null or left out: it is NaN in the structure.
+
+    Of an optional parameter (an order of a polynomial) null says that the connection has it.
+    """
+    names = _checked_names(dofs)
+    masses = _masses(mass, names)
+    read = [_connection(name, entry, names) for name, entry in _checked_connections(connections).items()]
+    groups: dict[tuple[object, ...], list[_Connection]] = {}
+    for one in read:
+        groups.setdefault(one.group, []).append(one)
+    ordered = [one for members in groups.values() for one in members]
+    parameters = {MASS: masses}
+    for kind_of in dict.fromkeys(kind for one in ordered for kind in one.parameters):
+        parameters[kind_of] = [one.parameters[kind_of] for one in ordered if kind_of in one.parameters]
+    labels = Labels(names, tuple(one.name for one in ordered))
+    structure = Structure(
+        {name: torch.tensor(values, dtype=torch.float64) for name, values in parameters.items()},
+        tuple(
+            ConnectionGroup(members[0].law, Incidence.between([one.weights for one in members], len(names)))
+            for members in groups.values()
+        ),
+        labels=labels,
+    )
+    _check_parameters_differ(structure)
+    _tell_if_loose(structure)
+    return structure
+
+
+def _checked_names(dofs: Any) -> tuple[str, ...]:
+    names = entries(dofs)
+    if not names:
+        raise InputError("system.dofs", dofs, "a list of names of coordinates", "e.g. system.dofs=[x1, x2]")
+    for i, name in enumerate(names):
+        _check_name("system.dofs", name)
+        if name == GROUND:
+            raise InputError("system.dofs", name, "another name", "the ground is the support, which has no coordinate")
+        if name in names[:i]:
+            raise InputError("system.dofs", name, "there once only")
+    return tuple(names)
+
+
+def _check_name(setting: str, name: Any) -> None:
+    if not isinstance(name, str) or not name.isidentifier():
+        hint = "YAML reads yes, no, on and off as true and false: put it in quotes" if isinstance(name, bool) else ""
+        raise InputError(setting, name, _NAME, hint)
+
+
+def _masses(mass: Any, names: tuple[str, ...]) -> list[float]:
+    if mass is None or is_finite_number(mass):
+        given = dict.fromkeys(names, mass)
+    elif isinstance(mass, Mapping):
+        given = {str(name): value for name, value in mass.items()}
+    else:
+        raise InputError("system.mass", mass, "a number, or a map of coordinate: mass in kg")
+    for name in given:
+        if name not in names:
+            raise InputError("system.mass", name, f"one of {', '.join(names)}", suggestion(name, names))
+    missing = [name for name in names if name not in given]
+    if missing:
+        hint = "a coordinate without mass has no equation of motion"
+        raise InputError(f"system.mass.{missing[0]}", "nothing", "given", hint)
+    return [_value(f"system.mass.{name}", given[name], positive=True) for name in names]
+
+
+def _value(setting: str, value: Any, positive: bool = False, nonnegative: bool = False) -> float:
+    """A parameter as a number; NaN for null."""
+    if value is None:
+        return math.nan
+    if not is_usable_number(value):
+        raise InputError(setting, value, f"a number, 0 or {USABLE}")
+    if positive and value <= 0:
+        raise InputError(setting, value, "> 0", "a coordinate without mass has no equation of motion")
+    if nonnegative and value < 0:
+        raise InputError(setting, value, ">= 0", "the connection would push itself apart")
+    return float(value)
+
+
+def _checked_connections(connections: Any) -> dict[str, Any]:
+    if not isinstance(connections, Mapping) or not connections:
+        allowed = "a map of name: {between: [a, b], law: ..., and its parameters}"
+        raise InputError("system.connections", connections, allowed)
+    for name in connections:
+        _check_name("system.connections", name)
+    return dict(connections)
+
+
+def _connection(name: str, entry: Any, names: tuple[str, ...]) -> _Connection:
+    setting = f"system.connections.{name}"
+    if not isinstance(entry, Mapping):
+        raise InputError(setting, entry, "a map such as {between: [ground, x1], law: linear, c: 10, k: 5e4}")
+    weights = _weights(setting, entry, names)
+    if entry.get("law") is None:
+        raise InputError(f"{setting}.law", "nothing", "given", "linear is a spring and a damper")
+    own = law_settings(entry["law"], f"{setting}.law")
+    settings = {key: entry[key] for key in own if key in entry}
+    law = law_called(entry["law"], settings, setting)
+    try:
+        law = law.of_given([str(key) for key in entry])
+    except InputError as error:
+        raise InputError(setting, error.value, error.allowed) from None
+    kinds = (*(kind for kind in LINEAR_UNITS if kind != MASS), *law.parameters)
+    known = (*_PLACE, *own, *kinds)
+    for key in map(str, entry):
+        if key not in known:
+            allowed = f"left out: a {law.name} connection has {', '.join((*kinds, *own))}"
+            raise InputError(f"{setting}.{key}", entry[key], allowed, suggestion(key, known))
+    parameters = {
+        kind: _value(f"{setting}.{kind}", entry.get(kind), nonnegative=kind in law.nonnegative) for kind in kinds
+    }
+    return _Connection(name, weights, law, tuple(sorted((k, str(v)) for k, v in settings.items())), parameters)
+
+
+def _weights(setting: str, entry: Mapping[str, Any], names: tuple[str, ...]) -> dict[int, float]:
+    """Coordinate, counted from 0, to its weight in the elongation; the ground is left out."""
+    given = [key for key in ("between", "weights") if entry.get(key) is not None]
+    if len(given) != 1:
+        allowed = "given either between: [a, b] or weights: {a: 0.8, b: -0.6}"
+        raise InputError(setting, " and ".join(given) or "neither", allowed)
+    if given == ["between"]:
+        return _between(f"{setting}.between", entry["between"], names)
+    weights, setting = entry["weights"], f"{setting}.weights"
+    if not isinstance(weights, Mapping) or not all(is_usable_number(value) for value in weights.values()):
+        raise InputError(setting, weights, "a map of coordinate: weight, such as {a: 0.8, b: -0.6}")
+    for name in map(str, weights):
+        if name not in names:
+            hint = "the ground does not move" if name == GROUND else suggestion(name, names)
+            raise InputError(setting, name, f"one of {', '.join(names)}", hint)
+    if not any(weights.values()):
+        raise InputError(setting, dict(weights), "such that one is not 0", "nothing would stretch the connection")
+    return {names.index(str(name)): float(weight) for name, weight in weights.items() if weight != 0}
+
+
+def _between(setting: str, ends: Any, names: tuple[str, ...]) -> dict[int, float]:
+    pair = entries(ends)
+    if len(pair) != 2:
+        raise InputError(setting, ends, "two ends, [a, b]")
+    for end in pair:
+        if end != GROUND and end not in names:
+            raise InputError(setting, end, f"{GROUND} or one of {', '.join(names)}", suggestion(str(end), names))
+    if pair[0] == pair[1]:
+        raise InputError(setting, pair, "two different ends", "nothing would stretch the connection")
+    return {names.index(end): sign for end, sign in zip(pair, (-1.0, 1.0), strict=True) if end != GROUND}
+
+
+def _check_parameters_differ(structure: Structure) -> None:
+    """The name of a parameter is its kind and its connection's: two may read the same."""
+    seen: dict[str, str] = {}
+    for parameter in structure.every_parameter():
+        setting = structure.labels.setting(parameter)
+        if parameter.name in seen:
+            hint = f"{setting} and {seen[parameter.name]} would both be called {parameter.name}"
+            raise InputError("system.connections", parameter.label, "another name", hint)
+        seen[parameter.name] = setting
+
+
+def _tell_if_loose(structure: Structure) -> None:
+    loose = loose_dofs(structure)
+    if loose:
+        names = ", ".join(structure.dof_name(dof) for dof in loose)
+        log.warning(
+            "the structure is not held: %s can move without stretching any spring (a rigid body's motion)", names
+        )
