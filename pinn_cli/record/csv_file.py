@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.csv_text import read_text
+from pinn_cli.record.text_file import read_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
 

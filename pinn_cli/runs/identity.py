@@ -17,6 +17,8 @@ from pinn_cli.settings.paths import located
 
 # Where and how a run is made, which may differ from one start of it to the next.
 LEFT_OUT = ("device", "threads", "resume", "figures", "strict", "tracking", "training.checkpoint_every_s")
+# Files that are read: their content counts, not their name.
+FILES = ("data.path", "excitation.path")
 PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
 
 
@@ -42,10 +44,11 @@ class Identity:
             base: The folder that relative paths of data start from; None: the current one.
         """
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
-        path = OmegaConf.select(config, "data.path")
-        content = None if path is None else _content(located(str(path), base))
-        if content:
-            settings["data.path"] = content
+        for name in FILES:
+            path = OmegaConf.select(config, name)
+            content = None if path is None else _content(located(str(path), base))
+            if content:
+                settings[name] = content
         return cls(settings, {name: package_version(name) or "unknown" for name in PACKAGES})
 
     @classmethod

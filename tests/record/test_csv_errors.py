@@ -137,7 +137,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 
 def test_a_file_beyond_memory(tmp_path, monkeypatch):
     table().to_csv(tmp_path / "rig.csv", index=False)
-    monkeypatch.setattr("pinn_cli.record.csv_text.of_this_machine", lambda: 2**10)
+    monkeypatch.setattr("pinn_cli.record.text_file.of_this_machine", lambda: 2**10)
     assert "must be a file of at most 5.96e-08 GiB" in message(tmp_path)
 
 
@@ -149,7 +149,7 @@ def test_a_path_that_leads_nowhere(tmp_path, path):
 def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
     assert message(tmp_path).startswith(f"data.path={tmp_path / 'rig.csv'}: must be a file that exists")
     assert message(tmp_path, path=str(tmp_path)).startswith(
-        f"data.path={tmp_path}: must be a readable file of comma-separated values; it is a folder"
+        f"data.path={tmp_path}: must be a readable text file; it is a folder"
     )
 
 

@@ -140,6 +140,7 @@ def test_lengths_and_rates_that_differ_are_told(files, caplog):
     ("expected", "settings"),
     [
         ("excitation.peak=-1", {"peak": -1}),
+        ("excitation.path=5: must be null or a text file", {"path": 5}),
         ("excitation.rms=1.0: must be null with excitation.peak=2.0", {"rms": 1.0, "peak": 2.0}),
         ("excitation.ground_frequency=0", {"ground_frequency": 0}),
         ("excitation.ground_damping=None", {"ground_damping": None}),
@@ -170,6 +171,8 @@ def test_settings_that_cannot_be_used(expected, settings):
         ("quake.txt has none", "nothing\nhere\n", {}),
         ("3 values", "0 1\n1 2\n2 3\n", {}),
         ("quake.txt, line 21: 20.5 s after 19 s", "".join(f"{t} 1\n" for t in range(20)) + "20.5 1\n22 2\n", {}),
+        ("a motion below 1e+30; it reaches 1e+300", "1e300\n" * 20, {"step": 0.1}),
+        ("must be a text file; it is a zip archive or a spreadsheet", "PK\x03\x04", {}),
         ("all of them 0", "0\n" * 20, {"step": 0.1}),
         ("excitation.scale=0", "1\n" * 20, {"step": 0.1, "scale": 0}),
     ],

@@ -71,3 +71,12 @@ def test_a_file_in_the_home_folder_counts_by_what_is_in_it(
 def test_a_pipe_has_no_content_and_is_not_waited_for(composed: Compose, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "rig.csv")
     assert Identity.of(composed(*CSV), tmp_path).settings["data.path"] == "rig.csv"
+
+
+def test_a_recorded_ground_motion_counts_by_what_is_in_it(composed: Compose, tmp_path: Path) -> None:
+    config = composed("excitation=ground_motion", "excitation.path=quake.txt")
+    (tmp_path / "quake.txt").write_text("0 1\n")
+    was = Identity.of(config, tmp_path)
+    (tmp_path / "quake.txt").write_text("0 2\n")
+    (change,) = Identity.of(config, tmp_path).changes_from(was)
+    assert change.startswith("excitation.path=file of SHA-256")

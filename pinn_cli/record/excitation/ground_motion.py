@@ -15,6 +15,7 @@ from pinn_cli.record.excitation.filtered_noise import Envelope, FilteredNoise, S
 from pinn_cli.record.excitation.recorded_motion import RecordedMotion
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import finite_number, positive_number
+from pinn_cli.settings.paths import located
 
 log = logging.getLogger(__name__)
 
@@ -82,7 +83,7 @@ class GroundMotion(Excitation):
             motion = FilteredNoise(self.duration, highest, spectrum, Envelope(rise, strong, decay), seed)
             unscaled, strength = DEFAULT_PEAK if rms is None else None, 1.0
         else:
-            motion = RecordedMotion.read((base or Path()) / Path(path).expanduser(), step)
+            motion = RecordedMotion.read(located(self._checked_path(path), base), step)
             self._tell_differences(motion, path)
             unscaled, strength = None, float(np.sqrt(np.mean(motion.samples**2)))
         self._motion = motion
@@ -99,6 +100,12 @@ class GroundMotion(Excitation):
 
     def _acceleration(self, time: np.ndarray) -> np.ndarray:
         return np.asarray(self.factor * self._motion(np.asarray(time, dtype=np.float64)))
+
+    @staticmethod
+    def _checked_path(path: object) -> str:
+        if not isinstance(path, str) or not path:
+            raise InputError("excitation.path", path, "null or a text file")
+        return path
 
     def _checked_highest(self, highest: float) -> float:
         if positive_number("excitation.highest", highest) > self.nyquist:

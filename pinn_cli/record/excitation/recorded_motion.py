@@ -10,8 +10,9 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import resample
 
 from pinn_cli.record.record import MINIMUM_SAMPLES
+from pinn_cli.record.text_file import read_text
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import positive_number
+from pinn_cli.settings.legal_values import LARGEST, positive_number
 
 # Between the samples the motion is that of its own sinusoids, up to the Nyquist frequency: by FFT at times so many
 # times as dense, and by a spline of this degree between those (error below 1e-6 of the highest sinusoid). Zeros on
@@ -21,6 +22,8 @@ DENSER, SPLINE_DEGREE, ZEROS = 16, 5, 256
 TIME_TOLERANCE = 0.1
 _SEPARATOR = re.compile(r"[,;\s]+")
 SETTING = "excitation.path"
+# Of a line that is told, characters.
+SHOWN = 60
 
 
 class RecordedMotion:
@@ -86,18 +89,14 @@ class RecordedMotion:
         if len(values) < MINIMUM_SAMPLES or not values.any():
             found = f"{len(values)} values" + ("" if values.any() else ", all of them 0")
             raise InputError(SETTING, path, f"a motion of {MINIMUM_SAMPLES} values or more", found)
+        if (largest := float(np.abs(values).max())) > LARGEST:
+            raise InputError(SETTING, path, f"a motion below {LARGEST:g}", f"it reaches {largest:g}")
         return cls(step, values)
 
 
 def _rows(path: Path) -> tuple[list[list[float]], int]:
     """The numbers of every line after the header, and the number of the first such line."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        hint = "a relative path starts where pinn-run was called"
-        raise InputError(SETTING, path, "a file that exists", hint) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(SETTING, path, "a readable text file", str(error)) from None
+    lines = read_text(path, SETTING).splitlines()
     rows: list[list[float]] = []
     first = 0
     for number, line in enumerate(lines, start=1):
@@ -106,7 +105,7 @@ def _rows(path: Path) -> tuple[list[list[float]], int]:
         if row is None or not np.isfinite(row).all():
             if rows:
                 shown = f"{path.name}, line {number}"
-                raise InputError(SETTING, path, "a file of finite numbers", f"{shown} reads {line.strip()!r}")
+                raise InputError(SETTING, path, "a file of finite numbers", f"{shown} reads {line.strip()[:SHOWN]!r}")
         elif row:
             first = first or number
             rows.append(row)
