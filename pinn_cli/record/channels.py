@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record, Response
 
+# The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
+GROUND_DOF = -1
 # Equal samples in a row that noise and a converter's steps do not explain; and samples at an extreme value that may be
 # there by chance.
 CONSTANT_RUN, AT_EXTREME_BY_CHANCE = 8, 2
@@ -24,8 +26,8 @@ class Channel:
     """One sensor and what it measured.
 
     Attributes:
-        quantity: displacement, velocity, acceleration or force.
-        dof: Counted from 0.
+        quantity: displacement, velocity, acceleration, force or ground_acceleration.
+        dof: Counted from 0; `GROUND_DOF` of the ground.
         measured: (N,), in the quantity's unit.
     """
 
@@ -35,29 +37,34 @@ class Channel:
 
     @property
     def name(self) -> str:
-        """As sentences have it, the DOF counted from 1: ``acceleration of DOF 3``."""
+        """As sentences have it, the DOF counted from 1: ``acceleration of DOF 3``, ``ground acceleration``."""
+        if self.quantity == GROUND:
+            return "ground acceleration"
         return f"{self.quantity} of DOF {self.dof + 1}"
 
     @property
     def setting(self) -> str:
         """Where a user gave it: ``data.acceleration, DOF 3``."""
-        return f"data.{self.quantity}, DOF {self.dof + 1}"
+        return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.dof + 1}"
 
     @property
     def order(self) -> int:
         """How often the displacement is differentiated."""
-        return RESPONSE_QUANTITIES.index(self.quantity)
+        return RESPONSE_QUANTITIES.index("acceleration" if self.quantity == GROUND else self.quantity)
 
     def of(self, response: Response) -> np.ndarray:
-        """The same quantity of the same DOF in a response, (N,)."""
-        values: np.ndarray = getattr(response, self.quantity)[:, self.dof]
-        return values
+        """The same quantity of the same DOF in a response, (N,); NaN where the response has no motion of the ground."""
+        values: np.ndarray | None = getattr(response, self.quantity)
+        if self.quantity == GROUND:
+            return np.full(len(response.time), np.nan) if values is None else values
+        assert values is not None
+        return np.asarray(values[:, self.dof])
 
 
 def channels(
     record: Record, quantities: Sequence[str] = RESPONSE_QUANTITIES, excused: Sequence[str] = ()
 ) -> list[Channel]:
-    """Every sensor of a record, quantity by quantity; a force that is known to be zero is none.
+    """Every sensor of a record, quantity by quantity, the ground's last; a force that is known to be zero is none.
 
     Args:
         record: With its sensors.
@@ -67,8 +74,11 @@ def channels(
     every = [
         Channel(quantity, int(dof), getattr(record, quantity)[:, dof])
         for quantity in quantities
+        if quantity != GROUND
         for dof in np.flatnonzero(record.sensors(quantity))
     ]
+    if GROUND in quantities and record.ground_acceleration is not None:
+        every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration))
     return [channel for channel in every if channel.name not in excused]
 
 

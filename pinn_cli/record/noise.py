@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.record import GROUND, QUANTITIES, Response
+from pinn_cli.record.record import GROUND, MEASURED_QUANTITIES, QUANTITIES, Response
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 
 STREAMS = ("independent", "shared")
-# In the order of their streams.
-CHANNELS = (*QUANTITIES, GROUND)
 # Noise of 1e-15 times the signal, which is the last digit of a number.
 LARGEST_SNR_DB = 300
 # Seeds of one repeat's channels are consecutive: far enough apart for chains of a thousand DOFs.
@@ -132,7 +130,7 @@ def _standard_normal(
         return np.random.RandomState(seeds[quantity] + i).standard_normal(samples)
     seed, repeat = stream
     # The first repeat is what a single measurement with this seed is.
-    entropy = [seed, CHANNELS.index(quantity), i, *([repeat] if repeat else [])]
+    entropy = [seed, MEASURED_QUANTITIES.index(quantity), i, *([repeat] if repeat else [])]
     return np.random.default_rng(entropy).standard_normal(samples)
 
 

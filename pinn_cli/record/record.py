@@ -21,6 +21,8 @@ RESPONSE_QUANTITIES = ("displacement", "velocity", "acceleration")
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")
 # Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
 GROUND = "ground_acceleration"
+# All that a sensor may measure.
+MEASURED_QUANTITIES = (*QUANTITIES, GROUND)
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", GROUND: "m/s^2"}
 
 Intersample = Literal["band_limited", "zero_order_hold"]
@@ -56,7 +58,7 @@ class Response:
     @property
     def measurable(self) -> dict[str, Any]:
         """All of it that sensors may measure, by the name that a record has for it; the times as well."""
-        return {name: getattr(self, name) for name in ("time", *QUANTITIES, GROUND)}
+        return {name: getattr(self, name) for name in ("time", *MEASURED_QUANTITIES)}
 
     @classmethod
     def unknown(cls, time: np.ndarray, ndof: int) -> Response:

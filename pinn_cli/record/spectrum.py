@@ -93,6 +93,8 @@ def record_band(record: Record) -> float:
         for quantity in QUANTITIES
         for dof in np.flatnonzero(record.sensors(quantity))
     ]
+    if record.ground_acceleration is not None:
+        bands.append(signal_band(record.ground_acceleration, record.step))
     return max(*bands, 1.0 / record.duration)
 
 

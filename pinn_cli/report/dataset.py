@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.record import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
 from pinn_cli.runs.writing import replacing
 
 if TYPE_CHECKING:
@@ -43,10 +43,11 @@ def response_dataset(
         DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor) and ``displacement_free_run``
         (left out where there is none), and so on for velocity, acceleration and force (which has no free run), over
         ``time`` (s) and ``dof`` (from 1, nearest the fixed end); last ``displacement_<name>`` of the baseline and
-        ``displacement_<name>_std``. ``observed`` and ``unforced``: DOFs with a response sensor, and those known to
-        carry no force.
+        ``displacement_<name>_std``. Where the ground moves, ``ground_acceleration`` and the same of it over ``time``,
+        each left out where there is none. ``observed`` and ``unforced``: DOFs with a response sensor, and those known
+        to carry no force.
     """
-    variables: dict[str, tuple[tuple[str, str], np.ndarray, dict[str, str]]] = {}
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
     for quantity in QUANTITIES:
         sources = {
             "": (getattr(estimate.response, quantity), f"estimated {quantity}"),
@@ -67,12 +68,32 @@ def response_dataset(
         for quantity, (suffix, words, response) in product(QUANTITIES, kinds):
             described = {"long_name": f"{words}{quantity} estimated by {name}", "units": UNITS[quantity]}
             variables[f"{quantity}_{name}{suffix}"] = (("time", "dof"), getattr(response, quantity), described)
+    variables |= _of_the_ground(estimate, record, truth)
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a chain of masses",
         "intersample": record.intersample,
     }
+    if record.ground_acceleration is not None:
+        fixed["frame"] = record.frame
     return xr.Dataset(variables, coords=_coordinates(record), attrs=fixed | netcdf_attributes(attributes))
+
+
+def _of_the_ground(
+    estimate: Estimate, record: Record, truth: Response | None
+) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """Its acceleration, estimated, true and observed, as far as there is one; see :func:`response_dataset`."""
+    sources = {
+        "": (estimate.response.ground_acceleration, "estimated ground acceleration"),
+        "_std": (estimate.std.ground_acceleration, "standard deviation of the estimated ground acceleration"),
+        "_true": (None if truth is None else truth.ground_acceleration, "true ground acceleration"),
+        "_observed": (record.ground_acceleration, "observed ground acceleration"),
+    }
+    return {
+        GROUND + suffix: (("time",), values, {"long_name": long_name, "units": UNITS[GROUND]})
+        for suffix, (values, long_name) in sources.items()
+        if values is not None
+    }
 
 
 def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:

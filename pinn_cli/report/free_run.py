@@ -7,7 +7,7 @@ parameters alone shape the response, and their error adds up over the record.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,7 +60,8 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
     Args:
         prescribed: The chain that the estimator was given.
         estimate: Whose parameters and whose state at the first sample are taken.
-        record: Whose force acts; what it does between the samples is the record's ``intersample``.
+        record: Whose force acts, and the motion of whose ground; what these do between the samples is the record's
+            ``intersample``.
     """
     unknown = np.flatnonzero(np.isnan(record.force).any(axis=0)) + 1
     if unknown.size:
@@ -68,7 +69,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         return FreeRun(None, f"the force on {dofs} is unknown, and a free run needs every force")
     structure = estimated_structure(prescribed, estimate.parameters)
     try:
-        response = _simulated(structure, estimate, record, record.force)
+        response = _simulated(structure, estimate, record)
     except TooStiffError as error:
         return FreeRun(None, f"the estimated system is too stiff for a free run: {error}")
     except OverflowsError as error:
@@ -102,10 +103,10 @@ def free_run_table(
     return pd.concat(tables, ignore_index=True)
 
 
-def _simulated(structure: Structure, estimate: Estimate, record: Record, force: np.ndarray, first: int = 0) -> Response:
-    """The chain under ``force`` (N, n) from the estimated state at sample ``first`` on."""
+def _simulated(structure: Structure, estimate: Estimate, record: Record, first: int = 0) -> Response:
+    """The structure under the force of the record and its ground, from the estimated state at sample ``first`` on."""
     start = estimate.response.displacement[first], estimate.response.velocity[first]
-    return resimulate(structure, record, start, force, first)
+    return resimulate(structure, record, start, first=first)
 
 
 def _contradiction(structure: Structure, estimate: Estimate, record: Record, response: Response) -> str:
@@ -128,13 +129,18 @@ def _contradiction(structure: Structure, estimate: Estimate, record: Record, res
 def _excused_agreement(structure: Structure, estimate: Estimate, record: Record, first: int) -> float:
     """Agreement where only the model and its parameters can be to blame, %; NaN where the run overflows.
 
-    Two things move a right system away from its estimate as well: the noise of the measured force, of which the
-    estimated force is free, and the start, which nothing before it pins down. Where every DOF carries a force that is
-    estimated from the motion alone, this excuses wrong parameters too: the estimated force makes up for them.
+    Two things move a right system away from its estimate as well: the noise of the measured force and of the ground's
+    acceleration, of which the estimated ones are free, and the start, which nothing before it pins down. Where every
+    DOF carries a force that is estimated from the motion alone, this excuses wrong parameters too: the estimated force
+    makes up for them.
     """
     force = np.where(record.sensors("force"), estimate.response.force, record.force)
+    ground = estimate.response.ground_acceleration
+    if ground is None:
+        ground = record.ground_acceleration
     try:
-        return _agreement(_simulated(structure, estimate, record, force, first), estimate)
+        acting = replace(record, force=force, ground_acceleration=ground)
+        return _agreement(_simulated(structure, estimate, acting, first), estimate)
     except OverflowsError:
         return float("nan")
 

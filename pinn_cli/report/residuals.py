@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.stats import kstwo
 
 from pinn_cli.record.channels import channels, clipped_percent, constant_percent
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.record import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.report.results import with_labels
 from pinn_cli.verdict.noise_findings import noise_found
@@ -60,16 +60,17 @@ def residual_table(
         labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
-        Columns: the labels and `COLUMNS`. In the unit of the quantity: ``signal_rms`` (about the mean),
-        ``residual_rms`` and ``mean_residual`` of r = measured - estimated, ``sigma`` (noise found). In per cent:
-        ``nmse_percent`` (see `nmse_percent`), ``free_run_nmse_percent`` (the same of the free run; the force has none,
-        being given), ``band_share_percent`` (of the signal's power, between ``band_low_hz`` and ``band_high_hz``, where
-        the signal stands out of its noise), ``clipped_percent`` and ``constant_percent`` (see there). Of r about its
-        mean: ``whiteness`` (the probability that white noise would look less white; near 0, r is not white),
-        ``spectrum_deviation`` (the distance that this judges), ``largest_autocorrelation`` (with its sign, within
-        `LAGS` lags; white noise stays within about 3 / sqrt(samples)). What is not known is empty (NaN).
+        Columns: the labels and `COLUMNS`. ``dof`` is counted from 1, and 0 is the ground. In the unit of the quantity:
+        ``signal_rms`` (about the mean), ``residual_rms`` and ``mean_residual`` of r = measured - estimated, ``sigma``
+        (noise found). In per cent: ``nmse_percent`` (see `nmse_percent`), ``free_run_nmse_percent`` (the same of the
+        free run; force and ground have none, being given), ``band_share_percent`` (of the signal's power, between
+        ``band_low_hz`` and ``band_high_hz``, where the signal stands out of its noise), ``clipped_percent`` and
+        ``constant_percent`` (see there). Of r about its mean: ``whiteness`` (the probability that white noise would
+        look less white; near 0, r is not white), ``spectrum_deviation`` (the distance that this judges),
+        ``largest_autocorrelation`` (with its sign, within `LAGS` lags; white noise stays within about 3 /
+        sqrt(samples)). What is not known is empty (NaN).
     """
-    rows = [_row(estimate, record, free_run, channel) for channel in channels(record, QUANTITIES)]
+    rows = [_row(estimate, record, free_run, channel) for channel in channels(record, MEASURED_QUANTITIES)]
     return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
 
 
@@ -95,7 +96,7 @@ def _row(estimate: Estimate, record: Record, free_run: Response | None, channel:
         "band_high_hz": high,
         "band_share_percent": 100.0 * band_share(signal, record.step, low, high),
         "free_run_nmse_percent": np.nan
-        if free_run is None or channel.quantity == "force"
+        if free_run is None or channel.quantity not in RESPONSE_QUANTITIES
         else nmse_percent(signal - channel.of(free_run), signal),
         "clipped_percent": clipped_percent(signal),
         "constant_percent": constant_percent(signal),

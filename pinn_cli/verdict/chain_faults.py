@@ -19,7 +19,7 @@ from pinn_cli.verdict.channel_faults import MENDS_BY_MOVING, REPRODUCED
 from pinn_cli.verdict.comparison import worst_misfit
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.modes import modes_of
-from pinn_cli.verdict.prediction import force_between_samples, predicted
+from pinn_cli.verdict.prediction import between_samples, predicted
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
@@ -166,27 +166,36 @@ def _simulated(
     own = structure.parameters_like(np.empty(0))
     parameters = {**own, "m": masses}
 
-    def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
-        return np.array((z[1], structure.acceleration(z[0], z[1], f, parameters)))
+    def slope(z: np.ndarray, load: np.ndarray) -> np.ndarray:
+        f, carried = load
+        return np.array((z[1], structure.acceleration(z[0], z[1], f, parameters) - carried))
 
     step = record.step / substeps
-    force = _half_steps(record, samples, substeps)
+    load = _half_steps(record, samples, substeps)
+    relative = record.frame == "relative"
     z = np.zeros((2, *masses.shape))
     out = np.empty((samples, 3, *masses.shape))
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(samples):
             out[k, :2] = z
             out[k, 2] = structure.acceleration(z[0], z[1], record.force[k], parameters)
+            if relative:
+                out[k, 2] -= load[2 * k * substeps, 1]
             for s in range(substeps):
                 at = 2 * (k * substeps + s)
-                z = runge_kutta_step(slope, z, force[at], force[at + 1], force[at + 2], step)
+                z = runge_kutta_step(slope, z, load[at], load[at + 1], load[at + 2], step)
     return out
 
 
 def _half_steps(record: Record, samples: int, substeps: int) -> np.ndarray:
-    """(2 samples substeps + 1, n): the force at every half step."""
+    """(2 samples substeps + 1, 2, n): at every half step the force, and what the ground's acceleration takes away."""
     if record.intersample == "zero_order_hold":
-        held = np.repeat(record.force[:samples], 2 * substeps, axis=0)
-        return np.concatenate((held, held[-1:]))
+        force = np.repeat(record.force[:samples], 2 * substeps, axis=0)
+        force = np.concatenate((force, force[-1:]))
+        return np.stack((force, np.zeros_like(force)), axis=1)
     times = record.time[0] + 0.5 * record.step / substeps * np.arange(2 * samples * substeps + 1)
-    return force_between_samples(record, "exact")(np.minimum(times, record.time[-1]))
+    times = np.minimum(times, record.time[-1])
+    force, carried = between_samples(record, record.force)(times), np.zeros((len(times), record.ndof))
+    if record.ground_acceleration is not None:
+        carried += between_samples(record, record.ground_acceleration)(times)[:, None]
+    return np.stack((force, carried), axis=1)

@@ -1,4 +1,4 @@
-"""What is wrong with a sensor or with the force, where the other channels say that the chain is right."""
+"""What is wrong with a sensor, the ground's too, or with the force, where other channels call the chain right."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.record import GROUND
 from pinn_cli.verdict.comparison import Comparison, compare, comparisons
 from pinn_cli.verdict.finding import Finding
 
@@ -59,7 +60,7 @@ def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[
     if not faulty:
         return []
     if len(faulty) == len(found):
-        common = _force_fault(found)
+        common = _common_fault(found)
         if common is not None:
             return [common]
     moved = _exchanged(faulty, prediction) or _misplaced(faulty, prediction)
@@ -93,7 +94,7 @@ def _factor(c: Comparison) -> Finding | None:
         return None
     value, name = c.factor.value, c.channel.name
     kind, text = _factor_in_words(value, c.factor.std)
-    reason = f"the {name} is {text} what the chain does under the measured force"
+    reason = f"the {name} is {text} what the chain does under the measured {c.acting}"
     return Finding(kind, name, f"{reason}; {_remedy(kind, c.channel.setting, value)}", left=c.factor.left)
 
 
@@ -140,20 +141,21 @@ def _offset(c: Comparison) -> Finding | None:
     return Finding("offset", name, f"{reason}; subtract it from its column", left=c.offset.left)
 
 
-def _force_fault(found: Sequence[Comparison]) -> Finding | None:
-    """What all of several channels share: then the force is to blame."""
+def _common_fault(found: Sequence[Comparison]) -> Finding | None:
+    """What all of several channels share: then the force is to blame, or the ground's sensor, whichever there is."""
     factors, delays = [c.factor for c in found], [c.delay for c in found]
-    forced = np.flatnonzero(~np.all(found[0].force == 0.0, axis=0))
-    dofs = ", ".join(str(dof + 1) for dof in forced)
-    name = f"force of DOF {dofs}"
-    if len(found) == 1 or len(forced) == 0:
+    forced, shaken = found[0].forced, found[0].ground is not None
+    if len(found) == 1 or (len(forced) > 0) == shaken:
         return None
+    name, setting = "ground acceleration", f"data.{GROUND}"
+    if not shaken:
+        name, setting = f"force of DOF {', '.join(map(str, forced))}", "data.force"
     value = float(np.median([f.value for f in factors]))
     if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):
         left = max(f.left for f in factors)
         kind, text = _factor_in_words(1 / value, factors[0].std)
         reason = f"every sensor says that the {name} is {text} what acts"
-        remedy = _remedy(kind, "data.force", 1 / value)
+        remedy = _remedy(kind, setting, 1 / value)
         return Finding(kind, name, f"{reason}; {remedy}", left=left) if left <= REPRODUCED else None
     late = float(np.median([d.value for d in delays]))
     step = found[0].step
@@ -202,7 +204,7 @@ def _odd_one_out(faulty: Sequence[Comparison], found: Sequence[Comparison]) -> l
     if len(faulty) != 1 or len(found) < 3:
         return []
     name = faulty[0].channel.name
-    reason = f"the {name} alone is not what the chain does under the measured force"
+    reason = f"the {name} alone is not what the chain does under the measured {faulty[0].acting}"
     return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", left=faulty[0].misfit)]
 
 

@@ -56,6 +56,7 @@ class Comparison:
         constant: (M,), a constant without what free decays can follow of it.
         power: Mean square of the channel about its mean.
         force: (M, n), that the prediction is of, N.
+        ground: Likewise the ground's acceleration (M,), m/s^2; None: at rest.
         step: From sample to sample, s.
     """
 
@@ -66,6 +67,19 @@ class Comparison:
     power: float
     force: np.ndarray
     step: float
+    ground: np.ndarray | None = None
+
+    @property
+    def forced(self) -> np.ndarray:
+        """The DOFs that carry a force, counted from 1."""
+        return np.flatnonzero(~np.all(self.force == 0.0, axis=0)) + 1
+
+    @property
+    def acting(self) -> str:
+        """What the prediction is of, in words."""
+        if self.ground is None:
+            return "force"
+        return "ground acceleration" if not len(self.forced) else "ground acceleration and force"
 
     @property
     def misfit(self) -> float:
@@ -140,7 +154,7 @@ def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None)
     columns = columns - basis @ (basis.T @ columns)
     power = max(float(np.var(measured)), np.finfo(float).tiny)
     own, expected, constant = (np.ascontiguousarray(column) for column in columns.T)
-    return Comparison(channel, own, expected, constant, power, record.force, record.step)
+    return Comparison(channel, own, expected, constant, power, record.force, record.step, record.ground_acceleration)
 
 
 def comparisons(prediction: Prediction, excused: Sequence[str] = ()) -> list[Comparison]:

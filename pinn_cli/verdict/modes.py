@@ -60,8 +60,9 @@ class Modes:
     def response(self, record: Record) -> Response:
         """The response to the record's force, at its samples, up to free decays: its force repeats itself for ever.
 
-        The force is that of the record's ``intersample``: its sinusoids as they are, or held from sample to sample,
-        which delays them by half a step and weakens them by a sinc.
+        So does the motion of its ground; accelerations are in the record's frame. The force is that of the record's
+        ``intersample``: its sinusoids as they are, or held from sample to sample, which delays them by half a step and
+        weakens them by a sinc.
 
         Raises:
             ValueError: A force is unknown.
@@ -74,12 +75,17 @@ class Modes:
         if record.intersample == "zero_order_hold":
             angle = 0.5 * s.imag * record.step
             acting = force * (np.exp(-1j * angle) * np.sinc(angle / np.pi))[:, None]
+        shaking = np.zeros((1, len(self.m)))
+        if record.ground_acceleration is not None:
+            shaking = rfft(record.ground_acceleration)[:, None] * np.ones(len(self.m))
         with np.errstate(divide="ignore", invalid="ignore"):  # a chain without stiffness has no answer to a mean force
-            u = ((acting / self.m) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
+            u = ((acting / self.m - shaking) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
         v = s[:, None] * u
         a = (force - v @ self.C.T - u @ self.K.T) / self.m
-        motion = [irfft(x, len(record.time), axis=0) for x in (u, v, a)]
-        return Response(record.time, motion[0], motion[1], motion[2], record.force)
+        if record.frame == "relative":
+            a = a - shaking
+        u, v, a = (irfft(x, len(record.time), axis=0) for x in (u, v, a))
+        return Response(record.time, u, v, a, record.force, record.ground_acceleration)
 
     def decays(self, channel: Channel, record: Record) -> np.ndarray:
         """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
 from pinn_cli.verdict.finding import Finding, failed_if
 
@@ -32,15 +33,18 @@ NOT_CONVERGED = "iteration limit"
 
 def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
-    seen = channels(problem.record)
+    seen = channels(problem.record, (*RESPONSE_QUANTITIES, GROUND))
     found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
-    return found + _discrepancy(problem.record, estimate) + _copied(problem.record, estimate) + _unfinished(estimate)
+    return found + _discrepancy(problem, estimate) + _copied(problem.record, estimate) + _unfinished(estimate)
 
 
 def noise_found(estimate: Estimate, channel: Channel) -> float:
     """Standard deviation of a sensor's noise that the training found, in its unit; NaN where it gives none."""
     levels = estimate.summary.get(f"sigma_{channel.quantity}")
-    value = levels[channel.dof] if isinstance(levels, list | tuple | np.ndarray) and channel.dof < len(levels) else None
+    place = 0 if channel.quantity == GROUND else channel.dof
+    value = levels[place] if isinstance(levels, list | tuple | np.ndarray) and place < len(levels) else None
+    if channel.quantity == GROUND and isinstance(levels, float):
+        value = levels
     return float("nan") if value is None else float(value)
 
 
@@ -81,19 +85,23 @@ def _colour(channel: Channel, record: Record, estimate: Estimate) -> Finding | N
     return Finding("not_white", channel.name, f"{text}; check that sensor, or use a model that moves there")
 
 
-def _discrepancy(record: Record, estimate: Estimate) -> list[Finding]:
-    """Against the rms of the measured forces, together."""
-    levels = _numbers(estimate.summary.get("sigma_discrepancy"))
-    forced = record.sensors("force")
-    if not levels or not forced.any():
+def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """Against the rms of the measured forces, together; where the ground moves, of what moves the masses with it."""
+    levels, record = _numbers(estimate.summary.get("sigma_discrepancy")), problem.record
+    variances = list(np.var(record.force[:, record.sensors("force")], axis=0))
+    if record.ground_acceleration is not None:
+        masses = problem.structure.parameters["m"].detach().cpu().numpy()
+        variances += list(masses**2 * np.var(record.ground_acceleration))
+    if not levels or not variances:
         return []
-    rms = float(np.sqrt(np.mean(np.var(record.force[:, forced], axis=0))))
+    rms = float(np.sqrt(np.mean(variances)))
     ratio = max(levels) / rms if rms > 0 else 0.0
     if ratio < LARGE_DISCREPANCY:
         return []
     cell = _numbers(estimate.summary.get("sigma_force"))
+    acting = "the measured force" if record.ground_acceleration is None else "what acts"
     times_noise = f" and {max(levels) / max(cell):.3g} times the load cell's noise" if cell and max(cell) > 0 else ""
-    text = f"the discrepancy of the model is {100 * ratio:.0f} % of the measured force{times_noise}"
+    text = f"the discrepancy of the model is {100 * ratio:.0f} % of {acting}{times_noise}"
     remedy = "the model does not hold; check masses, units and the law of the springs"
     return [Finding("discrepancy", "model", f"{text}: {remedy}", failed_if(ratio >= AS_LARGE_AS_FORCE))]
 

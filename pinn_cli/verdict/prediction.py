@@ -1,4 +1,4 @@
-"""What a chain does under the measured force alone, as sensors would have seen it: no response sensor is looked at."""
+"""What a chain does under the measured force and the ground's motion alone: no response sensor is looked at."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
 MOST_STEPS = 40_000
-# A spline through samples this many times as dense follows a force up to the Nyquist frequency to 1e-3.
+# A spline through samples this many times as dense follows a history up to the Nyquist frequency to 1e-3.
 DENSER, SPLINE_DEGREE = 4, 5
 LINEAR = ("m", "c", "k")
 
@@ -66,9 +66,11 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
         return None
     part = record.until(samples)
     hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
+    ground = None if record.ground_acceleration is None else between_samples(record, record.ground_acceleration)
+    force = force_between_samples(record, hold)
     try:
         response = simulate(
-            structure, force_between_samples(record, hold), part.time, hold, substeps=substeps, initial=start
+            structure, force, part.time, hold, substeps=substeps, initial=start, ground=ground, frame=record.frame
         )
     except OverflowsError:
         return None
@@ -81,14 +83,19 @@ def is_linear(structure: Structure) -> bool:
 
 
 def force_between_samples(record: Record, hold: str) -> Force:
-    """The force at any time of the record.
-
-    Between samples taken barely fast enough a spline loses a good part of the force, so it goes through the samples of
-    the same sinusoids taken `DENSER` times as often. The record is mirrored at its end to make it periodic.
-    """
+    """The force at any time of the record, see :func:`between_samples`."""
     if hold == "zero_order":
         return lambda time: record.force[: len(time)]
-    mirrored = np.concatenate((record.force, record.force[-2:0:-1]))
+    return between_samples(record, record.force)
+
+
+def between_samples(record: Record, values: np.ndarray) -> Force:
+    """A band-limited history at any time of the record, from its samples (N, ...).
+
+    Between samples taken barely fast enough a spline loses a good part of it, so it goes through the samples of
+    the same sinusoids taken `DENSER` times as often. The record is mirrored at its end to make it periodic.
+    """
+    mirrored = np.concatenate((values, values[-2:0:-1]))
     spectrum, count = rfft(mirrored, axis=0), len(mirrored)
     spectrum[-1] *= 0.5  # the Nyquist line of an even number of samples stands for two once there are more samples
     dense = DENSER * irfft(spectrum, DENSER * count, axis=0)[: DENSER * (len(record.time) - 1) + 1]

@@ -1,4 +1,4 @@
-"""What a response channel says against itself: clipped, dropped out, without motion, off its zero."""
+"""What a response channel, or the ground's, says against itself: clipped, dropped out, without motion, off its zero."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels, equal_runs
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.record import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.verdict.finding import Finding
 
@@ -34,7 +34,7 @@ def record_faults(record: Record) -> list[Finding]:
     tests = (_still, _clipped, _dropped_out, _off_zero)
     return [
         found
-        for channel in channels(record)
+        for channel in channels(record, (*RESPONSE_QUANTITIES, GROUND))
         if (found := next((fault for test in tests if (fault := test(channel, record)) is not None), None)) is not None
     ]
 
@@ -81,7 +81,7 @@ def _moves_within(x: np.ndarray, samples: int) -> bool:
 
 
 def _others_move(channel: Channel, record: Record, begin: int, end: int) -> bool:
-    others = channels(record, QUANTITIES, excused=[channel.name])
+    others = channels(record, MEASURED_QUANTITIES, excused=[channel.name])
     return any(np.std(c.measured[begin:end]) > OTHERS_MOVE * np.std(c.measured) for c in others)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import channels
+from pinn_cli.record.record import GROUND
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.comparison import Comparison, comparisons
 from pinn_cli.verdict.finding import Finding, failed_if
@@ -83,13 +84,16 @@ def _propagated(
 
 
 def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) -> Record:
-    """The record with as much noise again on every measured force."""
-    force = record.force.copy()
-    for cell in channels(record, ["force"]):
-        level = noise_found(estimate, cell)
-        if np.isfinite(level):
-            force[:, cell.dof] += level * random.normal(size=len(force))
-    return replace(record, force=force)
+    """The record with as much noise again on every measured force and on the ground's acceleration."""
+    force, ground = record.force.copy(), record.ground_acceleration
+    for sensor in channels(record, ["force", GROUND]):
+        level = noise_found(estimate, sensor)
+        noise = (level if np.isfinite(level) else 0.0) * random.normal(size=len(force))
+        if sensor.quantity == GROUND:
+            ground = sensor.measured + noise
+        else:
+            force[:, sensor.dof] += noise
+    return replace(record, force=force, ground_acceleration=ground)
 
 
 def random_structure(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from pinn_cli.record.channels import Channel, channels
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.record import GROUND, MEASURED_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
@@ -45,9 +45,9 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
 
     Args:
         estimate: Its response, and in its summary the noise found.
-        record: The sensors, at least one.
+        record: The sensors, at least one. The ground's is left out where its motion was not estimated.
     """
-    every = channels(record, QUANTITIES)
+    every = [c for c in channels(record, MEASURED_QUANTITIES) if np.isfinite(c.of(estimate.response)).all()]
     shown = _worst(estimate, every)
     with style.look():
         figure, panels = style.panels(
@@ -82,7 +82,8 @@ def _draw_row(panels: np.ndarray, estimate: Estimate, record: Record, channel: C
     _draw_spectrum(spectrum, left, signal, sigma, record.step)
     spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
     _draw_correlation(correlation, left)
-    history.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, DOF {channel.dof + 1}")
+    place = "ground" if channel.quantity == GROUND else f"DOF {channel.dof + 1}"
+    history.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {place}")
     error = nmse_percent(left, signal)
     if np.isfinite(error):
         correlation.set_title(f"NMSE {error:.2g} %", loc="right", fontsize=7, pad=2)

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.record import GROUND, QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
 
@@ -43,7 +43,14 @@ class _Sources:
     def column(self, source: str, quantity: str, dof: int) -> np.ndarray:
         """One line, (time,); all NaN where there is none."""
         response = getattr(self, source)
-        return np.full(len(self.time), np.nan) if response is None else getattr(response, quantity)[self.window, dof]
+        values = None if response is None else getattr(response, quantity)
+        if values is None:
+            return np.full(len(self.time), np.nan)
+        return values[self.window] if quantity == GROUND else values[self.window, dof]
+
+    def measures(self, quantity: str, dof: int) -> bool:
+        """Whether there is a sensor."""
+        return quantity == GROUND or bool(self.record.sensors(quantity)[dof])
 
 
 def response_figure(
@@ -55,6 +62,8 @@ def response_figure(
     baseline: tuple[str, Response] | None = None,
 ) -> Figure:
     """Rows are DOFs, an asterisk marks those without a response sensor; columns are u, its two time derivatives, and f.
+
+    Where the ground moves, its acceleration stands in a last row.
 
     Args:
         estimate: The response at every DOF and its standard deviations (a band of 95 %; none where they are NaN or
@@ -71,15 +80,17 @@ def response_figure(
     name, other = baseline or ("", None)
     window = shown_window(record.time, estimate.response)
     sources = _Sources(window, record.time[window], estimate.response, estimate.std, truth, linear, other, record)
-    dofs = shown_dofs(record.ndof)
+    dofs, shaken = shown_dofs(record.ndof), record.ground_acceleration is not None
     with style.look():
         margins = (0.62, 0.08, 0.48, 0.46)
-        figure, panels = style.panels(len(dofs), len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
+        figure, panels = style.panels(len(dofs) + shaken, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
         for column, quantity in enumerate(QUANTITIES):
-            _draw_column(panels[:, column], sources, quantity, dofs)
+            _draw_column(panels[: len(dofs), column], sources, quantity, dofs)
+        if shaken:
+            _draw_ground(panels[-1], sources)
         for row, dof in enumerate(dofs):
             panels[row, 0].set_ylabel(f"DOF {dof + 1}" + ("" if record.observed[dof] else "*"))
-        figure.align_ylabels(list(panels[:, 0]))
+        figure.align_ylabels(list(panels[: len(dofs), 0]))
         _legend(figure, sources, dofs, {"truth": truth_label, "baseline": name.replace("_", " ")})
     return figure
 
@@ -122,8 +133,17 @@ def _draw_column(panels: np.ndarray, sources: _Sources, quantity: str, dofs: lis
         axes.tick_params(labelbottom=row == len(dofs) - 1)
         if quantity == "force" and sources.record.unforced[dof]:
             _write_rms(axes, sources.column("estimate", quantity, dof))
-    panels[0].set_title(f"{quantity.capitalize()} {style.SYMBOLS[quantity]} ({style.unit(quantity, prefix)})", pad=4)
+    title = quantity.replace("_", " ").capitalize()
+    panels[0].set_title(f"{title} {style.SYMBOLS[quantity]} ({style.unit(quantity, prefix)})", pad=4)
     panels[-1].set_xlabel(r"Time $t$ (s)", labelpad=2)
+
+
+def _draw_ground(row: np.ndarray, sources: _Sources) -> None:
+    """The ground's acceleration below those of the DOFs; the other panels of the row stay empty."""
+    column = QUANTITIES.index("acceleration")
+    for axes in row[np.arange(len(row)) != column]:
+        axes.set_axis_off()
+    _draw_column(row[column : column + 1], sources, GROUND, [0])
 
 
 def _limits(sources: _Sources, quantity: str, dof: int) -> tuple[float, float]:
@@ -147,7 +167,7 @@ def _limits(sources: _Sources, quantity: str, dof: int) -> tuple[float, float]:
 
 def _draw_lines(axes: Axes, sources: _Sources, quantity: str, dof: int, factor: float) -> None:
     time = sources.time
-    if sources.record.sensors(quantity)[dof]:
+    if sources.measures(quantity, dof):
         seen = sources.column("record", quantity, dof)
         every = -(-len(seen) // POINTS)
         axes.plot(time[::every], factor * seen[::every], **_LOOKS["observations"])

@@ -35,6 +35,7 @@ SYMBOLS = {
     "velocity": r"$\dot{u}$",
     "acceleration": r"$\ddot{u}$",
     "force": r"$f$",
+    "ground_acceleration": r"$\ddot{u}_g$",
 }
 
 _STYLE: dict[Any, Any] = {

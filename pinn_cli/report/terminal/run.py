@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import UNITS
+from pinn_cli.record.record import GROUND, UNITS
 from pinn_cli.report import published
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.parameters import identifiability_warnings
@@ -108,7 +108,7 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
     unit = table["quantity"].map(UNITS)
     columns, shown = (
         dict(_SENSOR_COLUMNS),
-        table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str), unit=unit),
+        table.assign(sensor=_sensors(table), unit=unit),
     )
     if baseline is not None:
         name, theirs = baseline
@@ -122,6 +122,12 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
     # A column of dashes says nothing: there may be no free run, and a training may find no noise.
     columns = {name: column for name, column in columns.items() if shown[name].notna().any()}
     return "\n".join([*table_lines(columns, shown), *notes, *_NOTES])
+
+
+def _sensors(table: pd.DataFrame) -> pd.Series:
+    """``acceleration 3`` or ``ground``, by row."""
+    named = table["quantity"] + " " + table["dof"].astype(str)
+    return named.where(table["quantity"] != GROUND, "ground")
 
 
 def score_text(name: str, score: Score | None) -> str:

@@ -1,0 +1,137 @@
+"""What a run leaves of the motion of the ground, estimated or not: histories, residuals, figures, a free run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pinn_cli.record.excitation import GroundMotion
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.report.dataset import response_dataset
+from pinn_cli.report.figures.residuals import residuals_figure
+from pinn_cli.report.figures.response import response_figure
+from pinn_cli.report.free_run import free_run
+from pinn_cli.report.residuals import residual_table
+from pinn_cli.report.terminal.run import sensors_text
+from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Linear
+
+NOISE = 0.05
+
+
+@pytest.fixture
+def shaken(make_case):
+    """A small case whose ground moves, with its acceleration estimated and measured with noise."""
+    case = make_case(ndof=3, observed=2)
+    true = np.sin(3.0 * case.record.time)
+    measured = true + NOISE * np.random.default_rng(0).normal(size=len(true))
+    response = replace(case.estimate.response, ground_acceleration=true + 0.001)
+    std = replace(case.estimate.std, ground_acceleration=np.full(len(true), 0.002))
+    estimate = replace(case.estimate, response=response, std=std, summary={"sigma_ground_acceleration": [NOISE]})
+    truth = replace(case.truth, response=replace(case.truth.response, ground_acceleration=true))
+    return replace(case, estimate=estimate, record=replace(case.record, ground_acceleration=measured), truth=truth)
+
+
+def without_estimate(case):
+    """The same from an estimator that does not estimate the ground."""
+    response = replace(case.estimate.response, ground_acceleration=None)
+    std = replace(case.estimate.std, ground_acceleration=None)
+    return replace(case, estimate=replace(case.estimate, response=response, std=std, summary={}))
+
+
+def test_histories_of_the_ground_are_written(shaken):
+    dataset = response_dataset(shaken.estimate, shaken.record, shaken.truth.response, shaken.labels)
+    sources = {
+        "": shaken.estimate.response,
+        "_std": shaken.estimate.std,
+        "_true": shaken.truth.response,
+        "_observed": shaken.record,
+    }
+    for suffix, source in sources.items():
+        variable = dataset[f"ground_acceleration{suffix}"]
+        np.testing.assert_array_equal(variable, source.ground_acceleration)
+        assert variable.dims == ("time",)
+        assert variable.attrs["units"] == "m/s^2"
+    assert dataset.attrs["frame"] == "absolute"
+
+
+def test_what_there_is_not_is_left_out(shaken, make_case):
+    case = without_estimate(shaken)
+    names = set(response_dataset(case.estimate, case.record, None, case.labels))
+    assert {name for name in names if "ground" in str(name)} == {"ground_acceleration_observed"}
+    still = make_case()
+    dataset = response_dataset(still.estimate, still.record, still.truth.response, still.labels)
+    assert not [name for name in dataset if "ground" in str(name)]
+    assert "frame" not in dataset.attrs
+
+
+def test_the_ground_has_a_row_of_residuals(shaken):
+    table = residual_table(shaken.estimate, shaken.record, shaken.truth.response, shaken.labels)
+    row = table.iloc[-1]
+    assert (row["quantity"], row["dof"]) == ("ground_acceleration", 0)
+    assert table["dof"].tolist() == [1, 2, 1, 0]
+    assert row["residual_rms"] == pytest.approx(NOISE, rel=0.1)
+    assert row["sigma"] == NOISE
+    assert np.isnan(row["free_run_nmse_percent"])
+    text = sensors_text(table)
+    assert "\nground  " in text
+    assert "ground_acceleration" not in text
+
+
+def test_an_estimator_without_the_ground_leaves_its_row_empty(shaken):
+    case = without_estimate(shaken)
+    row = residual_table(case.estimate, case.record, None, case.labels).iloc[-1]
+    assert row["quantity"] == "ground_acceleration"
+    assert row[["residual_rms", "nmse_percent", "whiteness", "sigma"]].isna().all()
+    assert row["signal_rms"] > 0.5
+
+
+def labels(figure):
+    return [axes.get_ylabel() for axes in figure.axes]
+
+
+def test_figures_show_the_ground(shaken):
+    figure = response_figure(shaken.estimate, shaken.record, shaken.truth.response)
+    drawn = [axes for axes in figure.axes if axes.get_title().startswith("Ground acceleration")]
+    assert len(drawn) == 1
+    styles = {line.get_marker() for line in drawn[0].get_lines()}
+    assert "." in styles  # observations
+    assert len(drawn[0].get_lines()) == 3  # and truth and estimate
+    assert len(drawn[0].collections) == 1  # and the band
+    residuals = residuals_figure(shaken.estimate, shaken.record)
+    assert labels(residuals)[-3] == r"$\ddot{u}_g$, ground"
+
+
+def test_figures_without_an_estimate_of_the_ground_show_its_sensor(shaken):
+    case = without_estimate(shaken)
+    figure = response_figure(case.estimate, case.record, None)
+    (drawn,) = [axes for axes in figure.axes if axes.get_title().startswith("Ground acceleration")]
+    assert len(drawn.get_lines()) == 1
+    assert not any("ground" in label for label in labels(residuals_figure(case.estimate, case.record)))
+
+
+def test_figures_without_a_ground_have_no_such_row(make_case):
+    case = make_case(ndof=3)
+    figure = response_figure(case.estimate, case.record, case.truth.response)
+    assert len(figure.axes) == 3 * 4
+
+
+@pytest.mark.parametrize("frame", ["absolute", "relative"])
+def test_the_free_run_moves_with_the_ground(make_case, frame):
+    frame_of_three = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5])
+    span = {"duration": 20.0, "samples": 1001}
+    motion = GroundMotion(3, **span, highest=8.0)
+    found = Simulated(motion, Simulation(**span), Noise(30.0), frame).measure(frame_of_three)
+    truth = found.truth.response
+    estimate = replace(make_case().estimate, response=truth, parameters=[])
+    run = free_run(frame_of_three, estimate, found.record)
+    assert run.finding == ""
+    for quantity in ("displacement", "acceleration"):
+        error = getattr(run.response, quantity) - getattr(truth, quantity)
+        assert np.sqrt(np.mean(error**2)) < 0.02 * np.sqrt(np.mean(getattr(truth, quantity) ** 2))
+    wrong = frame_of_three.with_parameters(k=0.7 * frame_of_three.parameters["k"])
+    assert "do not reproduce the estimated response" in free_run(wrong, estimate, found.record).finding

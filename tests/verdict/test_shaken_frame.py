@@ -1,0 +1,138 @@
+"""A frame on moving ground: faults of the ground's sensor and of the others, and none where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.record.channels import channels
+from pinn_cli.record.excitation import GroundMotion
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.record import Measurements, Response
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Duffing, Linear
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.verdict.chain_faults import mass_fault
+from pinn_cli.verdict.channel_faults import channel_faults
+from pinn_cli.verdict.judge import judge
+from pinn_cli.verdict.noise_findings import noise_found
+from pinn_cli.verdict.prediction import predicted
+from pinn_cli.verdict.record_faults import record_faults
+
+LINEAR = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5])
+DUFFING = build_chain(3, Duffing(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5], kappa=2e8)
+SPAN = {"duration": 30.0, "samples": 1501}
+
+
+def measured(structure=LINEAR, frame="absolute", snr_db=30.0) -> Measurements:
+    motion = GroundMotion(3, **SPAN, highest=10.0, high_pass=0.4)
+    found = Simulated(motion, Simulation(**SPAN), Noise(snr_db), frame).measure(structure)
+    return Measurements(found.record.keep({"acceleration": (1, 2, 3)}), found.truth)
+
+
+@pytest.fixture(scope="module")
+def record():
+    return measured().record
+
+
+def faults(structure, record):
+    prediction = predicted(structure, record)
+    assert prediction is not None
+    return channel_faults(prediction)
+
+
+@pytest.mark.parametrize("structure", [LINEAR, DUFFING], ids=["linear", "duffing"])
+@pytest.mark.parametrize("frame", ["absolute", "relative"])
+def test_a_good_record_has_no_fault_in_its_own_frame_and_one_in_the_other(structure, frame):
+    record = measured(structure, frame).record
+    assert faults(structure, record) == []
+    assert record_faults(record) == []
+    other = replace(record, frame="relative" if frame == "absolute" else "absolute")
+    prediction = predicted(structure, other)
+    left = record.acceleration - prediction.response.acceleration[: len(record.time)]
+    assert np.mean(left**2) > 0.05 * np.mean(record.acceleration**2)
+
+
+def test_the_prediction_of_a_linear_frame_is_its_response():
+    found = measured(snr_db=None)
+    response, truth = predicted(LINEAR, found.record).response, found.truth.response
+    later = slice(1000, 1500)  # what is left of the free decays has died out
+    for quantity in ("displacement", "acceleration"):
+        given, expected = getattr(response, quantity)[later], getattr(truth, quantity)[later]
+        assert np.max(np.abs(given - expected)) < 0.01 * np.max(np.abs(getattr(truth, quantity)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "told"),
+    [
+        ("unit", lambda x: x / 9.80665, "check the unit of data.ground_acceleration"),
+        ("gain", lambda x: 1.15 * x, "check the calibration of data.ground_acceleration"),
+        ("sign", lambda x: -x, "multiply it by -1"),
+        ("delay", lambda x: np.roll(x, 3), "s late; shift its column in time"),
+    ],
+)
+def test_a_ruined_ground_sensor_is_named(record, kind, change, told):
+    (found,) = faults(LINEAR, replace(record, ground_acceleration=change(record.ground_acceleration)))
+    assert (found.kind, found.suspect) == (kind, "ground acceleration")
+    assert told in found.text
+
+
+def test_a_ruined_accelerometer_is_named(record):
+    ruined = record.acceleration * [1.0, 1.2, 1.0]
+    (found,) = faults(LINEAR, replace(record, acceleration=ruined))
+    assert (found.kind, found.suspect) == ("gain", "acceleration of DOF 2")
+    assert "under the measured ground acceleration" in found.text
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("clip", lambda x: np.clip(x, -1.5 * x.std(), 1.5 * x.std())),
+        ("dropout", lambda x: np.where(np.arange(len(x)) // 100 == 3, 0.0, x)),
+        ("offset", lambda x: x + 0.3 * x.std()),
+        ("still", lambda x: 0.0 * x),
+    ],
+)
+def test_the_ground_s_channel_is_looked_at_by_itself(record, kind, change):
+    (found,) = record_faults(replace(record, ground_acceleration=change(record.ground_acceleration)))
+    assert (found.kind, found.suspect) == (kind, "ground acceleration")
+
+
+def test_a_wrong_mass_is_found_under_an_earthquake(record):
+    wrong = LINEAR.with_parameters(m=LINEAR.parameters["m"] * LINEAR.parameters["m"].new_tensor([1.0, 3.0, 1.0]))
+    found = mass_fault(wrong, record)
+    assert found is not None
+    assert found.suspect == "m_2"
+    assert "0.33" in found.text
+    assert mass_fault(LINEAR, record) is None
+
+
+def estimate(found: Measurements, **summary) -> Estimate:
+    """The truth itself."""
+    std = Response(found.record.time, *(np.full((SPAN["samples"], 3), 1e-5) for _ in range(4)))
+    return Estimate(found.truth.response, std, [], pd.DataFrame(), {"stop_reason": "converged", **summary})
+
+
+def test_a_right_estimate_is_sound_and_a_large_discrepancy_is_told():
+    found = measured()
+    left = found.record.acceleration - found.truth.response.acceleration
+    noise = np.std(left, axis=0).tolist()
+    problem = Problem(LINEAR, found.record, ())
+    sound = estimate(found, sigma_acceleration=noise, sigma_ground_acceleration=[0.02], sigma_discrepancy=1.0)
+    assert judge(problem, sound).word == "sound"
+    loud = estimate(found, sigma_acceleration=noise, sigma_discrepancy=0.4 * 2e3 * 0.6)
+    (reason,) = judge(problem, loud).reasons
+    assert "of what acts" in reason.text
+
+
+@pytest.mark.parametrize("levels", [[0.02], 0.02])
+def test_the_noise_found_of_the_ground(record, levels):
+    (ground,) = channels(record, ["ground_acceleration"])
+    assert noise_found(estimate(measured(), sigma_ground_acceleration=levels), ground) == 0.02
+    assert np.isnan(noise_found(estimate(measured()), ground))
