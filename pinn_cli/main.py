@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from pinn_cli.cli.command_line import execute
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import prepare_problem
+from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
 from pinn_cli.runs.signs_of_life import signs_of_life
@@ -22,13 +23,17 @@ from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
+    from pinn_cli.cli.prepare import PreparedProblem
     from pinn_cli.record.record import Response
     from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import Watch
+    from pinn_cli.training.estimate import RunContext, Watch
+    from pinn_cli.validation.base import Setup
 
 
 def run(composed: DictConfig) -> float | None:
     """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
+
+    Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
 
     Returns:
         Its validation score, for a sweeper that looks for the least; None without one.
@@ -38,71 +43,117 @@ def run(composed: DictConfig) -> float | None:
     in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
-        finished = resuming and is_finished(directory, composed, base)
-        config = None if finished and is_tracked(directory, composed) else RunConfig.read(composed, base)
-    if config is None:
-        if not in_sweep:
-            print(f"finished before, nothing to do\n{directory}")
-        return _judged(composed, directory)
+        config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base)
+    if config is not None:
+        lock_directory()
+    if config is None or _is_done(resuming, composed, directory, base):  # by the process that was in there
+        leave_directory()
+        return _judged(composed, directory, "finished before, nothing to do", in_sweep)
+    finished = resuming and is_finished(directory, composed, base)
+    with nullcontext() if in_sweep else signs_of_life(stages):
+        prepared = None if finished else _prepare(config, directory, stages, in_sweep)
+        text = _tracked(config, composed, stages, resuming, prepared)
+    return _judged(composed, directory, text, in_sweep)
+
+
+def _tracked(config: RunConfig, composed: DictConfig, stages: Stages, resuming: bool, prepared: Prepared | None) -> str:
+    """Make the run, or tell of one that had finished, under the eyes of its tracker; what it prints."""
+    directory = Path(HydraConfig.get().runtime.output_dir)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.tracking.base import TrackedRun
         from pinn_cli.tracking.follow import follow
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
-    telling = nullcontext() if in_sweep else signs_of_life(stages)
-    with telling, follow(config.tracking, tracked_run, resuming) as tracked:
-        if finished:
+    with follow(config.tracking, tracked_run, resuming) as tracked:
+        take_directory([] if prepared is None else _outdated(prepared))
+        if prepared is None:
             text = f"finished before; tracking={config.tracking.name} has it now"
         else:
-            text = _carry_out(config, directory, stages, in_sweep, tracked.row)
+            text = _carry_out(config, directory, stages, prepared, tracked.row)
         with stages("tracking"):
             tracked.results()
+    return text
+
+
+def _is_done(resuming: bool, composed: DictConfig, directory: Path, base: Path) -> bool:
+    """Whether there is nothing to do, the tracker included."""
+    return resuming and is_finished(directory, composed, base) and is_tracked(directory, composed)
+
+
+def _judged(composed: DictConfig, directory: Path, text: str, in_sweep: bool) -> float | None:
+    """Tell how it ended; the score of a finished run, whose verdict must be sound with ``strict=true``."""
     if not in_sweep:
         print(f"{text}\n{directory}")
-    return _judged(composed, directory)
-
-
-def _judged(composed: DictConfig, directory: Path) -> float | None:
-    """The score of a finished run, whose verdict must be sound with ``strict=true``."""
     if composed.get("strict") is True:
         check_sound(directory)
     return stored_score(directory)
 
 
-def _carry_out(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool, watch: Watch) -> str:
-    """From the system to the report, which it returns as text."""
+@dataclass(frozen=True)
+class Prepared:
+    """A run whose input has been found good.
+
+    Attributes:
+        problem: What it solves.
+        context: What its estimators are given.
+        setup: Of its validation.
+        in_sweep: Whether it is a job of a sweep.
+    """
+
+    problem: PreparedProblem
+    context: RunContext
+    setup: Setup
+    in_sweep: bool
+
+
+def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool) -> Prepared:
+    """Everything that may find fault with the input; nothing is written.
+
+    Raises:
+        InputError: No run can use it.
+    """
+    with stages("imports"):
+        from pinn_cli.runs.run_checkpoints import open_checkpoints
+        from pinn_cli.training.estimate import RunContext
+        from pinn_cli.validation.base import Setup
+    prepared = prepare_problem(config, stages)
+    checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)
+    context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
+    setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
+    config.validation.check(prepared.problem, setup)
+    return Prepared(prepared, context, setup, in_sweep)
+
+
+def _outdated(prepared: Prepared) -> list[str]:
+    """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not go on from."""
+    checkpoints = prepared.context.checkpoints
+    return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
+
+
+def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Prepared, watch: Watch) -> str:
+    """From the problem to the report, which it returns as text."""
     with stages("imports"):
         from pinn_cli.baseline.comparison import baseline_estimate
         from pinn_cli.posterior.result import posterior_result
         from pinn_cli.report.results import Results
         from pinn_cli.report.run_report import write_report
-        from pinn_cli.runs.run_checkpoints import open_checkpoints
-        from pinn_cli.training.estimate import RunContext
-        from pinn_cli.validation.base import Setup
-    prepared = prepare_problem(config, stages)
-    prescribed, problem = prepared.prescribed, prepared.problem
+    problem, context = prepared.problem.problem, prepared.context
     with stages("estimate"):
-        (directory / RESULT).unlink(missing_ok=True)  # an earlier run's, whose files are replaced from here on
-        checkpoints = open_checkpoints(
-            directory, config.identity, config.resume, config.checkpoint_every_s, config.device
-        )
-        context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
-        setup = Setup(prescribed, config.scheme, config.estimator, context)
-        config.validation.check(problem, setup)
         estimate = config.estimator.solve(problem, replace(context, watch=watch))
+    settle_directory()
     with stages("posterior"):
         posterior = posterior_result(config.posterior, problem, estimate, context)
     with stages("validation"):
-        score = config.validation.score(problem, estimate, setup)
+        score = config.validation.score(problem, estimate, prepared.setup)
     with stages("baseline"):
         baseline = baseline_estimate(config.baseline, problem, context)
-    drawn = config.figures if config.figures is not None else not in_sweep
-    linear = _linear_response(config, prepared.true) if drawn else None
+    drawn = config.figures if config.figures is not None else not prepared.in_sweep
+    linear = _linear_response(config, prepared.problem.true) if drawn else None
     results = Results(
         config.description,
-        prescribed,
-        prepared.record,
-        prepared.truth,
+        prepared.problem.prescribed,
+        prepared.problem.record,
+        prepared.problem.truth,
         estimate,
         baseline,
         posterior,

@@ -3,7 +3,7 @@
     0  done
     1  a defect of the program: its traceback
     2  input that no run can use: one line that says which setting, why and what to do
-    3  a run that diverged: one line that says where
+    3  a run that diverged, or whose files the disk does not take: one line that says where
     4  with strict=true, a run whose verdict is not sound: its results are written, and one line says why
     130  interrupted by Ctrl-C (SIGINT); pinn-run resume=DIRECTORY goes on
     143  the same by SIGTERM
@@ -20,27 +20,29 @@ import sys
 import traceback
 from argparse import Namespace
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
 from pinn_cli.runs import directories as run_directories
+from pinn_cli.runs.claim import Claim, entered
 from pinn_cli.runs.interruption import Interruption, watched
-from pinn_cli.runs.lock import held
 from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
 from pinn_cli.runs.resume import StoredRun, check_sound, going_on, how_to_go_on
+from pinn_cli.runs.writing import WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep import collect, failure
 from pinn_cli.sweep.callback import ended_sweep
 from pinn_cli.sweep.collect import Collection, collect_command
-from pinn_cli.sweep.jobs import NOT_STARTED, Sweep
+from pinn_cli.sweep.jobs import NOT_STARTED, Sweep, note_failure
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +50,7 @@ Task = Callable[[DictConfig], float | None]
 
 STATUS_DEFECT, STATUS_INPUT, STATUS_DIVERGED, STATUS_NOT_SOUND, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 3, 4, 130, 141
 # Errors that a user can mend, or must know of: one line each.
-Reported = InputError | DivergenceError | NotSoundError
+Reported = InputError | DivergenceError | WriteError | NotSoundError
 # What launchers raise when a process of theirs is gone: joblib and its pool.
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
@@ -65,40 +67,52 @@ class Jobs:
         self.task, self.full_error = task, full_error
         self.started = False
         self.status = 0
-        self.unusable: list[Path] = []
+        self.refused = False
         self.stored: StoredRun | None = None
         self.directory: Path | None = None
+        self.begun = False
 
     def __call__(self, config: DictConfig) -> float | None:
         """Run one job; see the class. What it returns reaches Hydra's sweeper: a score, or None where there is none."""
         self.started = True
         self.directory = Path(HydraConfig.get().runtime.output_dir)
         in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN
-        with held(self.directory):
-            return (self._in_sweep if in_sweep else self._alone)(config, self.directory)
+        setting = "hydra.sweep.dir" if in_sweep else "hydra.run.dir"
+        claim = Claim(self.directory, setting, {} if self.stored else _settings(config))
+        with entered(claim):
+            try:
+                if not in_sweep and not HydraConfig.get().run.dir:
+                    raise InputError(setting, HydraConfig.get().run.dir, "a directory")
+                return self._run(config, claim, in_sweep)
+            except Exception as raised:
+                error = _explained(raised)
+                _conclude(claim, error)
+                if in_sweep and claim.locked:  # else it is no directory of ours to write into
+                    overrides = HydraConfig.get().overrides.task
+                    note_failure(self.directory, overrides, failure.Failure.of(error))
+                elif isinstance(error, Reported) and not in_sweep:
+                    self.report(error)
+                    self.refused = isinstance(error, InputError)
+                    if isinstance(error, WriteError):
+                        self.print_line(how_to_go_on(self.directory))
+                elif error is raised:
+                    raise
+                else:
+                    raise error from raised
+                return None
+            finally:
+                self.begun = claim.taken
 
-    def _alone(self, config: DictConfig, directory: Path) -> float | None:
-        try:
-            return self.task(config if self.stored is None else self.stored.configuration(config))
-        except Exception as raised:
-            error = _explained(raised)
-            if not isinstance(error, Reported):
-                raise
-            if isinstance(error, InputError):
-                self.unusable.append(directory)
-            log.info("%s", error)
-            self.report(error)
-        return None
-
-    def _in_sweep(self, config: DictConfig, directory: Path) -> float | None:
-        failure.clear(directory)
-        try:
-            return self.task(going_on(config))
-        except Exception as error:
-            kept = failure.Failure.of(_explained(error))
-            log.info("%s", kept.traceback if kept.status == failure.DEFECT else kept.reason)
-            kept.write(directory)
-            return None
+    def _run(self, config: DictConfig, claim: Claim, in_sweep: bool) -> float | None:
+        if in_sweep:
+            claim.lock()  # from here on it is seen to have begun, should it be killed
+            score = self.task(going_on(config))
+        else:
+            score = self.task(config if self.stored is None else self.stored.configuration(config))
+        claim.take()
+        if in_sweep:
+            failure.clear(claim.directory)
+        return score
 
     def report(self, error: Reported) -> None:
         """Print the error's one line and note the exit status that it asks for."""
@@ -124,7 +138,6 @@ def execute(task: Task) -> int:
     """
     jobs = Jobs(task, full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
     options = Namespace(overrides=[], config_dir=None)
-    refused = False
     try:
         options = read_options(sys.argv)
         with watched():
@@ -133,33 +146,47 @@ def execute(task: Task) -> int:
             elif not _has_collected(options) and not _has_finished(jobs, options):
                 _run_hydra(jobs)
                 _collect(jobs)
+            sys.stdout.flush()
     except KeyboardInterrupt as stop:
-        sweep = ended_sweep()
-        if sweep is not None:
-            goes_on = f"to go on: the same command again; for what there is: {collect_command(sweep.directory)}"
+        ended = ended_sweep()
+        if ended is not None:
+            goes_on = f"to go on: the same command again; for what there is: {collect_command(ended[0].directory)}"
         else:
-            goes_on = how_to_go_on(jobs.directory) if jobs.directory else ""
+            goes_on = how_to_go_on(jobs.directory) if jobs.directory and jobs.begun else ""
+            jobs.refused = not jobs.begun
         jobs.print_line(f"interrupted{f'; {goes_on}' if goes_on else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
     except BrokenPipeError:  # the reader has left, as in `pinn-run --help | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return STATUS_PIPE
     except Exception as error:
-        _collect(jobs)
+        with suppress(WriteError):  # of which more has been said
+            _collect(jobs, cut_off=True)
         if type(error).__name__ in LOST_WORKERS:
             jobs.print_line(
                 "a worker process was killed, by the system for want of memory perhaps; the same command again goes on"
             )
             return STATUS_DEFECT
-        explained = explain(error, options.overrides, options.config_dir, composing=not jobs.started)
+        explained = _told(error, jobs, options)
         if explained is None:
             raise
         jobs.report(explained.with_traceback(error.__traceback__))
-        refused = True
+        jobs.refused = isinstance(explained, InputError)
     finally:
-        if refused or jobs.unusable:
-            run_directories.discard(jobs.unusable)
+        if jobs.refused:
+            run_directories.discard()
     return jobs.status
+
+
+def _told(error: Exception, jobs: Jobs, options: Namespace) -> Reported | None:
+    """What to tell of an error that no job reported; None of a defect."""
+    told = error if isinstance(error, WriteError) else refused_by_disk(error)
+    if told is None:
+        return explain(error, options.overrides, options.config_dir, composing=not jobs.started)
+    if jobs.started:
+        return told
+    setting = "hydra.sweep.dir" if options.multirun else "hydra.run.dir"
+    return InputError(setting, told.path, "a directory that can be made", told.reason)
 
 
 def _has_finished(jobs: Jobs, options: Namespace) -> bool:
@@ -195,22 +222,25 @@ def _has_collected(options: Namespace) -> bool:
     return True
 
 
-def _collect(jobs: Jobs) -> None:
-    """Put the sweep that has ended together and report its failures; one that only failed by its input goes."""
-    sweep = ended_sweep()
-    if sweep is None:
+def _collect(jobs: Jobs, cut_off: bool = False) -> None:
+    """Put the sweep that has ended, or was cut off by an error, together; one that only failed by its input goes."""
+    ended = ended_sweep()
+    if ended is None:
         return
+    sweep, before = ended
     found = sweep.jobs()
-    begun = [job for job in found if job.status != NOT_STARTED]
+    begun = before.begun(found)
     if jobs.full_error:
         for kept in filter(None, (failure.Failure.read(job.directory) for job in begun)):
             print(kept.traceback, file=sys.stderr)
-    if not begun:
-        return
-    if all(job.exit_status == STATUS_INPUT for job in begun):
-        jobs.unusable, jobs.status = [job.directory.absolute() for job in begun], STATUS_INPUT
+    jobs.refused = before.is_refused(sweep, found) or (cut_off and not begun)
+    if jobs.refused:
         for reason in dict.fromkeys(job.reason for job in begun):
             jobs.print_line(reason)
+        jobs.status = STATUS_INPUT if begun else jobs.status
+        before.restore()
+        return
+    if all(job.status == NOT_STARTED for job in found):
         return
     collection = Collection.of(sweep, found)
     if not sweep.is_search:  # in which trials may fail
@@ -219,10 +249,31 @@ def _collect(jobs: Jobs) -> None:
     print(sweep.directory)
 
 
+def _settings(config: DictConfig) -> dict[str, DictConfig | ListConfig]:
+    """What `.hydra/` holds, by file: as Hydra itself would have written it, but for when."""
+    hydra = HydraConfig.get()
+    return {
+        "hydra.yaml": OmegaConf.create({"hydra": hydra}),
+        "config.yaml": config,
+        "overrides.yaml": OmegaConf.create(hydra.overrides.task),
+    }
+
+
+def _conclude(claim: Claim, error: Exception) -> None:
+    """A refused run leaves nothing; one that failed in another way leaves its settings and a log that says so."""
+    if isinstance(error, InputError):
+        claim.refuse()
+        return
+    log.info("%s", error if isinstance(error, Reported) else "".join(traceback.format_exception(error)))
+    with suppress(InputError):
+        claim.take()
+
+
 def _explained(error: Exception) -> Exception:
-    """The same error, or where memory ran out one that says so in a user's words."""
+    """The same error, or where memory or the disk ran out one that says so in a user's words."""
     if not is_out_of_memory(error):
-        return error
+        full = refused_by_disk(error)
+        return error if full is None else full.with_traceback(error.__traceback__)
     given = " ".join(HydraConfig.get().overrides.task) or "(none)"
     allowed = f"such that the run fits into memory; this machine has {of_this_machine() / 2**30:.3g} GiB"
     return InputError("overrides", given, allowed, str(error).partition("\n")[0]).with_traceback(error.__traceback__)

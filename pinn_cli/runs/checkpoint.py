@@ -67,10 +67,10 @@ class Checkpoints:
         self._random: dict[str, Any] = {}
         self._last = clock()
 
-    def start_over(self) -> None:
-        """Forget what lies in the directory."""
-        self.files.tidy()
-        self.files.discard()
+    @property
+    def taken_up(self) -> bool:
+        """Whether the trainings go on from what lies in the directory."""
+        return bool(self._kept)
 
     def take_up(self) -> bool:
         """Have the trainings go on where the last good checkpoint left them; False where there is none.
@@ -90,7 +90,6 @@ class Checkpoints:
         changes = self.identity.changes_from(identity)
         if changes:
             raise OtherRunError(changes)
-        self.files.tidy()
         self._kept, self._random = kept, states
         return True
 

@@ -11,7 +11,7 @@ import logging
 import os
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch.serialization import default_restore_location
@@ -35,6 +35,8 @@ class CheckpointFiles:
         directory: Of the run.
         device: Where tensors that were saved on a GPU are put; those of the CPU stay there.
     """
+
+    NAMES: ClassVar[tuple[str, ...]] = (LAST, PREVIOUS)
 
     def __init__(self, directory: Path, device: str = "cpu") -> None:
         self.directory, self.device = directory, device
@@ -70,18 +72,6 @@ class CheckpointFiles:
                 os.replace(last, previous)
         self._last_is_good = True
         _sync(self.directory)
-
-    def discard(self) -> None:
-        """Remove both: they are of no use to the run that begins here."""
-        for name in (LAST, PREVIOUS):
-            (self.directory / name).unlink(missing_ok=True)
-        self._last_is_good = False
-
-    def tidy(self) -> None:
-        """Remove what a killed process left half-written beside its files, checkpoints and tables alike."""
-        for file in self.directory.rglob(".*.partial*"):
-            if file.is_file():
-                file.unlink(missing_ok=True)
 
 
 def sealed(content: dict[str, Any]) -> bytes:

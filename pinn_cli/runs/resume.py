@@ -1,8 +1,8 @@
 """`resume=`: going on with a run that was interrupted, with the configuration that lies in its directory.
 
 `pinn-run resume=DIRECTORY` is handled here, before Hydra makes a new directory; `resume=auto` is a setting like any
-other. Either way the run's own files say which run they are of (:class:`pinn_cli.runs.identity.Identity`): Hydra has
-rewritten `.hydra/` by the time that a run with a fixed directory sees it. Nothing slow is imported here.
+other. Either way the run's own files say which run they are of (:class:`pinn_cli.runs.identity.Identity`): `.hydra/`
+may be of a run that was killed before it wrote any. Nothing slow is imported here.
 """
 
 from __future__ import annotations
@@ -99,7 +99,6 @@ class StoredRun:
             f"resume={quoted(str(self.directory))}",
             *self.given,
             f"hydra.run.dir={quoted(str(self.directory))}",
-            "hydra.output_subdir=null",
         ]
 
     def configuration(self, composed: DictConfig) -> DictConfig:

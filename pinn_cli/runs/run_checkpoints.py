@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 def open_checkpoints(
     directory: Path, identity: Identity, resume: str | None, every_s: float | None, device: str
 ) -> Checkpoints:
-    """Those of a run that is about to train: taken up if it resumes, removed if not.
+    """Those of a run that is about to train, taken up if it resumes; nothing in the directory is changed.
 
     Args:
         directory: Of the run.
@@ -45,5 +45,4 @@ def open_checkpoints(
                 allowed, hint = "a run whose checkpoint is its own", "remove checkpoint*.pt there to start over"
                 raise InputError("resume", resume, f"{allowed}, but {error}", hint) from error
             log.warning("the checkpoint in %s is of another run: training starts over; %s", directory, error)
-    checkpoints.start_over()
-    return checkpoints
+    return Checkpoints(directory, identity, every_s, device)

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.runs.writing import write_json
+
 FILE = "tracking.json"
 # The choice of the config group under which nothing is tracked.
 NONE = "none"
@@ -49,8 +51,6 @@ class TrackingState:
 
     def write(self, directory: Path) -> None:
         """Put it into the run's directory."""
-        from pinn_cli.runs.writing import write_json
-
         write_json(asdict(self), directory / FILE)
 
 

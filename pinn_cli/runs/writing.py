@@ -6,17 +6,53 @@ half-written table that a sweep would read as a result.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 if TYPE_CHECKING:
     import pandas
+
+# Names of files that are being written: `.fitness.4711.partial.csv`.
+PARTIAL = re.compile(r"\..+\.\d+\.partial(\.\w+)?")
+# The folders of a run's directory that its files lie in.
+FOLDERS = (".hydra", "figures", "chains")
+
+
+# What the system answers where a disk, or a place on it, takes no file.
+_DISK = {
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.ENAMETOOLONG,
+    errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.EMFILE, errno.ENFILE, errno.ESTALE,
+}  # fmt: skip
+
+
+class WriteError(RuntimeError):
+    """A file that the disk does not take: it is full, or its folder is gone or forbidden.
+
+    Attributes:
+        path: Of the file.
+        reason: In the system's words.
+    """
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        super().__init__(f"{path} cannot be written: {reason}")
+        self.path, self.reason = path, reason
+
+    def __reduce__(self) -> tuple[type[WriteError], tuple[Path | str, str]]:
+        # As `InputError`: it crosses process borders in sweeps.
+        return type(self), (self.path, self.reason)
+
+
+def refused_by_disk(error: BaseException) -> WriteError | None:
+    """What to tell of an error of the system's that is about the disk; None of any other."""
+    if isinstance(error, OSError) and error.errno in _DISK:
+        return WriteError(error.filename or "the output", error.strerror or str(error))
+    return None
 
 
 @contextmanager
@@ -25,16 +61,31 @@ def replacing(path: Path | str) -> Iterator[Path]:
 
     The folder is created where it is missing. Readers see the old file or the new one, never a part of it
     (``os.replace`` is atomic within a file system, and the two lie in one folder).
+
+    Raises:
+        WriteError: The disk does not take it; what was there before stays.
     """
     place = Path(path)
-    place.parent.mkdir(parents=True, exist_ok=True)
     # The suffix is kept: some writers choose their format by it. The process id keeps two jobs of a sweep apart.
     beside = place.with_name(f".{place.stem}.{os.getpid()}.partial{place.suffix}")
     try:
+        place.parent.mkdir(parents=True, exist_ok=True)
         yield beside
         os.replace(beside, place)
+    except OSError as error:
+        raise WriteError(place, error.strerror or str(error)) from error
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def tidy(directory: Path) -> None:
+    """Remove what a killed process left half-written in a run's directory and its folders."""
+    for folder in (directory, *(directory / name for name in FOLDERS)):
+        if folder.is_dir() and not folder.is_symlink():
+            for file in folder.iterdir():
+                if PARTIAL.fullmatch(file.name) and file.is_file():
+                    file.unlink(missing_ok=True)
 
 
 def write_text(text: str, path: Path | str) -> Path:
@@ -57,6 +108,8 @@ def write_json(content: Mapping[str, object], path: Path | str) -> Path:
 
 
 def _plain(value: object) -> object:
+    import numpy as np  # not above: `pinn-run --help` reads this module too
+
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

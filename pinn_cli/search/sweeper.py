@@ -33,7 +33,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, whole_number
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.composing import job_launcher
-from pinn_cli.sweep.jobs import STORED
+from pinn_cli.sweep.jobs import begin_sweep
 
 METHODS = ("tpe", "random")
 NO_VALIDATION, EVIDENCE = "NoValidation", "EvidenceScore"
@@ -110,8 +110,7 @@ class Search:
         """
         space, fixed = read_space([*self.params, *arguments])
         self._check_comparable(space)
-        self.directory.mkdir(parents=True, exist_ok=True)  # SQLite makes no folders
-        OmegaConf.save(self.config, self.directory / STORED)
+        begin_sweep(self.config)
         study = create_study(self.directory)
         study.set_user_attr(OVERRIDES, self.overrides)
         while (ended := len(study.get_trials(deepcopy=False))) < self.n_trials:

@@ -12,9 +12,10 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.sweep.jobs import Sweep
 from pinn_cli.sweep.progress import Progress
+from pinn_cli.sweep.refusal import Before
 
-# The sweep that Hydra runs in this process, and what shows how far it is.
-_running: tuple[Sweep, Progress] | None = None
+# The sweep that Hydra runs in this process, what its directory held before, and what shows how far it is.
+_running: tuple[Sweep, Before, Progress] | None = None
 
 
 class SweepCallback(Callback):
@@ -30,16 +31,16 @@ class SweepCallback(Callback):
         except OmegaConfBaseException:  # Hydra meets it next and reports it
             return
         progress = Progress(sweep)
-        _running = sweep, progress
+        _running = sweep, Before.of(sweep), progress
         progress.start()
 
 
-def ended_sweep() -> Sweep | None:
-    """The sweep that ran, or was cut off, in this process; its progress is shown no more."""
+def ended_sweep() -> tuple[Sweep, Before] | None:
+    """The sweep that ran, or was cut off, in this process, and what was there before; its progress is shown no more."""
     global _running  # noqa: PLW0603
     if _running is None:
         return None
-    sweep, progress = _running
+    sweep, before, progress = _running
     _running = None
     progress.stop()
-    return sweep
+    return sweep, before

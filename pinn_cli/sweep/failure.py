@@ -7,12 +7,13 @@ import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from pinn_cli.runs.writing import WriteError, write_json
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
 FILE = "failure.json"
 # As the command's exit status: what a shell script must tell apart.
-DEFECT, INPUT, DIVERGED, NOT_SOUND = 1, 2, 3, 4
-_STATUS = {InputError: INPUT, DivergenceError: DIVERGED, NotSoundError: NOT_SOUND}
+DEFECT, INPUT, STOPPED, NOT_SOUND = 1, 2, 3, 4
+_STATUS = {InputError: INPUT, DivergenceError: STOPPED, WriteError: STOPPED, NotSoundError: NOT_SOUND}
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,6 @@ class Failure:
 
     def write(self, directory: Path) -> None:
         """Put it into the job's directory."""
-        from pinn_cli.runs.writing import write_json
-
         write_json(asdict(self), directory / FILE)
 
 

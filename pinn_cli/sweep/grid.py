@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from hydra.core.utils import JobReturn
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.composing import JobLoader, is_number, job_launcher
 from pinn_cli.sweep.directories import combinations
-from pinn_cli.sweep.jobs import STORED
+from pinn_cli.sweep.jobs import begin_sweep
 
 
 def run_grid(
@@ -39,15 +38,13 @@ def run_grid(
     """
     loader, launcher = JobLoader(hydra_context.config_loader), job_launcher(hydra_context, task_function, config)
     jobs = combinations(overrides)
-    directory = Path(config.hydra.sweep.dir)
-    directory.mkdir(parents=True, exist_ok=True)
-    OmegaConf.save(config, directory / STORED)
-    returned = []
     step = at_once or len(jobs)
-    for first in range(0, len(jobs), step):
-        batch = jobs[first : first + step]
-        for job in representatives(batch):
-            loader.load_sweep_config(config, list(job))
+    batches = {first: jobs[first : first + step] for first in range(0, len(jobs), step)}
+    for job in representatives(jobs):
+        loader.load_sweep_config(config, list(job))
+    begin_sweep(config)
+    returned = []
+    for first, batch in batches.items():
         returned.append(launcher.launch(batch, initial_job_idx=first))
         for result in returned[-1]:
             _ = result.return_value  # raises what the job raised

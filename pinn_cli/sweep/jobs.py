@@ -14,7 +14,9 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.runs.ownership import check_destination, made
 from pinn_cli.runs.resume import RESULT, read_record
+from pinn_cli.runs.writing import WriteError, write_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.sweep.directories import combinations, job_name, parse, swept_settings
@@ -136,6 +138,22 @@ class Sweep:
         return {setting_of(override): parse(override).get_value_element_as_str() for override in swept}
 
 
+def begin_sweep(config: Any) -> None:
+    """Make a sweep's directory and leave its configuration, with its `hydra` node, in it.
+
+    Raises:
+        InputError: The directory is none that a sweep may write into.
+    """
+    if not config.hydra.sweep.dir:
+        raise InputError("hydra.sweep.dir", config.hydra.sweep.dir, "a directory")
+    directory = Path(str(config.hydra.sweep.dir))
+    check_destination(made(directory, "hydra.sweep.dir"), "hydra.sweep.dir")
+    try:
+        write_text(OmegaConf.to_yaml(config), directory / STORED)
+    except WriteError as error:
+        raise InputError("hydra.sweep.dir", directory, "a directory that can be written to", error.reason) from error
+
+
 def is_search(config: Any) -> bool:
     """Whether the sweep of a configuration, with its `hydra` node, is one whose jobs Optuna chooses by their scores."""
     return _sweeper(config) == SEARCH
@@ -143,6 +161,22 @@ def is_search(config: Any) -> bool:
 
 def _sweeper(config: Any) -> str:
     return str(config.hydra.sweeper.get("_target_")).rpartition(".")[2]
+
+
+def note_failure(directory: Path, overrides: Any, failure: Failure) -> None:
+    """Leave the reason in a job's directory, which is known for one even if the job never began.
+
+    Args:
+        directory: Of the job; made where it is missing.
+        overrides: As Hydra hands them to the job.
+        failure: Why it failed.
+
+    Raises:
+        WriteError: The disk does not take it.
+    """
+    if not (directory / OVERRIDES).is_file():
+        write_text(OmegaConf.to_yaml(overrides), directory / OVERRIDES)
+    failure.write(directory)
 
 
 def job_directories(sweep: Path) -> Iterator[Path]:

@@ -17,12 +17,14 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobReturn, JobStatus, run_job, setup_globals
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 
+from pinn_cli.runs.lock import FILE as LOCK
 from pinn_cli.runs.resume import asked_to_resume, going_on, is_finished, stored_score
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.sweep.failure import DEFECT, Failure
-from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep
+from pinn_cli.sweep.failure import FILE as FAILURE
+from pinn_cli.sweep.jobs import FINISHED, OVERRIDES, UNFINISHED, Job, Sweep, note_failure
 
 
 @dataclass(frozen=True)
@@ -127,8 +129,10 @@ class PendingJob:
 
     def begun_since(self, moment: float) -> bool:
         """Whether it was begun, perhaps anew, at that moment or after it, seconds since the epoch."""
-        with suppress(OSError):  # not begun at all
-            return (self.directory / OVERRIDES).stat().st_mtime >= moment
+        for sign in (OVERRIDES, LOCK, FAILURE):
+            with suppress(OSError):  # there is none
+                if (self.directory / sign).stat().st_mtime >= moment:
+                    return True
         return False
 
     def under_way_since(self, moment: float) -> bool:
@@ -145,9 +149,5 @@ class PendingJob:
         """Note that its worker was, unless it had all its results by then or says itself why it failed."""
         finished = self.finished()
         if not finished and Failure.read(self.directory) is None:
-            overrides = self.directory / OVERRIDES
-            if not overrides.is_file():  # it had not begun: without this the directory is no job's
-                overrides.parent.mkdir(parents=True, exist_ok=True)
-                OmegaConf.save(self.config.hydra.overrides.task, overrides)
-            Failure(DEFECT, reason, reason).write(self.directory)
+            note_failure(self.directory, self.config.hydra.overrides.task, Failure(DEFECT, reason, reason))
         return self.returned(finished)

@@ -151,13 +151,17 @@ def _opened(tracking: Tracking, run: TrackedRun, before: TrackingState | None) -
     """The tracked run that the directory names, or a new one, whose key is written down before it is made."""
     new = TrackingState(tracking.name, run.configuration, uuid.uuid4().hex)
     state = new if before is None else replace(before, ended=False)
+    file = run.directory / FILE
+    content = file.read_bytes() if file.is_file() else None
     if tracking.name != NONE:
         state.write(run.directory)
     try:
         tracker = tracking.open(run, state, before is not None)
     except InputError:
-        if before is None and tracking.name != NONE:
-            (run.directory / FILE).unlink(missing_ok=True)
+        if content is not None:
+            file.write_bytes(content)
+        elif tracking.name != NONE:
+            file.unlink(missing_ok=True)
         raise
     if tracker is not None and tracker.logged is not None:
         state = replace(state, logged=tracker.logged)

@@ -23,6 +23,7 @@ from pinn_cli.runs.checkpoint_files import (
 )
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.interruption import Interruption, watched
+from pinn_cli.runs.writing import tidy
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.stepwise import Stepwise, train
@@ -180,10 +181,15 @@ def test_a_kill_while_writing_leaves_a_good_one(moment, tmp_path, monkeypatch):
 
 def test_what_a_killed_process_left_half_written_is_removed(tmp_path):
     (tmp_path / "figures").mkdir()
-    for name in (".checkpoint.123.partial.pt", ".fitness.7.partial.csv", "figures/.response.7.partial.png", "mine.txt"):
+    for name in (".checkpoint.123.partial.pt", ".fitness.7.partial.csv", "figures/.response.7.partial.png"):
         (tmp_path / name).write_text("half")
-    checkpoints(tmp_path).start_over()
-    assert sorted(file.name for file in tmp_path.rglob("*")) == ["figures", "mine.txt"]
+    (tmp_path / "deep").mkdir()
+    for name in ("mine.txt", ".mine.partial.txt", "deep/.mine.7.partial.txt"):
+        (tmp_path / name).write_text("half")
+    tidy(tmp_path)
+    assert sorted(file.name for file in tmp_path.rglob("*")) == [
+        ".mine.7.partial.txt", ".mine.partial.txt", "deep", "figures", "mine.txt",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("at", range(10))

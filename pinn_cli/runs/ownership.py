@@ -1,0 +1,86 @@
+"""Whose a directory is: a run writes only where nothing lies, or where `pinn-run` has written before."""
+
+from __future__ import annotations
+
+import re
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+
+from pinn_cli.settings.errors import InputError
+
+SETTINGS = ".hydra"
+# The files of a run's and of a sweep's directory that carry the mark: the name of the package, among Hydra's settings.
+MARKED = (f"{SETTINGS}/hydra.yaml", "multirun.yaml")
+MARK = "pinn_cli"
+# What may lie in a directory that was prepared and never begun: by pattern, with files that were being written.
+_PREPARED = re.compile(r"run\.lock|failure\.json|\.submitit|\.(failure|multirun)\.\d+\.partial\.(json|yaml)")
+_PREPARED_SETTINGS = re.compile(r"overrides\.yaml|\.(hydra|config|overrides)\.\d+\.partial\.yaml")
+_FILES = re.compile(r".*\.(csv|json|pt|nc|log|lock|yaml)")
+_FOLDERS = (SETTINGS, "figures", "chains", "tensorboard")
+ALLOWED = "a new or empty directory, or one that pinn-run made"
+
+
+def check_destination(directory: Path, setting: str) -> None:
+    """See to it that a run, or a sweep, may write into a directory.
+
+    Args:
+        directory: Exists.
+        setting: That named it.
+
+    Raises:
+        InputError: It holds files that are not of `pinn-run`, or something else in the place of a file.
+    """
+    try:
+        entries = sorted(directory.iterdir())
+    except OSError as error:
+        raise InputError(setting, directory, ALLOWED, error.strerror or str(error)) from error
+    if not is_ours(directory):
+        foreign = [entry.name for entry in entries if not is_prepared(entry)]
+        if foreign:
+            named = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+            hint = f"files of yours might be replaced there ({named}): name another directory"
+            raise InputError(setting, directory, ALLOWED, hint)
+    _check_kinds(entries, setting)
+
+
+def made(directory: Path, setting: str) -> Path:
+    """A directory, made where it is missing.
+
+    Raises:
+        InputError: It cannot be made.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(setting, directory, "a directory that can be made", error.strerror or str(error)) from error
+    return directory
+
+
+def is_ours(directory: Path) -> bool:
+    """Whether `pinn-run` has written into a directory before."""
+    return any(_carries_mark(directory / name) for name in MARKED)
+
+
+def _carries_mark(file: Path) -> bool:
+    try:
+        return file.is_file() and MARK in file.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+
+
+def is_prepared(entry: Path) -> bool:
+    """Whether an entry of a directory is one that a run, or a job, leaves before it has begun."""
+    if entry.name == SETTINGS and entry.is_dir():
+        return all(_PREPARED_SETTINGS.fullmatch(inner.name) for inner in entry.iterdir())
+    return _PREPARED.fullmatch(entry.name) is not None
+
+
+def _check_kinds(entries: Iterable[Path], setting: str) -> None:
+    """Where a run would write a file there must be a file or nothing: no folder, FIFO or link to another place."""
+    for entry in entries:
+        kind = entry.lstat().st_mode
+        if entry.name in _FOLDERS and not stat.S_ISDIR(kind):
+            raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no directory")
+        if _FILES.fullmatch(entry.name) and not stat.S_ISREG(kind):
+            raise InputError(setting, entry.parent, ALLOWED, f"{entry.name} there is no regular file")

@@ -1,0 +1,135 @@
+"""A command that is refused, or that waits, changes no byte of the run that lies where it would write."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from calls import PinnRun
+from interrupted_runs import ADAM, Steps, contents, without_figures
+from sweeps import start
+
+from pinn_cli.runs import claim as claims
+from pinn_cli.runs.claim import LOG, Claim
+from pinn_cli.runs.log import RunLog
+from pinn_cli.settings.errors import InputError
+from pinn_cli.training.gradient.training import GradientTraining
+
+STOPPED = (*ADAM, "hydra.run.dir=run")
+
+
+@pytest.fixture
+def stopped(pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """A run that Ctrl-C stopped in its step 10, with checkpoints."""
+    without_figures(monkeypatch)
+    steps = Steps(monkeypatch)
+    steps.signal_at(10, signal.SIGINT)
+    assert pinn_run(*STOPPED).status == 130
+    steps.undisturbed()
+    return tmp_path / "run"
+
+
+REFUSED = {
+    "a value": ["seed=-3"],
+    "a value, going on": ["seed=-3", "resume=auto"],
+    "no data": ["data=csv", "data.path=nowhere.csv"],
+    "a structure": ["system.m=-1"],
+    "found by the training": ["network=fourier", "scheme=bayesian", "training=adam"],
+    "found by the network": ["training.collocation_points=3"],
+    "composition": ["sytem.m=1"],
+    "a setting of Hydra's": ["hydra.run.dir=run/.hydra/config.yaml"],
+}
+
+
+@pytest.mark.parametrize("given", REFUSED.values(), ids=REFUSED.keys())
+def test_a_refused_command_leaves_another_run_as_it_was(pinn_run: PinnRun, stopped: Path, given: list[str]) -> None:
+    before = contents(stopped)
+    outcome = pinn_run(*STOPPED, *given)
+    assert (outcome.status, outcome.err.count(": must be ")) == (2, 1), outcome.err
+    assert contents(stopped) == before
+    again = pinn_run("resume=run")
+    assert again.status == 0, again.err
+
+
+def test_refused_after_it_began_everything_is_put_back(pinn_run: PinnRun, stopped: Path, monkeypatch) -> None:
+    before = contents(stopped)
+
+    def refuse(*args: object) -> None:
+        assert not (stopped / "checkpoint.pt").exists()
+        assert "seed: 5" in (stopped / ".hydra" / "config.yaml").read_text()
+        assert "seed: 5" not in before[".hydra/config.yaml"].decode()
+        raise InputError("network", "x", "another")
+
+    monkeypatch.setattr(GradientTraining, "solve", refuse)
+    assert pinn_run(*STOPPED, "seed=5").status == 2
+    assert contents(stopped) == before
+
+
+def test_a_command_that_waits_changes_nothing(stopped: Path, tmp_path: Path) -> None:
+    """With other settings, and killed while it waits."""
+    hold = "import sys, time; from pathlib import Path; from pinn_cli.runs.lock import held\n"
+    hold += "with held(Path('run')): print('in', flush=True); time.sleep(300)"
+    owner = subprocess.Popen([sys.executable, "-c", hold], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert owner.stdout is not None
+    assert owner.stdout.readline() == "in\n"
+    before = contents(stopped)
+    waiting = start(tmp_path, *STOPPED, "seed=9")
+    assert waiting.stderr is not None
+    assert "waiting for another process" in waiting.stderr.readline()
+    time.sleep(0.3)
+    assert contents(stopped) == before
+    waiting.send_signal(signal.SIGTERM)
+    assert waiting.wait(timeout=10) == 143
+    assert contents(stopped) == before
+    owner.kill()
+    owner.wait()
+
+
+def test_a_refused_sweep_leaves_another_one_as_it_was(pinn_run: PinnRun, tmp_path: Path) -> None:
+    sweep = ("--multirun", *ADAM, "training.iterations=1", "hydra.sweep.dir=sweep")
+    assert pinn_run(*sweep, "seed=0,1").status == 0
+    before = contents(tmp_path / "sweep")
+    places = sorted(tmp_path.rglob("*"))
+    for given in (["seed=0,1", "system.m=-1"], ["seed=2,3", "system.m=-1"], ["seed=0,1", "system=linear,dufing"]):
+        refused = pinn_run(*sweep, *given)
+        assert refused.status == 2, refused.err
+        assert contents(tmp_path / "sweep") == before
+        assert sorted(tmp_path.rglob("*")) == places
+    # Of a sweep that is refused in part the rest is made, and the refused jobs are rows.
+    extended = pinn_run(*sweep, "seed=0,1,2", "system.m=-1,1")
+    assert extended.status == 2
+    assert "5 finished, 3 failed" in extended.out
+
+
+def test_what_is_logged_before_the_directory_is_taken_is_not_lost(tmp_path: Path) -> None:
+    log = RunLog()
+    log.attach()
+    claims.log.warning("early")
+    log.open(tmp_path / LOG)
+    claims.log.warning("late")
+    log.close()
+    claims.log.warning("too late")
+    lines = (tmp_path / LOG).read_text().splitlines()
+    assert [line.rpartition("]")[2] for line in lines] == [" early", " late"]
+
+
+def test_a_claim_that_is_killed_leaves_a_directory_that_can_be_taken(tmp_path: Path) -> None:
+    """What was set aside looks like a file half-written, and goes with those."""
+    (tmp_path / "run.json").write_text("{}")
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "hydra.yaml").write_text("pinn_cli")
+    child = os.fork()
+    if child == 0:
+        Claim(tmp_path, "hydra.run.dir", {}).take(["run.json"])
+        os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert not (tmp_path / "run.json").exists()
+    claim = Claim(tmp_path, "hydra.run.dir", {})
+    claim.take()
+    claim.release()
+    assert {entry.name for entry in tmp_path.iterdir()} == {".hydra", LOG}
