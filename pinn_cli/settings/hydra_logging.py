@@ -1,7 +1,8 @@
-"""What logs may be configured to do: write to the terminal and into the run's own log, in any format, at any level.
+"""What logs may be configured to do: write to the terminal, in any format, at any level.
 
 Python's `logging.config` calls whatever a configuration names: `()` of a handler, a `class`, and any value that begins
-with `ext://`. Here a handler is one of two classes, and every entry is one of those listed.
+with `ext://`. Here a handler is of one class, and every entry is one of those listed. The run's own log is no part of
+this: `pinn_cli.runs.log` writes it.
 """
 
 from __future__ import annotations
@@ -12,10 +13,8 @@ from typing import Any
 
 from pinn_cli.settings.errors import InputError
 
-STREAM, FILE = "logging.StreamHandler", "logging.FileHandler"
+STREAM = "logging.StreamHandler"
 STREAMS = ("ext://sys.stdout", "ext://sys.stderr")
-# As written: Hydra puts in the run's directory once it is known.
-OWN_LOG = "${hydra.runtime.output_dir}/${hydra.job.name}.log"
 
 
 def _text(value: object) -> bool:
@@ -39,13 +38,7 @@ Allowed = Mapping[str, Callable[[Any], bool]]
 
 _FORMATTER: Allowed = {"format": _text, "datefmt": _text}
 _LOGGER: Allowed = {"level": _level, "handlers": _names, "propagate": _switch}
-_HANDLERS: Mapping[str, Allowed] = {
-    STREAM: {"class": STREAM.__eq__, "formatter": _text, "level": _level, "stream": STREAMS.__contains__},
-    FILE: {
-        "class": FILE.__eq__, "formatter": _text, "level": _level, "filename": OWN_LOG.__eq__, "mode": "a".__eq__,
-        "delay": _switch, "encoding": "utf-8".__eq__,
-    },
-}  # fmt: skip
+_HANDLER: Allowed = {"class": STREAM.__eq__, "formatter": _text, "level": _level, "stream": STREAMS.__contains__}
 
 
 def check_logging(setting: str, node: object) -> None:
@@ -68,16 +61,16 @@ def check_logging(setting: str, node: object) -> None:
     for name, handler in _mapping(f"{setting}.handlers", content.get("handlers", {})).items():
         place = f"{setting}.handlers.{name}"
         kind = str(_mapping(place, handler).get("class"))
-        if kind not in _HANDLERS or (kind == FILE and setting.endswith("hydra_logging")):
-            raise InputError(f"{place}.class", kind, f"{STREAM}, or in hydra.job_logging {FILE}", _WHY)
-        _check(place, handler, _HANDLERS[kind])
+        if kind != STREAM:
+            raise InputError(f"{place}.class", kind, STREAM, _WHY)
+        _check(place, handler, _HANDLER)
     for name, logger in _mapping(f"{setting}.loggers", content.get("loggers", {})).items():
         _check(f"{setting}.loggers.{name}", logger, _LOGGER)
     if content.get("root") is not None:
         _check(f"{setting}.root", content["root"], _LOGGER)
 
 
-_WHY = "a log goes to the terminal and into the run's own file, and calls nothing else"
+_WHY = "logs of these settings go to the terminal, and call nothing; a run writes its pinn-run.log itself"
 
 
 def _mapping(setting: str, node: object) -> dict[Any, Any]:
@@ -91,4 +84,4 @@ def _check(setting: str, node: object, allowed: Allowed) -> None:
         if key not in allowed:
             raise InputError(f"{setting}.{key}", value, f"one of {', '.join(allowed)}", _WHY)
         if not allowed[key](value):
-            raise InputError(f"{setting}.{key}", value, "such that the log stays in the run's own file", _WHY)
+            raise InputError(f"{setting}.{key}", value, "such that the log goes to the terminal", _WHY)

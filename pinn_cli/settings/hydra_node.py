@@ -171,8 +171,8 @@ def _check_places(hydra: Mapping[str, Any]) -> None:
     name, subdirectory = hydra["job"]["name"], hydra["output_subdir"]
     if not isinstance(name, str) or not re.fullmatch(r"\w[\w.+-]*", name):
         raise InputError("hydra.job.name", name, "a file's name: letters, digits, and any of . _ + -")
-    if subdirectory not in (None, ".hydra"):
-        raise InputError("hydra.output_subdir", subdirectory, ".hydra or null")
+    if subdirectory is not None and hydra["job"]["config_name"] is not None:  # `--hydra-help` has no file of ours
+        raise InputError("hydra.output_subdir", subdirectory, "null", "a run writes .hydra/ itself, once it is checked")
 
 
 def _check_verbose(verbose: object) -> None:
