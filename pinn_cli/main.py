@@ -120,6 +120,8 @@ def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool)
     checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)
     context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
     setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
+    for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
+        estimator.check(prepared.problem)
     config.validation.check(prepared.problem, setup)
     return Prepared(prepared, context, setup, in_sweep)
 

@@ -19,7 +19,7 @@ from pinn_cli.network.base import States
 from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
 from pinn_cli.record.spectrum import noise_level
-from pinn_cli.system.structure import Structure
+from pinn_cli.system.dynamics import Dynamics, Jet
 
 # Noise over the rms of a force that its interpolation allows for at most: more would smooth the force.
 NOISIEST = 0.1
@@ -32,13 +32,13 @@ class Targets:
     Attributes:
         observation_time: (N,), s, when the response sensors were read.
         physics_time: (N,), s, the collocation points that belong to the force samples.
-        response: Quantity to (..., n), 0 where there is no sensor.
-        sensors: Quantity to (n,) bool.
-        force: (N, n) measured force; 0 where known to be zero or unknown.
+        response: Quantity to (..., channels), 0 where there is no sensor; n channels, one of the ground.
+        sensors: Quantity to (channels,) bool.
+        force: (N, functions) measured force; 0 where known to be zero or unknown, and of what is no motion.
         observer_force: (N, n), the force that belongs to the response samples: where it is held, the mean of before and
             after.
-        measured_force, unforced: (n,) bool; DOFs in neither carry an unknown force, and no equation of motion is
-            enforced on them.
+        measured_force, unforced: (functions,) bool; the equations of those in neither are not enforced: of DOFs that
+            carry any force whatever.
         force_between: (P, n), N, standard deviation of what the samples leave open about the force at collocation
             points between them; None where every point is a sample.
         points_per_sample: Collocation points for every force sample.
@@ -57,7 +57,7 @@ class Targets:
 
     @property
     def equation(self) -> Tensor:
-        """(n,) bool: the DOFs whose equation of motion is enforced."""
+        """(functions,) bool: those whose equation is enforced."""
         return self.measured_force | self.unforced
 
     def at(self, samples: Tensor) -> Targets:
@@ -88,13 +88,13 @@ def hold_delay(record: Record) -> float:
 
 
 def targets(
-    record: Record, structure: Structure, device: str = "cpu", dtype: torch.dtype = torch.float64, refinement: int = 1
+    record: Record, dynamics: Dynamics, device: str = "cpu", dtype: torch.dtype = torch.float64, refinement: int = 1
 ) -> Targets:
     """The record as the residuals need it.
 
     Args:
         record: What was measured.
-        structure: The prescribed model, for its masses.
+        dynamics: The equations of the prescribed model.
         device: Of the tensors.
         dtype: Likewise.
         refinement: Collocation points for every sample. More than one needs a band-limited force.
@@ -103,13 +103,13 @@ def targets(
     def tensor(values: np.ndarray) -> Tensor:
         return torch.as_tensor(values, device=device, dtype=torch.bool if values.dtype == bool else dtype)
 
-    response = {quantity: np.nan_to_num(getattr(record, quantity)) for quantity in RESPONSE_QUANTITIES}
+    response = {quantity: np.nan_to_num(record.histories(quantity)) for quantity in record.response_quantities}
     force = np.nan_to_num(record.force)
     jump = np.zeros_like(force)
     if record.intersample == "zero_order_hold":
         jump = np.diff(force, axis=0, prepend=2 * force[:1] - force[1:2])
         response["acceleration"] = response["acceleration"] - jump / (
-            2.0 * structure.parameters["m"].detach().cpu().numpy()
+            2.0 * dynamics.structure.parameters["m"].detach().cpu().numpy()
         )
     points, between = force, None
     if refinement > 1:
@@ -118,14 +118,22 @@ def targets(
         tensor(record.time),
         tensor(refined_times(record.time, refinement) + hold_delay(record)),
         {quantity: tensor(values) for quantity, values in response.items()},
-        {quantity: tensor(record.sensors(quantity)) for quantity in RESPONSE_QUANTITIES},
-        tensor(points),
-        tensor(force - jump / 2.0),
-        tensor(record.sensors("force")),
-        tensor(record.unforced),
-        None if between is None else tensor(between),
+        {quantity: tensor(record.sensors(quantity)) for quantity in response},
+        dynamics.padded(tensor(points)),
+        dynamics.padded(tensor(force - jump / 2.0)),
+        dynamics.padded(tensor(record.sensors("force"))),
+        _known_rest(record, dynamics).to(device),
+        None if between is None else dynamics.padded(tensor(between)),
         refinement,
     )
+
+
+def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
+    """(functions,) bool: those on whose equation no force acts that was measured, and none that is left open."""
+    known = np.ones(dynamics.size, dtype=bool)
+    known[: dynamics.ndof] = record.unforced
+    known[list(dynamics.inputs.forces)] = True
+    return torch.as_tensor(known)
 
 
 def _between_samples(record: Record, force: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +152,8 @@ def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:
     through the derivative.
     """
     masks = dict(target.sensors)
-    observer = target.sensors["acceleration"] & target.equation & (through != "derivative")
+    accelerometers = target.sensors["acceleration"]
+    observer = accelerometers & target.equation[: len(accelerometers)] & (through != "derivative")
     if through == "observer":
         masks["acceleration"] = masks["acceleration"] & ~observer
     masks["observer"] = observer
@@ -152,27 +161,27 @@ def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:
 
 
 def observation_residuals(
-    states: States, target: Targets, structure: Structure, parameters: Mapping[str, Tensor], through: str
+    states: States, target: Targets, dynamics: Dynamics, parameters: Mapping[str, Tensor], through: str
 ) -> dict[str, Tensor]:
-    """Estimated minus measured response by name, each (..., n), 0 where there is no sensor (paper, eq. 10a)."""
-    estimated = dict(zip(RESPONSE_QUANTITIES, states[:3], strict=True))
+    """Estimated minus measured response by name, each (..., channels), 0 where there is no sensor (paper, eq. 10a)."""
+    jet = Jet(*states[:3])
+    estimated = {quantity: dynamics.sensed(quantity, jet) for quantity in target.sensors}
     measured = {**target.response, "observer": target.response["acceleration"]}
     masks = observation_masks(target, through)
     if "observer" in masks:
-        estimated["observer"] = structure.acceleration(
+        estimated["observer"] = dynamics.structure.acceleration(
             states.displacement, states.velocity, target.observer_force, parameters
         )
     return {name: (estimated[name] - measured[name]) * mask for name, mask in masks.items()}
 
 
-def physics_residual(states: States, target: Targets, structure: Structure, parameters: Mapping[str, Tensor]) -> Tensor:
-    """Force that the motion takes minus the force that acts, (..., n), 0 where unknown (paper, eq. 10c)."""
-    needed = structure.external_force(states.displacement, states.velocity, states.acceleration, parameters)
-    return (needed - target.force) * target.equation
+def physics_residual(states: States, target: Targets, dynamics: Dynamics, parameters: Mapping[str, Tensor]) -> Tensor:
+    """Force that the motion takes minus the force that acts, (..., functions), 0 where unknown (paper, eq. 10c)."""
+    return (dynamics.residual(Jet(*states[:3]), parameters) - target.force) * target.equation
 
 
 def estimated_response(
-    record: Record, structure: Structure, parameters: Mapping[str, Tensor], at_observation: States, at_physics: States
+    record: Record, dynamics: Dynamics, parameters: Mapping[str, Tensor], at_observation: States, at_physics: States
 ) -> Response:
     """Estimated motion and force at the record's own samples, in SI units; forces belong to their force samples.
 
@@ -182,16 +191,28 @@ def estimated_response(
 
     Args:
         record: What was measured.
-        structure: The model.
+        dynamics: The model.
         parameters: Every parameter of the chain, each (n,).
-        at_observation: Motion at :attr:`Targets.observation_time` of every sample, each (N, n).
-        at_physics: Motion at :attr:`Targets.physics_time` of every sample, each (N, n).
+        at_observation: Functions at :attr:`Targets.observation_time` of every sample, each (N, functions).
+        at_physics: Functions at :attr:`Targets.physics_time` of every sample, each (N, functions).
     """
-    force = structure.external_force(at_physics.displacement, at_physics.velocity, at_physics.acceleration, parameters)
-    displacement, velocity, acceleration, _ = at_observation
+    felt, seen = Jet(*at_physics[:3]), Jet(*at_observation[:3])
+    force = dynamics.external_force(felt, parameters)
+    displacement, velocity, acceleration = (dynamics.sensed(quantity, seen) for quantity in RESPONSE_QUANTITIES)
     if hold_delay(record):
         forced = torch.as_tensor(record.sensors("force"), device=force.device)
-        before_and_after = structure.external_force(displacement, velocity, acceleration, parameters)
+        before_and_after = dynamics.external_force(seen, parameters)
         acceleration = acceleration + (force - before_and_after) / parameters["m"] * forced
-    motion = (x.detach().cpu().double().numpy() for x in (displacement, velocity, acceleration, force))
-    return Response(record.time, *motion)
+    displacement, velocity, acceleration, force = (
+        x.detach().cpu().double() for x in (displacement, velocity, acceleration, force)
+    )
+    ground, hidden = (seen.value[..., at].detach().cpu().double().numpy() for at in (dynamics.ground, dynamics.hidden))
+    return Response(
+        record.time,
+        displacement.numpy(),
+        velocity.numpy(),
+        acceleration.numpy(),
+        force.numpy(),
+        ground[:, 0] if ground.size else None,
+        hidden if hidden.size else None,
+    )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from pinn_cli.system.connection import Duffing, Linear, VanDerPol
+from pinn_cli.system.connection import BoucWen, Duffing, Linear, VanDerPol
+from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.structure import ConnectionGroup, Structure
+from pinn_cli.system.structure import Structure
 
 
 def _numbers(*values: float) -> torch.Tensor:
@@ -41,3 +42,22 @@ def shuffled(ndof: int = 6) -> Structure:
     values = torch.arange(1, ndof + 1, dtype=torch.float64)
     parameters = {"m": 10.0 + values, "c": 1.0 + 0.1 * values, "k": 15.0 + values, "kappa": 100.0 + values}
     return Structure(parameters, (ConnectionGroup(Duffing(), Incidence.between(ends, ndof)),))
+
+
+def hysteretic() -> Structure:
+    """A braced frame of two masses whose brace has memory, as has the connection between them; one spring is cubic."""
+    groups = (
+        ConnectionGroup(Duffing(), Incidence.between([{0: 1.0}], 2)),
+        ConnectionGroup(BoucWen(), Incidence.between([{0: -1.0, 1: 1.0}, {1: 1.0}], 2)),
+    )
+    parameters = {
+        "m": _numbers(10.0, 8.0),
+        "c": _numbers(1.0, 1.2, 0.7),
+        "k": _numbers(15.0, 6.0, 4.0),
+        "kappa": _numbers(30.0),
+        "A": _numbers(9.0, 7.0),
+        "beta": _numbers(2.0, 1.4),
+        "gamma": _numbers(-0.6, 0.5),
+        "n": _numbers(1.0, 1.3),
+    }
+    return Structure(parameters, groups)

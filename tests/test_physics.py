@@ -19,6 +19,7 @@ from pinn_cli.physics import (
     targets,
 )
 from pinn_cli.record.simulation import simulate
+from pinn_cli.system.dynamics import Dynamics
 
 ACCELERATIONS = {"derivative": {"acceleration"}, "observer": {"observer"}, "both": {"acceleration", "observer"}}
 
@@ -48,11 +49,11 @@ def smooth_motion(structure, record):
 def test_the_true_motion_of_a_band_limited_record_leaves_no_residual(nonlinearity, through):
     structure = small_chain(nonlinearity)
     measurements = measured(structure)
-    target, states = targets(measurements.record, structure), states_of(measurements.truth.response)
+    target, states = targets(measurements.record, Dynamics(structure)), states_of(measurements.truth.response)
     assert torch.equal(target.observation_time, target.physics_time)
-    residuals = observation_residuals(states, target, structure, structure.parameters, through)
+    residuals = observation_residuals(states, target, Dynamics(structure), structure.parameters, through)
     assert set(residuals) == {"displacement", "velocity"} | ACCELERATIONS[through]
-    for residual in (*residuals.values(), physics_residual(states, target, structure, structure.parameters)):
+    for residual in (*residuals.values(), physics_residual(states, target, Dynamics(structure), structure.parameters)):
         torch.testing.assert_close(residual, torch.zeros_like(residual), rtol=0.0, atol=1e-12)
 
 
@@ -61,12 +62,12 @@ def test_the_true_motion_of_a_held_force_leaves_residuals_of_second_order():
     errors = {}
     for samples in (257, 513):
         record = measured(structure, "zero_order", samples=samples).record
-        target = targets(record, structure)
+        target = targets(record, Dynamics(structure))
         at_samples, at_half_steps = smooth_motion(structure, record)
-        physics = physics_residual(at_half_steps, target, structure, structure.parameters)
+        physics = physics_residual(at_half_steps, target, Dynamics(structure), structure.parameters)
         assert physics.abs().max() < 1e-3 * record.step**2
         for name, residual in observation_residuals(
-            at_samples, target, structure, structure.parameters, "both"
+            at_samples, target, Dynamics(structure), structure.parameters, "both"
         ).items():
             errors.setdefault(name, []).append(residual.square().mean().sqrt().item())
     assert set(errors) == {*QUANTITIES, "observer"}
@@ -80,7 +81,7 @@ def test_the_estimated_response_undoes_what_the_targets_do_to_a_held_force():
     for samples in (257, 513):
         measurements = measured(structure, "zero_order", samples=samples)
         motion = smooth_motion(structure, measurements.record)
-        response = estimated_response(measurements.record, structure, structure.parameters, *motion)
+        response = estimated_response(measurements.record, Dynamics(structure), structure.parameters, *motion)
         truth = measurements.truth.response
         np.testing.assert_allclose(response.force, truth.force, atol=1e-3 * measurements.record.step**2)
         errors.append(relative_error(response.acceleration, truth.acceleration))
@@ -93,7 +94,7 @@ def test_the_estimated_response_of_a_band_limited_record_is_the_motion():
     structure = small_chain()
     measurements = measured(structure)
     states = states_of(measurements.truth.response)
-    response = estimated_response(measurements.record, structure, structure.parameters, states, states)
+    response = estimated_response(measurements.record, Dynamics(structure), structure.parameters, states, states)
     for name in (*QUANTITIES, "force"):
         np.testing.assert_allclose(getattr(response, name), getattr(measurements.truth.response, name), atol=1e-12)
     assert response.time is measurements.record.time
@@ -105,13 +106,13 @@ def test_no_equation_and_no_observer_where_the_force_is_unknown():
     force = record.force.copy()
     force[:, 0] = np.nan
     record = replace(record, force=force)
-    target = targets(record, structure)
+    target = targets(record, Dynamics(structure))
     assert target.equation.tolist() == [False, True, True]
     assert observation_masks(target, "observer")["observer"].tolist() == [False, True, True]
     assert observation_masks(target, "observer")["acceleration"].tolist() == [True, False, False]
     states = states_of(record)
     residual = physics_residual(
-        States(*(torch.ones_like(x) for x in states[:3]), None), target, structure, structure.parameters
+        States(*(torch.ones_like(x) for x in states[:3]), None), target, Dynamics(structure), structure.parameters
     )
     assert not residual[:, 0].any()
     assert residual[:, 1:].any()
@@ -120,13 +121,13 @@ def test_no_equation_and_no_observer_where_the_force_is_unknown():
 def test_dofs_without_a_sensor_have_no_observation_residual():
     structure = small_chain()
     record = measured(structure).record.keep({"acceleration": [1], "displacement": [3]})
-    target = targets(record, structure)
+    target = targets(record, Dynamics(structure))
     assert {name: mask.tolist() for name, mask in observation_masks(target, "derivative").items()} == {
         "displacement": [False, False, True],
         "acceleration": [True, False, False],
     }
     states = States(*(torch.ones(len(record.time), 3, dtype=torch.float64) for _ in range(3)), continuity=None)
-    residuals = observation_residuals(states, target, structure, structure.parameters, "derivative")
+    residuals = observation_residuals(states, target, Dynamics(structure), structure.parameters, "derivative")
     assert {name: residual.any(0).tolist() for name, residual in residuals.items()} == {
         "displacement": [False, False, True],
         "acceleration": [True, False, False],
@@ -159,8 +160,8 @@ def test_the_tangent_is_the_slope_that_finite_differences_see(nonlinearity):
 def test_residuals_are_differentiable_in_the_parameters():
     structure = small_chain()
     measurements = measured(structure)
-    target, states = targets(measurements.record, structure), states_of(measurements.truth.response)
+    target, states = targets(measurements.record, Dynamics(structure)), states_of(measurements.truth.response)
     parameters = {name: value.clone().requires_grad_() for name, value in structure.parameters.items()}
-    residual = physics_residual(states, target, structure, {**parameters, "k": parameters["k"] * 1.1})
+    residual = physics_residual(states, target, Dynamics(structure), {**parameters, "k": parameters["k"] * 1.1})
     gradients = torch.autograd.grad(residual.square().sum(), list(parameters.values()))
     assert all(gradient.abs().min() > 0 for gradient in gradients)

@@ -10,7 +10,7 @@ from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.training.band.inference import inferred_sensor_noise
 from pinn_cli.training.base import Estimator
@@ -44,6 +44,12 @@ class KalmanSmoother(Estimator):
         self.tolerance = fraction("baseline.tolerance", tolerance)
         self.learn_spread = true_or_false("baseline.learn_spread", learn_spread)
         self.process_noise = None if process_noise is None else positive_number("baseline.process_noise", process_noise)
+
+    def check(self, problem: Problem) -> None:
+        """See :meth:`Estimator.check`."""
+        if problem.inputs.ground or len(problem.structure.memory):
+            allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
+            raise InputError("baseline", self.name, allowed, "the smoother's state is the motion alone")
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""

@@ -24,8 +24,8 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import substeps_needed
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.structure import Linearisation
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record

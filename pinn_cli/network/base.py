@@ -78,8 +78,14 @@ class NetworkDesign(ABC):
     name: str
 
     @abstractmethod
-    def build(self, record: Record, dtype: torch.dtype = torch.float64) -> Network:
-        """A network fitted to the record's span, band and amplitudes (never to its truth), untrained."""
+    def build(self, record: Record, dtype: torch.dtype = torch.float64, functions: int | None = None) -> Network:
+        """A network fitted to the record's span, band and amplitudes (never to its truth), untrained.
+
+        Args:
+            record: What was measured.
+            dtype: Of its weights.
+            functions: Unknown functions of time, its outputs; None: the motion of every DOF.
+        """
 
     def refined(self) -> NetworkDesign:
         """The same for a problem with unknown parameters, which a network too coarse for the motion would bias."""

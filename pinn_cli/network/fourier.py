@@ -87,12 +87,11 @@ class Fourier(NetworkDesign):
             whole_number("network.harmonics", self.harmonics, least=1)
         one_of("network.continuity", self.continuity, CONTINUITIES)
 
-    def build(self, record: Record, dtype: torch.dtype = torch.float64) -> FourierNetwork:
+    def build(self, record: Record, dtype: torch.dtype = torch.float64, functions: int | None = None) -> FourierNetwork:
         """See :meth:`NetworkDesign.build`."""
         span = record.duration + 2 * record.step
         period = self.period_margin * span
         harmonics = self.harmonics or max(4, math.ceil(self.band_margin * record_band(record) * period))
         harmonics = min(harmonics, len(record.time) // 2 - 2)
-        return FourierNetwork(
-            record.ndof, float(record.time[0]) - record.step, span, period, harmonics, self.continuity, dtype
-        )
+        start, outputs = float(record.time[0]) - record.step, functions or record.ndof
+        return FourierNetwork(outputs, start, span, period, harmonics, self.continuity, dtype)

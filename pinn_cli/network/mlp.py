@@ -187,12 +187,19 @@ class Mlp(NetworkDesign):
         one_of("network.continuity", self.continuity, CONTINUITIES)
         one_of("network.embedding", self.embedding, get_args(EmbeddingName))
 
-    def build(self, record: Record, dtype: torch.dtype = torch.float64, points: int | None = None) -> MlpNetwork:
+    def build(
+        self,
+        record: Record,
+        dtype: torch.dtype = torch.float64,
+        functions: int | None = None,
+        points: int | None = None,
+    ) -> MlpNetwork:
         """See :meth:`NetworkDesign.build`; its weights are drawn from seed 0 until :meth:`MlpNetwork.reset`.
 
         Args:
             record: Measured.
             dtype: Of weights and outputs.
+            functions: Outputs; None: the motion of every DOF.
             points: At which residuals are compared; None: wherever it takes. See
                 :func:`pinn_cli.network.embedding.embedding`.
         """
@@ -200,8 +207,8 @@ class Mlp(NetworkDesign):
         width = max(LEAST_WIDTH, UNITS_PER_DOF * record.ndof) if self.width is None else self.width
         inputs = embedding(self.embedding, record, dtype, points)
         network = MlpNetwork(
-            record.ndof, self.continuity, self.depth, width, self.activation, inputs, float(record.time[0]),
-            record.duration, (amplitudes["displacement"], amplitudes["velocity"]),
+            functions or record.ndof, self.continuity, self.depth, width, self.activation, inputs,
+            float(record.time[0]), record.duration, (amplitudes["displacement"], amplitudes["velocity"]),
             record_band(record) * record.duration, dtype,
         )  # fmt: skip
         network.reset(0)

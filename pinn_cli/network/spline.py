@@ -136,7 +136,7 @@ class Spline(NetworkDesign):
             whole_number("network.intervals", self.intervals, least=4)
         one_of("network.continuity", self.continuity, CONTINUITIES)
 
-    def build(self, record: Record, dtype: torch.dtype = torch.float64) -> SplineNetwork:
+    def build(self, record: Record, dtype: torch.dtype = torch.float64, functions: int | None = None) -> SplineNetwork:
         """See :meth:`NetworkDesign.build`."""
         start, stop = float(record.time[0]), float(record.time[-1])
         if self.intervals is not None:
@@ -144,7 +144,7 @@ class Spline(NetworkDesign):
             start, stop, intervals = start - margin, stop + margin, self.intervals
         else:
             start, stop, intervals = self._knots(record)
-        return SplineNetwork(record.ndof, start, stop, intervals, self.degree, self.continuity, dtype)
+        return SplineNetwork(functions or record.ndof, start, stop, intervals, self.degree, self.continuity, dtype)
 
     def refined(self) -> Spline:
         """See :meth:`NetworkDesign.refined`."""

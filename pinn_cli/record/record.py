@@ -60,6 +60,10 @@ class Response:
         """All of it that sensors may measure, by the name that a record has for it; the times as well."""
         return {name: getattr(self, name) for name in ("time", *MEASURED_QUANTITIES)}
 
+    def state(self, sample: int) -> list[np.ndarray]:
+        """Displacement and velocity (n,) at a sample, and hidden forces (h,) where there are any."""
+        return [x[sample] for x in (self.displacement, self.velocity, self.hidden) if x is not None]
+
     @classmethod
     def unknown(cls, time: np.ndarray, ndof: int) -> Response:
         """A response of which nothing is known."""
@@ -167,9 +171,19 @@ class Record:
         """Samples per second, Hz."""
         return 1.0 / self.step
 
+    @property
+    def response_quantities(self) -> tuple[str, ...]:
+        """What response sensors measure: of every DOF, and of the ground where it moves."""
+        return RESPONSE_QUANTITIES if self.ground_acceleration is None else (*RESPONSE_QUANTITIES, GROUND)
+
+    def histories(self, quantity: str) -> np.ndarray:
+        """(N, channels) of a quantity: n of the DOFs' ones, one of the ground's."""
+        values: np.ndarray = getattr(self, quantity)
+        return values[:, None] if quantity == GROUND else values
+
     def sensors(self, quantity: str) -> np.ndarray:
-        """(n,) bool: the DOFs whose ``quantity`` is measured. A force that is known to be zero is no sensor."""
-        measured: np.ndarray = np.isfinite(getattr(self, quantity)[0])
+        """(channels,) bool: the DOFs whose ``quantity`` is measured. A force that is known to be zero is no sensor."""
+        measured: np.ndarray = np.isfinite(self.histories(quantity)[0])
         return np.logical_and(measured, ~self.unforced) if quantity == "force" else measured
 
     @property

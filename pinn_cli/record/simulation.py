@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Response
+from pinn_cli.record.state_equation import StateEquation
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 
@@ -133,7 +134,8 @@ def simulate(
         hold: See :class:`Simulation`.
         method: See :class:`Simulation`.
         substeps: See :class:`Simulation`.
-        initial: Displacement (m) and velocity (m/s) at ``time[0]``: (2, ndof) or a pair of (ndof,); None: rest.
+        initial: Displacement (m) and velocity (m/s) at ``time[0]``: (2, ndof) or a pair of (ndof,), and where
+            connections have memory their hidden forces (h,), N; None: rest.
         ground: (M,) s to (M,) m/s^2, the ground's acceleration for any times; None: it is at rest.
         frame: Of the acceleration that is returned: ``absolute``, or ``relative`` to the ground.
 
@@ -149,16 +151,8 @@ def simulate(
     if ground is not None and hold != "exact":
         why = "nothing holds the ground's acceleration between samples"
         raise InputError("simulation.hold", hold, "exact where the ground moves", why)
-    start = _initial_state(initial, structure.ndof)
-    parameters = structure.parameters_like(np.empty(0))
-    influence = np.ones(structure.ndof)
-
-    def slope(z: np.ndarray, load: np.ndarray) -> np.ndarray:
-        # z = {u, v} is (2, ndof), and so is the load where the ground moves: {force, acceleration of the ground}.
-        if ground is None:
-            return np.array((z[1], structure.acceleration(z[0], z[1], load, parameters)))
-        return np.array((z[1], structure.acceleration(z[0], z[1], load[0], parameters) - influence * load[1]))
-
+    equation = StateEquation(structure, ground is not None)
+    start, slope = equation.start(initial), equation.slope
     load = excitation_force if ground is None else _loads(excitation_force, ground)
     sampled = load(time)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -168,12 +162,12 @@ def simulate(
         else:
             states = _dop853(slope, load, time, sampled, hold, start)
     _check_finite(states, time, structure)
-    u, v = states[:, 0], states[:, 1]
+    u, v, hidden = equation.split(states)
     force, moved = (sampled, None) if ground is None else (sampled[:, 0], sampled[:, 1, 0])
-    acceleration = structure.acceleration(u, v, force, parameters)
+    acceleration = structure.acceleration(u, v, force, structure.parameters_like(u), hidden)
     if moved is not None and frame == "relative":
-        acceleration = acceleration - moved[:, None] * influence
-    return Response(time, u, v, acceleration, force, moved)
+        acceleration = acceleration - moved[:, None] * structure.with_ground
+    return Response(time, u, v, acceleration, force, moved, hidden)
 
 
 def _loads(force: Force, ground: Ground) -> Force:
@@ -294,16 +288,6 @@ def _dop853(
     return states
 
 
-def _initial_state(initial: npt.ArrayLike | None, ndof: int) -> np.ndarray:
-    """(2, ndof): displacement and velocity at the first time."""
-    if initial is None:
-        return np.zeros((2, ndof))
-    state = np.array(initial, dtype=np.float64)
-    if state.shape != (2, ndof) or not np.all(np.isfinite(state)):
-        raise ValueError(f"the initial state must be {{displacement, velocity}}, (2, {ndof}) finite numbers: {state}")
-    return state
-
-
 def _check_options(hold: str, method: str, substeps: int | None) -> None:
     one_of("simulation.hold", hold, HOLDS)
     one_of("simulation.method", method, METHODS)
@@ -313,6 +297,6 @@ def _check_options(hold: str, method: str, substeps: int | None) -> None:
 
 def _check_finite(states: np.ndarray, time: np.ndarray, structure: Structure) -> None:
     # NaN compares false too.
-    finite = (np.abs(states) < LARGEST_STATE).all(axis=(1, 2))
+    finite = (np.abs(states) < LARGEST_STATE).reshape(len(states), -1).all(axis=1)
     if not finite.all():
         raise OverflowsError(float(time[np.argmin(finite)]), len(time), structure.nonlinearity_name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES, Record
+from pinn_cli.record.record import Record
 
 # Anti-alias filters leave little above 80 % of the Nyquist frequency; noise read there would come out too small.
 USABLE_NYQUIST_FRACTION = 0.8
@@ -89,8 +89,8 @@ def _noise_floor(power: np.ndarray) -> float:
 def record_band(record: Record) -> float:
     """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution."""
     bands = [
-        signal_band(getattr(record, quantity)[:, dof], record.step)
-        for quantity in QUANTITIES
+        signal_band(record.histories(quantity)[:, dof], record.step)
+        for quantity in (*record.response_quantities, "force")
         for dof in np.flatnonzero(record.sensors(quantity))
     ]
     if record.ground_acceleration is not None:

@@ -105,7 +105,7 @@ def free_run_table(
 
 def _simulated(structure: Structure, estimate: Estimate, record: Record, first: int = 0) -> Response:
     """The structure under the force of the record and its ground, from the estimated state at sample ``first`` on."""
-    start = estimate.response.displacement[first], estimate.response.velocity[first]
+    start = estimate.response.state(first)
     return resimulate(structure, record, start, first=first)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.prior_settings import checked_priors, read_priors, with_defaults
 from pinn_cli.scheme.problem import THROUGH, Problem
@@ -43,6 +44,7 @@ class Bayesian(Scheme):
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
+        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
 
     Raises:
         InputError: A setting outside its range.
@@ -59,6 +61,7 @@ class Bayesian(Scheme):
         positive: Sequence[str] = POSITIVE,
         acceleration_through: str = "derivative",
         initial_motion: str = FREE,
+        unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
         self.unobserved, self.unknown, self.priors = unobserved, unknown, priors
         self.quantities = sensor_quantities({"displacement": True, "velocity": True} if sensors is None else sensors)
@@ -66,6 +69,7 @@ class Bayesian(Scheme):
         self.positive = checked_positive(positive)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
         self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
+        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
@@ -83,7 +87,8 @@ class Bayesian(Scheme):
         priors = with_defaults(own, scales, self.positive)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in chosen)
         structure = at_starts(prescribed, unknown)
-        return Problem(structure, record, unknown, self.acceleration_through, self.initial_motion)
+        inputs = inputs_of(structure, record, self.unknown_force)
+        return Problem(structure, record, unknown, self.acceleration_through, self.initial_motion, inputs=inputs)
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
+from pinn_cli.system.dynamics import Dynamics, Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
 from pinn_cli.system.structure import Structure
@@ -25,6 +27,7 @@ class Problem:
         acceleration_through: Whether measured accelerations are compared with the network's second derivative
             (``derivative``), with the observer equation (paper, eq. 8; ``observer``), or with ``both``.
         initial_motion: Whether the motion begins anyhow (``free``) or at ``rest`` at the record's first sample.
+        inputs: What acts beside measured forces.
         alternatives: The same from other starts of the unknown parameters, for a training that can compare solutions.
     """
 
@@ -34,6 +37,12 @@ class Problem:
     acceleration_through: str = "derivative"
     initial_motion: str = FREE
     alternatives: tuple[Problem, ...] = ()
+    inputs: Inputs = field(default_factory=Inputs)
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """The equations of the structure in all unknown functions of time."""
+        return Dynamics(self.structure, self.inputs)
 
     @property
     def initial_deviation(self) -> tuple[float, float] | None:

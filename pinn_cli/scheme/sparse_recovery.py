@@ -8,6 +8,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
@@ -25,6 +26,7 @@ class SparseRecovery(Scheme):
         parameter_uncertainty: Relative prior standard deviation of every prescribed parameter but the masses; 0 holds
             them fixed, as the paper does.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
+        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
 
     Raises:
         InputError: A setting outside its range.
@@ -40,12 +42,14 @@ class SparseRecovery(Scheme):
         parameter_uncertainty: float = 0.075,
         acceleration_through: str = "derivative",
         initial_motion: str = FREE,
+        unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
         self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
+        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
@@ -56,4 +60,5 @@ class SparseRecovery(Scheme):
         check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         through, begins = self.acceleration_through, self.initial_motion
-        return Problem(prescribed, record, uncertain, through, initial_motion=begins)
+        inputs = inputs_of(prescribed, record, self.unknown_force)
+        return Problem(prescribed, record, uncertain, through, begins, inputs=inputs)

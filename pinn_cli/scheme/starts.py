@@ -19,6 +19,7 @@ from pinn_cli.scheme.screening import DAMPING, screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
+from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
@@ -123,7 +124,11 @@ def _starts(
     damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.maximum(np.abs(linear["k"]), typical["k"]))
     for parameter in unknown:
         kind, index = parameter.kind, parameter.index
-        if kind in (MASS, "k"):
+        remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
+        if kind in remembered:
+            value, scale = remembered[kind]
+            out[parameter] = Start(given.get(parameter, value), scale)
+        elif kind in (MASS, "k"):
             value = float(linear[kind][index])
             out[parameter] = Start(value, max(abs(value), typical[kind]))
         elif kind == "c":
@@ -136,3 +141,14 @@ def _starts(
             scale = stiffness / size**2 if kind == "kappa" else scales[kind]
             out[parameter] = Start(value, max(abs(value), scale))
     return out
+
+
+def _of_memory(
+    prescribed: Structure, parameter: Parameter, linear: np.ndarray, typical: float, size: float
+) -> dict[str, tuple[float, float]]:
+    """Starts of the parameters of a connection with memory, by kind; none of one without."""
+    connection = int(prescribed.members[parameter.kind][parameter.index])
+    law = prescribed.laws[connection]
+    if not isinstance(law, Hysteresis):
+        return {}
+    return law.starts(max(abs(float(linear[connection])), typical), size)

@@ -11,6 +11,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
@@ -39,6 +40,7 @@ class StateParameter(Scheme):
         parameter_uncertainty: Relative prior standard deviation of every other parameter but the masses; 0 holds them
             fixed, as the paper does.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
+        unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
 
     Raises:
         InputError: A setting outside its range.
@@ -59,6 +61,7 @@ class StateParameter(Scheme):
         parameter_uncertainty: float = 0.075,
         acceleration_through: str = "derivative",
         initial_motion: str = FREE,
+        unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
@@ -69,6 +72,7 @@ class StateParameter(Scheme):
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
         self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
+        self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
@@ -81,11 +85,12 @@ class StateParameter(Scheme):
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         problems: list[Problem] = []
+        through, inputs = self.acceleration_through, inputs_of(prescribed, record, self.unknown_force)
         for start in parameter_starts(prescribed, record, chosen, self._given(prescribed, record, chosen), self.starts):
             unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
-            structure, through = at_starts(prescribed, unknown), self.acceleration_through
-            problems.append(Problem(structure, record, uncertain, through, initial_motion=self.initial_motion))
+            structure = at_starts(prescribed, unknown)
+            problems.append(Problem(structure, record, uncertain, through, self.initial_motion, inputs=inputs))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:

@@ -13,7 +13,7 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 # Kinds that cannot be negative unless the user says otherwise.
-POSITIVE = ("m", "c", "k", "kappa", "mu")
+POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n")
 
 
 def all_names(structure: Structure) -> dict[str, Parameter]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import MASS
-from pinn_cli.system.structure import ConnectionGroup, Structure
+from pinn_cli.system.structure import Structure
 
 if TYPE_CHECKING:
     import torch

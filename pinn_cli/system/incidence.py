@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, diags, hstack, vstack
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse import csr_matrix, diags, vstack
 
 from pinn_cli.system.array_namespace import Array
 
@@ -29,11 +28,6 @@ class Incidence:
         shape: Connections C and coordinates n.
         touching: (n, F), the connections that pull at each coordinate, ascending; at the end C, which is none.
         sign: (n, F), their weights there, B'; 0 where there is none.
-        order: (n,), the coordinates such that those that are coupled stand near each other.
-        offsets: From a coordinate's place in that order to those of the ones that are coupled with it, ascending; 0 is
-            among them.
-        coupled: (n, offsets) bool, which of those there are.
-        reach: The furthest distance between places of coordinates that one equation of motion contains.
     """
 
     def __init__(self, matrix: csr_matrix) -> None:
@@ -104,7 +98,7 @@ class Incidence:
         """For every output its inputs and their weights, padded with weights of 0; a list entry per input."""
         key = (transposed, x.dtype, getattr(x, "device", None))
         if key not in self._tables:
-            places, weights = _padded(self.matrix.T.tocsr() if transposed else self.matrix)
+            places, weights = padded(self.matrix.T.tocsr() if transposed else self.matrix)
             device = getattr(x, "device", None)
             columns = places.T if isinstance(x, np.ndarray) else torch.as_tensor(places.T, device=device)
             self._tables[key] = list(columns), list(_as(x, weights.T))
@@ -113,67 +107,13 @@ class Incidence:
     @cached_property
     def touching(self) -> np.ndarray:
         """See the class."""
-        places, weights = _padded(self.matrix.T.tocsr())
+        places, weights = padded(self.matrix.T.tocsr())
         return np.where(weights == 0, self.shape[0], places)
 
     @cached_property
     def sign(self) -> np.ndarray:
         """See the class."""
-        return _padded(self.matrix.T.tocsr())[1]
-
-    @cached_property
-    def order(self) -> np.ndarray:
-        """See the class: as they come, unless the reverse order of Cuthill and McKee makes a narrower band."""
-        natural = np.arange(self.shape[1])
-        coupling = csr_matrix(abs(self.matrix).T @ abs(self.matrix))
-        other = np.asarray(reverse_cuthill_mckee(coupling, symmetric_mode=True), dtype=np.int64)
-        row, column = coupling.nonzero()
-        rank = np.argsort(other)
-        return other if np.abs(rank[row] - rank[column]).max() < np.abs(row - column).max() else natural
-
-    @cached_property
-    def rank(self) -> np.ndarray:
-        """(n,), the place of every coordinate in :attr:`order`."""
-        return np.argsort(self.order)
-
-    @cached_property
-    def offsets(self) -> tuple[int, ...]:
-        """See the class."""
-        row, column = (abs(self.matrix).T @ abs(self.matrix)).nonzero()
-        return tuple(sorted({0, *(self.rank[column] - self.rank[row]).tolist()}))
-
-    @cached_property
-    def neighbours(self) -> np.ndarray:
-        """(n, offsets), the coordinates at those places; n where the order ends."""
-        at = self.rank[:, None] + np.array(self.offsets)
-        inside = (at >= 0) & (at < len(self.rank))
-        return np.where(inside, self.order[np.where(inside, at, 0)], len(self.rank))
-
-    @cached_property
-    def by_offset(self) -> np.ndarray:
-        """(n, F, offsets), B[c, i] B[c, j]: what connection c, which touches i, couples i and neighbour j by."""
-        connections, n = self.shape
-        padded = vstack([self.matrix, csr_matrix((1, n))], format="csr")
-        padded = hstack([padded, csr_matrix((connections + 1, 1))], format="csr")
-        touching = np.repeat(self.touching[:, :, None], len(self.offsets), axis=2)
-        beside = np.broadcast_to(self.neighbours[:, None], touching.shape)
-        weights = np.asarray(padded[touching.reshape(-1), beside.reshape(-1)]).reshape(touching.shape)
-        return self.sign[:, :, None] * weights
-
-    @cached_property
-    def coupled(self) -> np.ndarray:
-        """See the class."""
-        coupled = np.any(self.by_offset != 0, axis=1)
-        coupled[:, self.offsets.index(0)] = True
-        return coupled
-
-    @cached_property
-    def reach(self) -> int:
-        """See the class."""
-        offsets = np.array(self.offsets)
-        last = np.where(self.coupled, offsets, offsets.min()).max(axis=1)
-        first = np.where(self.coupled, offsets, offsets.max()).min(axis=1)
-        return int((last - first).max())
+        return padded(self.matrix.T.tocsr())[1]
 
 
 def _as(x: Any, values: np.ndarray) -> Any:
@@ -185,7 +125,7 @@ def _chain(ndof: int) -> csr_matrix:
     return diags([np.ones(ndof), -np.ones(max(0, ndof - 1))], [0, -1], shape=(ndof, ndof), format="csr")
 
 
-def _padded(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray]:
+def padded(matrix: csr_matrix) -> tuple[np.ndarray, np.ndarray]:
     """Columns (rows, most) and values of every row of a sparse matrix, ascending, padded with zeros."""
     matrix.sort_indices()
     count = np.diff(matrix.indptr)

@@ -11,58 +11,16 @@ import numpy as np
 import torch
 
 from pinn_cli.system.array_namespace import Array, namespace
+from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, group_parts
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
+from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 
 if TYPE_CHECKING:
     from pinn_cli.system.connection.base import Nonlinearity
-
-
-@dataclass(frozen=True, eq=False)
-class ConnectionGroup:
-    """Connections of one law.
-
-    Attributes:
-        nonlinearity: Of all of them, beside their dampers c and springs k.
-        incidence: Which coordinates stretch them.
-    """
-
-    nonlinearity: Nonlinearity
-    incidence: Incidence
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """Of their parameters."""
-        return ("c", "k", *self.nonlinearity.parameters)
-
-
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """The connections' internal force and its derivatives, each (..., C).
-
-    Attributes:
-        force: r, N.
-        stiffness, damping: dr/de, dr/d(de/dt).
-        by_parameter: Kind to dr/d(parameter) of the connections that have it (..., members of the kind); without the
-            mass, on which r does not depend.
-    """
-
-    force: torch.Tensor
-    stiffness: torch.Tensor
-    damping: torch.Tensor
-    by_parameter: dict[str, torch.Tensor]
-
-    def by_parameters(self, parameters: Sequence[Parameter], acceleration: torch.Tensor) -> torch.Tensor:
-        """(..., p), what single parameters do to the force of their own connection, or to the inertia of their mass.
-
-        Args:
-            parameters: p of them.
-            acceleration: (..., n), of the masses.
-        """
-        own = [(acceleration if p.kind == MASS else self.by_parameter[p.kind])[..., p.index] for p in parameters]
-        return torch.stack(own, -1) if own else acceleration.new_zeros((*acceleration.shape[:-1], 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +42,7 @@ class Structure:
         groups: Connections, C in all. A group's law is elementwise, so a law with memory adds its hidden states to the
             group, and a coordinate that is no displacement of a mass differs by its column of the incidence alone.
         labels: What the user calls its coordinates and connections.
+        influence: (n,), how far each coordinate moves with the ground; None: all of them, by one.
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -92,6 +51,7 @@ class Structure:
     parameters: dict[str, torch.Tensor]
     groups: tuple[ConnectionGroup, ...]
     labels: Labels = field(default_factory=Labels)
+    influence: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
@@ -202,37 +162,80 @@ class Structure:
         """B x, (..., C): of displacements, velocities or accelerations alike."""
         return self.incidence.elongation(x)
 
-    def connection_force(self, e: Array, de: Array, parameters: Mapping[str, Array] | None = None) -> Array:
-        """Internal force r = c de + k e + r_n(e, de) of every connection (..., C), from elongation and its rate."""
+    @cached_property
+    def with_ground(self) -> np.ndarray:
+        """(n,), iota: how far each coordinate moves with the ground."""
+        return np.ones(self.ndof) if self.influence is None else np.asarray(self.influence, dtype=np.float64)
+
+    @cached_property
+    def memory(self) -> np.ndarray:
+        """(h,), the connections that have a hidden force."""
+        counts = [group.incidence.shape[0] for group in self.groups]
+        remembers = np.repeat([group.nonlinearity.has_memory for group in self.groups], counts)
+        return np.flatnonzero(remembers)
+
+    @cached_property
+    def laws(self) -> tuple[Nonlinearity, ...]:
+        """Of every connection (C,)."""
+        return tuple(group.nonlinearity for group in self.groups for _ in range(group.incidence.shape[0]))
+
+    @cached_property
+    def parts(self) -> tuple[GroupPart, ...]:
+        """Where the connections, the parameters and the hidden forces of each group stand among all."""
+        return group_parts(self.groups, self.members)
+
+    def connection_force(
+        self, e: Array, de: Array, parameters: Mapping[str, Array] | None = None, z: Array | None = None
+    ) -> Array:
+        """Internal force r = c de + k e + r_n(e, de) + z of every connection (..., C).
+
+        Args:
+            e: Elongation (..., C).
+            de: Its rate.
+            parameters: See the class.
+            z: Hidden forces (..., h) of the connections that have memory, N; None where none has.
+        """
         p = self.parameters_like(e) if parameters is None else parameters
         linear: Array = p["c"] * de + p["k"] * e
         if len(self.groups) == 1:
-            return linear + self.groups[0].nonlinearity.force(e, de, p)
-        parts, done = [], dict.fromkeys(self.members, 0)
-        start = 0
-        for group in self.groups:
-            count = group.incidence.shape[0]
-            own = {kind: p[kind][..., done[kind] : done[kind] + count] for kind in group.kinds}
-            done |= {kind: done[kind] + count for kind in group.kinds}
-            stretched = slice(start, start + count)
-            parts.append(group.nonlinearity.force(e[..., stretched], de[..., stretched], own))
-            start += count
-        nonlinear: Array = namespace(e).concatenate(parts, -1)
-        return linear + nonlinear
+            nonlinear = self.groups[0].nonlinearity.force(e, de, p)
+            return linear + nonlinear if z is None or not len(self.memory) else linear + nonlinear + z
+        forces = []
+        for group, part in zip(self.groups, self.parts, strict=True):
+            at, own = part.connections, {kind: p[kind][..., places] for kind, places in part.parameters.items()}
+            force = group.nonlinearity.force(e[..., at], de[..., at], own)
+            forces.append(force + z[..., part.hidden] if z is not None and group.nonlinearity.has_memory else force)
+        every: Array = namespace(e).concatenate(forces, -1)
+        return linear + every
 
-    def restoring_force(self, u: Array, v: Array, parameters: Mapping[str, Array] | None = None) -> Array:
-        """B' r: what the connections pull every DOF back with, from displacement and velocity."""
-        return self.incidence.pull(self.connection_force(self.elongation(u), self.elongation(v), parameters))
+    def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
+        """dz/dt of the hidden forces (..., h), N/s, from elongations and rates (..., C) and the hidden forces."""
+        p = self.parameters_like(e) if parameters is None else parameters
+        rates = []
+        for group, part in zip(self.groups, self.parts, strict=True):
+            if isinstance(group.nonlinearity, Hysteresis):
+                at, own = part.connections, {kind: p[kind][..., places] for kind, places in part.parameters.items()}
+                rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], own))
+        together: Array = namespace(e).concatenate(rates, -1)
+        return together
+
+    def restoring_force(
+        self, u: Array, v: Array, parameters: Mapping[str, Array] | None = None, z: Array | None = None
+    ) -> Array:
+        """B' r: what the connections pull every DOF back with, from displacement, velocity and hidden forces."""
+        return self.incidence.pull(self.connection_force(self.elongation(u), self.elongation(v), parameters, z))
 
     def external_force(self, u: Array, v: Array, a: Array, parameters: Mapping[str, Array] | None = None) -> Array:
         """The force that this motion takes, m a + restoring force (the paper's physics operator, F[n:2n])."""
         p = self.parameters_like(u) if parameters is None else parameters
         return p[MASS] * a + self.restoring_force(u, v, p)
 
-    def acceleration(self, u: Array, v: Array, f: Array, parameters: Mapping[str, Array] | None = None) -> Array:
+    def acceleration(
+        self, u: Array, v: Array, f: Array, parameters: Mapping[str, Array] | None = None, z: Array | None = None
+    ) -> Array:
         """(f - restoring force) / m: the observer equation of an accelerometer."""
         p = self.parameters_like(u) if parameters is None else parameters
-        return (f - self.restoring_force(u, v, p)) / p[MASS]
+        return (f - self.restoring_force(u, v, p, z)) / p[MASS]
 
     def linearise(self, u: torch.Tensor, v: torch.Tensor, parameters: Mapping[str, torch.Tensor]) -> Linearisation:
         """The connections linearised about displacements u and velocities v (..., n).
@@ -273,4 +276,4 @@ class Structure:
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""
         groups = tuple(replace(group, nonlinearity=Linear()) for group in self.groups)
-        return Structure({name: self.parameters[name] for name in LINEAR_UNITS}, groups, self.labels)
+        return replace(self, parameters={name: self.parameters[name] for name in LINEAR_UNITS}, groups=groups)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from pinn_cli.system.coupling import Coupling
+
 if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
@@ -23,8 +25,10 @@ def loose_dofs(structure: Structure) -> list[int]:
     p = structure.parameters_like(np.empty(0))
     count, _ = structure.incidence.shape
     force = structure.connection_force(np.ones(count), np.zeros(count), p)
-    springs = structure.incidence.matrix[np.isnan(force) | (force != 0)]
-    rank, n = structure.incidence.rank, structure.ndof
+    holds = np.isnan(force) | (force != 0)
+    holds[structure.memory] = True  # a hidden force holds as well
+    springs, coupling = structure.incidence.matrix[holds], Coupling(*[structure.incidence.matrix] * 2)
+    rank, n = coupling.rank, structure.ndof
     # Springs of stiffness one, as a band; where a coordinate is loose its tether alone keeps the factor from zero.
     stiffness = (springs.T @ springs).tocoo()
     row, column = rank[stiffness.row], rank[stiffness.col]
@@ -38,4 +42,4 @@ def loose_dofs(structure: Structure) -> list[int]:
     # A push that no symmetry hides: what it moves as if nothing but the tether held it is loose.
     push = 1.0 + np.sqrt(np.arange(1.0, n + 1))
     moved = np.abs(cho_solve_banded((factor, True), push)) * size
-    return np.sort(structure.incidence.order[moved > push.max() / (_TETHER * _HELD)]).tolist()
+    return np.sort(coupling.order[moved > push.max() / (_TETHER * _HELD)]).tolist()

@@ -14,11 +14,12 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.laws import law_called, law_settings
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS
-from pinn_cli.system.structure import ConnectionGroup, Structure
+from pinn_cli.system.structure import Structure
 from pinn_cli.system.support import loose_dofs
 
 log = logging.getLogger(__name__)

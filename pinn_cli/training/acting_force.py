@@ -11,7 +11,7 @@ from pinn_cli.training.noise_model import NoiseModel
 
 
 def sensor_share(noise: NoiseModel) -> np.ndarray:
-    """(n,) weight of the measured force in the posterior mean, from 0 to 1; NaN where there is no load cell.
+    """(functions,) weight of the measured force in the posterior mean, from 0 to 1; NaN where there is no load cell.
 
     The residual between the motion's force and the measured one is discrepancy plus sensor noise, so each is weighted
     by the other's variance.
@@ -31,7 +31,7 @@ def acting_force(response: Response, filtered: np.ndarray, noise: NoiseModel) ->
         filtered: (N, n), the measured force as far as the features follow it.
         noise: Of sensors and model, in the same sampling.
     """
-    forced = np.isfinite(noise.force)
-    share, force = sensor_share(noise)[forced], response.force.copy()
+    forced = np.isfinite(noise.force[: response.force.shape[1]])
+    share, force = sensor_share(noise)[: len(forced)][forced], response.force.copy()
     force[:, forced] += share * (filtered[:, forced] - force[:, forced])
     return replace(response, force=force)

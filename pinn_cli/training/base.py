@@ -8,6 +8,7 @@ from typing import ClassVar
 
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
 
 
@@ -21,6 +22,13 @@ class Estimator(ABC):
     """
 
     name: ClassVar[str]
+
+    def check(self, problem: Problem) -> None:  # noqa: B027 - most can solve any
+        """Refuse a problem that it cannot solve, before any work is done.
+
+        Raises:
+            InputError: It cannot.
+        """
 
     @abstractmethod
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
@@ -49,6 +57,10 @@ class Training(ABC):
             DivergenceError: The loss left the finite numbers.
         """
 
+    def solves_inputs(self, design: NetworkDesign) -> bool:
+        """Whether it finds hidden forces, unmeasured forces and the ground's acceleration beside the motion."""
+        return False
+
     def gives_evidence(self, design: NetworkDesign) -> bool:
         """See :attr:`Estimator.gives_evidence`, with a network of the given design."""
         return False
@@ -66,6 +78,16 @@ class TrainedNetwork(Estimator):
     training: Training
     design: NetworkDesign
     name = "pinn"
+
+    def check(self, problem: Problem) -> None:
+        """See :meth:`Estimator.check`."""
+        if not problem.dynamics.is_plain and not self.training.solves_inputs(self.design):
+            allowed = f"network=spline with training=gauss_newton where {problem.dynamics.beside_motion} is to be found"
+            hint = "scheme.unknown_force=free leaves an unmeasured force to the motion" if problem.inputs.forces else ""
+            raise InputError("network", self.design.name, allowed, hint)
+        if not problem.dynamics.is_plain and problem.acceleration_through != "derivative":
+            hint = f"with {problem.dynamics.beside_motion} the observer equation has no one force"
+            raise InputError("scheme.acceleration_through", problem.acceleration_through, "derivative", hint)
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""

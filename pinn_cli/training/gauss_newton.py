@@ -14,6 +14,7 @@ import numpy as np
 
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
@@ -82,7 +83,7 @@ class GaussNewton(Training):
         if problem.priors and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
         design = design.refined() if problem.identifies else design
-        network = design.build(problem.record)
+        network = design.build(problem.record, functions=problem.dynamics.size)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
         self._left_alone(design, "has a linear readout", collocation_points=None, most_residuals=MOST_RESIDUALS)
@@ -101,6 +102,10 @@ class GaussNewton(Training):
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))
+
+    def solves_inputs(self, design: NetworkDesign) -> bool:
+        """See :meth:`Training.solves_inputs`."""
+        return isinstance(design, Spline) and design.continuity == "exact" and not self.weights
 
     def gives_evidence(self, design: NetworkDesign) -> bool:
         """See :meth:`Training.gives_evidence`: weights that were fixed are no noise levels."""

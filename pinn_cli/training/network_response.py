@@ -22,4 +22,4 @@ def network_response(problem: Problem, every: Targets, network: Network, paramet
         parameters: Of the chain.
     """
     at_observation, at_physics = network(every.observation_time), network(every.physics_time)
-    return estimated_response(problem.record, problem.structure, parameters(), at_observation, at_physics)
+    return estimated_response(problem.record, problem.dynamics, parameters(), at_observation, at_physics)

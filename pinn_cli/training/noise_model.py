@@ -15,7 +15,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
 
 # No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error
@@ -30,12 +30,14 @@ FOLLOWS_ALL = 0.9
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Standard deviations of every residual, each (n,); a loss weight is one over its square.
+    """Standard deviations of every residual; a loss weight is one over its square.
 
     Attributes:
-        response: Quantity to the standard deviation of its sensors; NaN where there is none.
-        force: Of the force sensors; NaN where there is none.
+        response: Quantity to the standard deviation of its sensors (channels,); NaN where there is none.
+        force: (functions,), of the force sensors in the equations of motion; NaN where there is none.
         discrepancy: Of the force that the model leaves out, per collocation point, on every DOF, N.
+        innovation: (functions,), of the white noise that drives unknown forces and the ground, per collocation point,
+            NaN of all other functions; None where there are none.
         continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
         occupied: Share of the features' band that the discrepancy fills, 1 where it is taken for white.
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
@@ -50,6 +52,7 @@ class NoiseModel:
     spread: float = 1.0
     occupied: float = 1.0
     points_per_sample: int = 1
+    innovation: np.ndarray | None = None
 
     def with_discrepancy(self, discrepancy: float) -> NoiseModel:
         """The same sensors under another model error."""
@@ -78,12 +81,23 @@ class NoiseModel:
 
     @property
     def physics_variance(self) -> np.ndarray:
-        """(n,) variance of the physics residual: discrepancy, and sensor noise where the force is measured."""
-        return self.force_variance + self.discrepancy**2
+        """(functions,) variance of the physics residual: discrepancy, and sensor noise where the force is measured.
+
+        Of an unknown force and of the ground that of what drives them.
+        """
+        variance: np.ndarray = self.force_variance + self.discrepancy**2
+        if self.innovation is None:
+            return variance
+        return np.where(self.driven, self.innovation**2, variance)
+
+    @property
+    def driven(self) -> np.ndarray:
+        """(functions,) bool: the unknown forces and the ground, which white noise drives."""
+        return np.zeros(len(self.force), bool) if self.innovation is None else np.isfinite(self.innovation)
 
     @property
     def force_variance(self) -> np.ndarray:
-        """(n,), of the force sensors among the collocation points, 0 where there is none."""
+        """(functions,), of the force sensors among the collocation points, 0 where there is none."""
         return self.points_per_sample * np.nan_to_num(self.force) ** 2
 
     def observation_weight(self, name: str, mass: np.ndarray) -> np.ndarray:
@@ -151,16 +165,17 @@ def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
     from above; the scatter of repeats tells it.
     """
     levels = {}
-    for quantity in QUANTITIES:
-        levels[quantity] = np.full(record.ndof, np.nan)
+    for quantity in (*record.response_quantities, "force"):
+        histories = record.histories(quantity)
+        levels[quantity] = np.full(histories.shape[1], np.nan)
         for dof in np.flatnonzero(record.sensors(quantity)):
-            channel = getattr(record, quantity)[:, dof]
+            channel = histories[:, dof]
             rms = float(np.sqrt(np.mean(channel**2)))
             level = visible_floor(channel, record.step) or min(FIRST_SENSOR * rms, lowest_level(channel, record.step))
             if record.repeats is not None:
                 level = float(record.repeats.noise_of_mean(quantity)[dof])
             levels[quantity][dof] = max(level, FINEST_SENSOR * rms)
-    return {quantity: levels[quantity] for quantity in RESPONSE_QUANTITIES}, levels["force"]
+    return {quantity: levels[quantity] for quantity in record.response_quantities}, levels["force"]
 
 
 def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:

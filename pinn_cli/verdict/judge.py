@@ -69,7 +69,7 @@ def _prediction(
     """Of the estimated chain; a nonlinear one takes a second to simulate, which is saved where that was done."""
     if free_run is not None and not is_linear(structure) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
         return Prediction(free_run, record, modes_of(structure))
-    return predicted(structure, record, (estimate.response.displacement[0], estimate.response.velocity[0]))
+    return predicted(structure, record, estimate.response.state(0))
 
 
 def _causes(problem: Problem, estimated: Structure, excused: Sequence[str]) -> list[Finding]:

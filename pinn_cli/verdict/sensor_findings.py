@@ -71,7 +71,7 @@ def _propagated(
     """NMSE by channel that the noise of the load cells and the parameters' deviations may cause, from a few draws."""
     random = np.random.default_rng(0)
     total = dict.fromkeys((c.channel.name for c in bad), 0.0)
-    start = estimate.response.displacement[0], estimate.response.velocity[0]
+    start = estimate.response.state(0)
     for _ in range(DRAWS):
         record = _disturbed(prediction.record, estimate, random)
         other = predicted(random_structure(problem, estimate, random), record, start)

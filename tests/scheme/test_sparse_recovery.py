@@ -128,6 +128,7 @@ def test_a_problem_has_no_way_to_the_truth():
         "acceleration_through",
         "initial_motion",
         "alternatives",
+        "inputs",
     }
     record = hints(Problem)["record"]
     assert not {Truth, Measurements} & reachable(record, set())

@@ -7,6 +7,9 @@ import pytest
 import torch
 from structures import braced, shuffled
 
+from pinn_cli.system.chain import chain_of
+from pinn_cli.system.connection import Linear
+from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import Parameter, ParameterVector
 
@@ -80,11 +83,14 @@ def test_many_connections_are_looked_up_and_few_multiplied():
 
 
 def test_what_is_coupled_stands_near_each_other():
-    ordered, mixed = Incidence.chain(6), shuffled(6).incidence
+    ordered, mixed = (
+        Dynamics(chain_of({kind: torch.ones(6, dtype=torch.float64) for kind in ("m", "c", "k")}, Linear())).coupling,
+        Dynamics(shuffled(6)).coupling,
+    )
     assert ordered.order.tolist() == list(range(6))
     assert mixed.order.tolist() != list(range(6))
     assert (mixed.offsets, mixed.reach) == (ordered.offsets, ordered.reach) == ((-1, 0, 1), 2)
-    assert braced().incidence.reach == 2  # every mass is coupled with every other
+    assert Dynamics(braced()).coupling.reach == 2  # every mass is coupled with every other
 
 
 def test_whose_equations_contain_a_parameter(structure):

@@ -1,6 +1,7 @@
 """Nonlinearities of a connection, one per file."""
 
-from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection.base import Hysteresis, Nonlinearity
+from pinn_cli.system.connection.bouc_wen import BoucWen
 from pinn_cli.system.connection.duffing import Duffing
 from pinn_cli.system.connection.friction import Friction
 from pinn_cli.system.connection.linear import Linear
@@ -8,4 +9,14 @@ from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.connection.power_damping import PowerDamping
 from pinn_cli.system.connection.van_der_pol import VanDerPol
 
-__all__ = ["Duffing", "Friction", "Linear", "Nonlinearity", "Polynomial", "PowerDamping", "VanDerPol"]
+__all__ = [
+    "BoucWen",
+    "Duffing",
+    "Friction",
+    "Hysteresis",
+    "Linear",
+    "Nonlinearity",
+    "Polynomial",
+    "PowerDamping",
+    "VanDerPol",
+]

@@ -21,6 +21,7 @@ class Nonlinearity(ABC):
     Attributes:
         name: What the tables call it.
         parameters: Names of its parameters, beyond m, c and k.
+        has_memory: Whether it is a :class:`Hysteresis`.
         stiffness_parameter: The one that fills the paper's K_n (its force depends on e alone), if there is one.
         damping_parameter: The one that fills the paper's C_n, if there is one.
         nonnegative: Parameters that make no physical sense below zero.
@@ -29,6 +30,7 @@ class Nonlinearity(ABC):
 
     name: ClassVar[str]
     parameters: tuple[str, ...]
+    has_memory: ClassVar[bool] = False
     stiffness_parameter: ClassVar[str | None] = None
     damping_parameter: ClassVar[str | None] = None
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
@@ -79,3 +81,36 @@ class Nonlinearity(ABC):
         Returns:
             (..., ndof), N.
         """
+
+
+class Hysteresis(Nonlinearity):
+    """A connection with memory: r = c de + k e + r_n(e, de) + z, whose hidden force z (N) obeys dz/dt = rate.
+
+    The hidden force is an unknown function of time beside the motion. Its parameters enter :meth:`rate` alone.
+    """
+
+    has_memory: ClassVar[bool] = True
+
+    @abstractmethod
+    def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
+        """dz/dt of every connection, N/s; written as :meth:`force` is.
+
+        Args:
+            e: Elongation (..., connections), m.
+            de: Its rate, m/s.
+            z: Hidden force, N.
+            parameters: Each broadcastable against e.
+        """
+
+    @abstractmethod
+    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+        """Kind to where an unknown parameter starts, and its order of magnitude: k's too.
+
+        Args:
+            stiffness: Of a linear connection that comes near, N/m.
+            elongation: Root mean square of what the connection may be stretched by, m.
+        """
+
+    @abstractmethod
+    def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
+        """See :meth:`Nonlinearity.stiffness_at_rest`: here dz/de, the hidden force's share."""

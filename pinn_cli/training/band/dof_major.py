@@ -38,6 +38,8 @@ class DofMajorSums(RowSums):
         slots = int(np.prod(pattern.places.shape[1:]))
         self.readout = like.new_zeros((groups, ndof, self.columns, self.columns + slots + 1))
         self.parameters = like.new_zeros((ndof, slots, slots + 1))
+        self._pairs: np.ndarray | None = None
+        self._moments = np.zeros(layout.size)
 
     def add_rows(
         self,
@@ -72,15 +74,31 @@ class DofMajorSums(RowSums):
         self.readout[:, :, own, own] += gram[:, None] * weight[None, :, None, None]
         self.readout[:, :, own, -1] += (moment * weight).mT
 
+    def add_pair(self, segments: Segments, products: Tensor, first: int, second: int) -> None:
+        """See :meth:`RowSums.add_pair`."""
+        if self._pairs is None:
+            self._pairs = np.zeros((self.layout.half_width + 1, self.layout.size))
+        feature = segments.feature.cpu().numpy()
+        row, column = (self.layout.positions(feature, np.array(function)) for function in (first, second))
+        lower, upper = np.maximum(row[:, :, None], column[:, None]), np.minimum(row[:, :, None], column[:, None])
+        once = np.ones_like(lower, dtype=bool) if first != second else row[:, :, None] >= column[:, None]
+        np.add.at(self._pairs, ((lower - upper)[once], upper[once]), products.cpu().numpy()[once])
+
+    def add_moment(self, segments: Segments, moment: Tensor, function: int) -> None:
+        """See :meth:`RowSums.add_moment`."""
+        place = self.layout.positions(segments.feature.cpu().numpy(), np.array(function))
+        np.add.at(self._moments, place, moment.cpu().numpy())
+
     @property
     def band(self) -> np.ndarray:
         """See :attr:`RowSums.band`."""
-        return self.layout.band(self.readout[..., : self.columns]).cpu().numpy()
+        band = self.layout.band(self.readout[..., : self.columns]).cpu().numpy()
+        return band if self._pairs is None else band + self._pairs
 
     @property
     def gradient(self) -> np.ndarray:
         """See :attr:`RowSums.gradient`."""
-        return self.layout.vector(self.readout[..., -1:])[:, 0].cpu().numpy()
+        return self.layout.vector(self.readout[..., -1:])[:, 0].cpu().numpy() + self._moments
 
     @cached_property
     def border(self) -> np.ndarray:

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS, ParameterVector
-from pinn_cli.system.structure import Linearisation, Structure
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
 # and no more than that for Fourier features.
@@ -24,49 +25,49 @@ class RowPattern:
     of parameter, one for every connection that pulls at the DOF. Of a chain D is 3 and F is 2.
 
     Args:
-        structure: Whose equations.
-        vector: Of its uncertain parameters.
+        dynamics: Whose equations.
+        vector: Of the uncertain parameters.
         like: A tensor of the dtype and device wanted.
 
     Attributes:
-        order: (n,), the DOFs in the order that the band has them in; offsets are counted in it.
-        offsets: (D,), from a DOF to those of its slots.
-        coupled: (n, D) bool, the slots that are used; the others hold zeros.
-        places: (n, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
+        order: (N,), the functions in the order that the band has them in; offsets are counted in it.
+        offsets: (D,), from a function to those of its slots.
+        coupled: (N, D) bool, the slots that are used; the others hold zeros.
+        places: (N, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
         count: Members of all the vector's kinds.
     """
 
-    def __init__(self, structure: Structure, vector: ParameterVector[Tensor], like: Tensor) -> None:
-        incidence = structure.incidence
-        self.structure, self.vector = structure, vector
-        self.offsets, self.coupled, self.reach = incidence.offsets, incidence.coupled, incidence.reach
-        self.order, self.rank = incidence.order, incidence.rank
+    def __init__(self, dynamics: Dynamics, vector: ParameterVector[Tensor], like: Tensor) -> None:
+        coupling = dynamics.coupling
+        self.dynamics, self.vector = dynamics, vector
+        self.offsets, self.coupled, self.reach = coupling.offsets, coupling.coupled, coupling.reach
+        self.order, self.rank = coupling.order, coupling.rank
         self.own = self.offsets.index(0)
         self.count = vector.places
         self.places = self._places()
-        beside = np.where(self.coupled, incidence.neighbours, structure.ndof)
+        beside = np.where(self.coupled, coupling.neighbours, dynamics.size)
         self._neighbours, self._touching, self._own = (
             torch.as_tensor(index, device=like.device)
-            for index in (beside, incidence.touching, np.where(self.places < 0, self.count, self.places))
+            for index in (beside, coupling.touching, np.where(self.places < 0, self.count, self.places))
         )
-        self._by_offset, self._sign = (torch.as_tensor(x).to(like) for x in (incidence.by_offset, self._signs()))
+        self._by_offset, self._sign = (torch.as_tensor(x).to(like) for x in (coupling.by_offset, self._signs()))
 
     def _places(self) -> np.ndarray:
-        touching, kinds = self.structure.incidence.touching, self.vector.kinds
+        touching, kinds, n = self.dynamics.branches.touching, self.vector.kinds, self.dynamics.ndof
         places = np.full((len(touching), len(kinds), touching.shape[1]), -1, dtype=np.int64)
         for number, kind in enumerate(kinds):
             if kind == MASS:
-                places[:, number, 0] = self.vector.first[kind] + np.arange(len(touching))
+                places[:n, number, 0] = self.vector.first[kind] + np.arange(n)
                 continue
-            member = np.full(self.structure.incidence.shape[0] + 1, -1, dtype=np.int64)
-            members = self.structure.members[kind]
-            member[members] = self.vector.first[kind] + np.arange(len(members))
+            member = np.full(self.dynamics.branches.shape[0] + 1, -1, dtype=np.int64)
+            branches = self.dynamics.branch(kind)
+            member[branches] = self.vector.first[kind] + np.arange(len(branches))
             places[:, number] = member[touching]
         return places
 
     def _signs(self) -> np.ndarray:
-        """(n, kinds, F), the weight of each parameter's connection in the row."""
-        signs = np.repeat(self.structure.incidence.sign[:, None], len(self.vector.kinds), axis=1)
+        """(N, kinds, F), the weight of each parameter's branch in the row."""
+        signs = np.repeat(self.dynamics.branches.sign[:, None], len(self.vector.kinds), axis=1)
         for number, kind in enumerate(self.vector.kinds):
             if kind == MASS:
                 signs[:, number] = np.eye(1, signs.shape[2])

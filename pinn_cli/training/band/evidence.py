@@ -103,10 +103,25 @@ class Evidence:
         prior = -2.0 * int((~equations.unknown).sum()) * np.log(noise.spread)
         # What physics says of a motion is a density of accelerations, not of forces: else a massless chain, on which
         # every motion balances, would be the most probable of all.
-        mass = equations.parameters(point)["m"][equations.target.equation].cpu().numpy()
+        moving = equations.target.equation[: equations.dynamics.ndof]
+        mass = equations.parameters(point)["m"][moving].cpu().numpy()
         inertia = 2.0 * forces.count * float(np.log(np.maximum(mass, LEAST_MASS)).sum())
         sensors = self._log_variances(noise)
-        return -0.5 * (forces.misfit(noise) + rest + sensors + factor.log_determinant - prior - inertia)
+        driven = self._innovation_density(forces.count)
+        return -0.5 * (forces.misfit(noise) + rest + sensors + factor.log_determinant - prior - inertia) + driven
+
+    def _innovation_density(self, count: int) -> float:
+        """Logarithm of the determinant from unknown forces to what drives them, w' + w / tau over the rate.
+
+        What is probable is a force, not what drives it. Over the frequencies that the features follow it is the sum of
+        log |i omega + 1 / tau|.
+        """
+        inputs = self.equations.problem.inputs
+        if not inputs.forces:
+            return 0.0
+        omega = np.pi * self.equations.network.free_intervals * (np.arange(count) + 0.5) / count
+        gain = np.hypot(omega, 1.0 / inputs.correlation_time) / inputs.rate
+        return len(inputs.forces) * float(np.log(gain).sum())
 
     def _log_variances(self, noise: NoiseModel) -> float:
         """Of the response sensors; those of an observer equation stand with the forces."""
@@ -152,7 +167,7 @@ class Evidence:
             output_features(equations.network, segments)[0]
             @ coefficients[first_output(equations.network, segments).feature]
         )
-        return segments.scatter(values).cpu().numpy()
+        return segments.scatter(values)[:, : equations.dynamics.ndof].cpu().numpy()
 
     def _projection(self, segments: Segments) -> FeatureProjection:
         network = self.equations.network
@@ -249,7 +264,8 @@ class Evidence:
         the features follow.
         """
         equations = self.equations
-        enforced = equations.target.unforced if bool(equations.target.unforced.any()) else equations.target.equation
+        unforced = equations.target.unforced & equations.dynamics.has_mass.to(equations.target.unforced.device)
+        enforced = unforced if bool(unforced.any()) else equations.target.equation
         residual, step = equations.residuals(trained.solution.point)["physics"], 1.0 / equations.network.free_intervals
         if equations.averages is None:
             residual, step = equations.physics.scatter(residual), equations.problem.record.step

@@ -12,7 +12,7 @@ from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
@@ -26,6 +26,8 @@ ITERATIONS, TOLERANCE = 12, 1e-6
 # A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
 # noisy as their spectra say.
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
+# Steps of the correlation time of unknown forces, and how many are taken at most in one direction.
+CORRELATION_FACTOR, CORRELATION_STEPS = 3.0, 6
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
 
@@ -62,6 +64,7 @@ def inferred(
         DivergenceError: Even the softest physics cannot be solved.
     """
     found = _best_start(problem, design, settings, device, history)
+    found = _with_correlation(found, settings, device, history)
     for _ in range(REFINEMENTS):
         factor = knots_wanted(found.evidence, found.trained)
         finer = design.finer(factor)
@@ -84,7 +87,7 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
         found = _best_start(replace(problem, alternatives=()), Spline(), settings, device, history)
     except DivergenceError:
         return starting_levels(problem.record)
-    return found.trained.noise.response, found.trained.noise.force
+    return found.trained.noise.response, found.trained.noise.force[: problem.dynamics.ndof]
 
 
 def _best_start(
@@ -137,8 +140,54 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     problem = evidence.equations.problem
     force, velocity = force_and_velocity_scale(problem)
     response, sensors = starting_levels(problem.record)
-    points = evidence.equations.refinement
-    return NoiseModel(response, sensors, force, CONTINUITY_TOLERANCE * velocity, points_per_sample=points)
+    points, dynamics = evidence.equations.refinement, problem.dynamics
+    sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)
+    driving = np.full(dynamics.size, np.nan)
+    driving[dynamics.forces] = force
+    if problem.record.ground_acceleration is not None:
+        driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
+    continuity = CONTINUITY_TOLERANCE * velocity
+    return NoiseModel(
+        response,
+        sensors,
+        force,
+        continuity,
+        points_per_sample=points,
+        innovation=None if dynamics.is_plain else driving,
+    )
+
+
+def _with_correlation(found: Inferred, settings: InferenceSettings, device: str, history: History) -> Inferred:
+    """The solution under the most probable correlation time of the unknown forces, if there are any."""
+    if not found.evidence.equations.problem.inputs.forces:
+        return found
+    for factor in (CORRELATION_FACTOR, 1.0 / CORRELATION_FACTOR):
+        improved = False
+        for _ in range(CORRELATION_STEPS):
+            again = _correlated(found, factor, settings, device, history)
+            if again is None or again.trained.log_evidence < found.trained.log_evidence + NEGLIGIBLE_GAIN:
+                break
+            found, improved = again, True
+        if improved:
+            break
+    return found
+
+
+def _correlated(
+    found: Inferred, factor: float, settings: InferenceSettings, device: str, history: History
+) -> Inferred | None:
+    """The solution with another correlation time; what drives the forces keeps their size."""
+    equations, trained = found.evidence.equations, found.trained
+    inputs = equations.problem.inputs
+    other = replace(inputs, correlation_time=factor * inputs.correlation_time)
+    problem = replace(equations.problem, inputs=other, alternatives=())
+    evidence = settings.solved_by(problem, equations.network, device, history)
+    driving = trained.noise.innovation
+    assert driving is not None
+    again = evidence.train(replace(trained.noise, innovation=driving / factor**0.5), trained.solution.point)
+    if again is None or not again.solution.converged:
+        return None
+    return Inferred(evidence, settled(evidence, again, settings.pooled))
 
 
 def _refined(
@@ -158,6 +207,6 @@ def _refined(
 
 
 def _built(design: NetworkDesign, problem: Problem) -> LinearReadout:
-    network = design.build(problem.record)
+    network = design.build(problem.record, functions=problem.dynamics.size)
     assert isinstance(network, LinearReadout)
     return network

@@ -7,31 +7,33 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.record_scales import force_and_velocity_scale
 
 
 class InitialMotion:
-    """Displacement and velocity of every DOF at the first sample, over their prior standard deviations.
+    """Displacement and velocity of every DOF at the first sample, and hidden forces, over prior standard deviations.
 
-    Two residuals per DOF, linear in the readout: J w with J (2, B) over the B features alive there, alike for all DOFs.
+    Two residuals per function, linear in the readout: J w with J (F, 2, B) over the B features alive there; of a hidden
+    force the second is 0.
 
     Args:
         network: Fixed features, linear readout.
-        deviation: Prior standard deviations of displacement (m) and velocity (m/s).
+        deviation: (F, 2), prior standard deviations of the first F functions and of their derivatives; infinite where
+            nothing is known.
         layout: Of the readout weights.
         time: (N,), s, the record's, on the device wanted.
     """
 
-    def __init__(
-        self, network: LinearReadout, deviation: tuple[float, float], layout: BandLayout, time: Tensor
-    ) -> None:
+    def __init__(self, network: LinearReadout, deviation: np.ndarray, layout: BandLayout, time: Tensor) -> None:
         segments = network.segments(time[:1])
         alive = segments.mask[:, 0] > 0
         feature = segments.feature[alive][0].cpu().numpy()
         rows = torch.stack((segments.displacement[alive][0, 0], segments.velocity[alive][0, 0]))
-        self.jacobian = rows / rows.new_tensor(deviation)[:, None]
-        place = layout.positions(feature[None], np.arange(layout.ndof)[:, None])  # (n, B)
+        self.jacobian = rows / rows.new_tensor(deviation)[:, :, None]
+        place = layout.positions(feature[None], np.arange(len(deviation))[:, None])  # (F, B)
         self.place = torch.as_tensor(place, device=rows.device)
         row, column = self.place[:, :, None], self.place[:, None, :]
         self.lower = (row >= column).expand(-1, *self.place.shape[1:], -1)
@@ -43,17 +45,22 @@ class InitialMotion:
 
     def add(self, band: Tensor, gradient: Tensor, unknowns: Tensor) -> None:
         """Add their part to a normal matrix, whose lower band (half_width + 1, size) is given, and to its gradient."""
-        gram = (self.jacobian.mT @ self.jacobian).expand(len(self.place), -1, -1)
+        gram = self.jacobian.mT @ self.jacobian
         band.index_put_((self.diagonal, self.column), gram[self.lower], accumulate=True)
-        pull = self._residuals(unknowns) @ self.jacobian
+        pull = torch.einsum("fr,frb->fb", self._residuals(unknowns), self.jacobian)
         gradient.index_add_(0, self.place.reshape(-1), pull.reshape(-1))
 
     def _residuals(self, unknowns: Tensor) -> Tensor:
-        """(n, 2)."""
-        return unknowns[self.place] @ self.jacobian.mT
+        """(F, 2)."""
+        return torch.einsum("frb,fb->fr", self.jacobian, unknowns[self.place])
 
 
 def initial_motion(network: LinearReadout, problem: Problem, layout: BandLayout, time: Tensor) -> InitialMotion | None:
     """Of a problem whose motion begins at rest; None where it begins anyhow."""
     deviation = problem.initial_deviation
-    return None if deviation is None else InitialMotion(network, deviation, layout, time)
+    if deviation is None:
+        return None
+    hidden = RESIDUAL_MOTION * force_and_velocity_scale(problem)[0]
+    dynamics = problem.dynamics
+    every = [deviation] * dynamics.ndof + [(hidden, np.inf)] * (dynamics.hidden.stop - dynamics.hidden.start)
+    return InitialMotion(network, np.array(every), layout, time)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from pinn_cli.physics import observation_masks
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.band.normal_equations import Point
@@ -70,8 +70,8 @@ class Taken:
     """How many values the solution has taken up.
 
     Attributes:
-        response: Quantity to (n,).
-        physics: (n,), of the physics residual.
+        response: Quantity to (channels,).
+        physics: (functions,), of the physics residual.
     """
 
     response: dict[str, np.ndarray]
@@ -91,12 +91,13 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
     weights, parameters = trained.factor.draws(normals)
     rows = equations.rows(equations.physics, point)
     physics = equations.weights(noise)["physics"]
-    response = {quantity: np.zeros(equations.problem.record.ndof) for quantity in RESPONSE_QUANTITIES}
-    enforced = np.zeros(equations.problem.record.ndof)
+    response = {quantity: np.zeros(len(sigma)) for quantity, sigma in noise.response.items()}
+    enforced = np.zeros(equations.dynamics.size)
     for w, x in zip(weights.T, parameters.T, strict=True):
         drawn = Point(*(torch.as_tensor(v).to(point.unknowns) for v in (w, x)))
-        seen = equations.states(equations.observation, drawn)
-        for quantity, values in zip(RESPONSE_QUANTITIES, seen[:3], strict=True):
+        seen = equations.jet(equations.observation, drawn)
+        for quantity in response:
+            values = equations.dynamics.sensed(quantity, seen)
             response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
         force = equations.moved_force(rows, drawn)
         enforced += (force.square() * physics).sum((0, 1)).cpu().numpy() / DRAWS
@@ -107,8 +108,10 @@ def updated(evidence: Evidence, trained: Trained, floor: NoiseModel) -> NoiseMod
     """The noise levels that the residuals ask for, none below its floor; those that repeats tell stay."""
     equations, noise = evidence.equations, trained.noise
     taken = values_taken(evidence, trained)
-    force, discrepancy = _forces(evidence, trained, taken.physics)
+    force, discrepancy, innovation = _forces(evidence, trained, taken.physics)
     discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), floor.discrepancy)
+    if noise.innovation is not None:
+        noise = replace(noise, innovation=_limited(innovation, noise.innovation))
     if equations.problem.record.repeats is not None:
         return noise.with_discrepancy(discrepancy)
     residuals, samples = equations.residuals(trained.solution.point), len(equations.problem.record.time)
@@ -131,8 +134,8 @@ def _usual_level(record: Record, quantity: str, levels: np.ndarray) -> np.ndarra
 
     A lone sensor has what its spectrum shows above its band, if it shows any.
     """
-    channels = getattr(record, quantity)
-    rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(record.ndof)
+    channels = record.histories(quantity)
+    rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(channels.shape[1])
     there = np.flatnonzero(record.sensors(quantity))
     for dof in there:
         others = [levels[other] / rms[other] for other in there if other != dof and rms[other] > 0]
@@ -140,12 +143,12 @@ def _usual_level(record: Record, quantity: str, levels: np.ndarray) -> np.ndarra
     return out
 
 
-def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np.ndarray, float]:
-    """(n,) force sensors' noise and the discrepancy."""
+def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """(functions,) force sensors' noise, the discrepancy, and (functions,) what drives unknown forces."""
     noise = trained.noise
     split = evidence.force_residuals(trained.solution.point, noise)
     left = np.maximum(split.count - taken, FEWEST_LEFT * split.count)
-    variance, enforced = noise.physics_variance, split.enforced
+    variance, enforced = noise.physics_variance, split.enforced & ~noise.driven
     misfit = (split.seen / variance)[enforced]
     share = (noise.discrepancy**2 / variance)[enforced]
     discrepancy = noise.discrepancy
@@ -155,18 +158,32 @@ def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np
     with np.errstate(divide="ignore", invalid="ignore"):
         beyond = split.unseen / sensor if split.beyond else np.zeros(len(sensor))
         found = (own * split.seen / variance + beyond) / (own * left + split.beyond)
-        return noise.force * np.sqrt(found), discrepancy
+        return noise.force * np.sqrt(found), discrepancy, _driving(evidence, split.seen, left)
+
+
+def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
+
+    Alike for all forces: few sensors tell them apart.
+    """
+    dynamics, level = evidence.equations.dynamics, np.full(len(seen), np.nan)
+    for group in (dynamics.ground, dynamics.forces):
+        if group.stop > group.start:
+            level[group] = np.sqrt(seen[group].sum() / left[group].sum())
+    return level
 
 
 def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     """The least levels that are looked for."""
     record = evidence.equations.problem.record
-    finest = {q: FINEST_SENSOR * np.sqrt(np.mean(getattr(record, q) ** 2, axis=0)) for q in QUANTITIES}
+    kinds = (*record.response_quantities, "force")
+    finest = {q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in kinds}
+    finest["force"] = np.pad(finest["force"], (0, len(noise.force) - record.ndof), constant_values=np.nan)
     force = float(np.nanmax(finest["force"])) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
     measured = noise.force[np.isfinite(noise.force)]
     of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
     discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
-    response = {q: np.fmin(finest[q], noise.response[q]) for q in RESPONSE_QUANTITIES}
+    response = {q: np.fmin(finest[q], level) for q, level in noise.response.items()}
     # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
     # do as well, and bands would be too narrow.
     for dof in np.flatnonzero(record.sensors("force")):
@@ -182,20 +199,23 @@ def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarra
 
 def _log_levels(noise: NoiseModel) -> np.ndarray:
     """Logarithms of all standard deviations; 0 where there is no sensor, or none that is not known to be perfect."""
-    every = np.concatenate([*(noise.response[q] for q in RESPONSE_QUANTITIES), noise.force, [noise.discrepancy]])
+    driving = np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation
+    every = np.concatenate([*noise.response.values(), noise.force, driving, [noise.discrepancy]])
     return np.log(np.where(np.isfinite(every) & (every > 0), every, 1.0))
 
 
 def _moved(noise: NoiseModel, change: np.ndarray, floor: NoiseModel) -> NoiseModel:
     """The levels times exp of a change, in the order of :func:`_log_levels`."""
-    parts = np.split(np.exp(change[:-1]), len(QUANTITIES))
+    sizes = [*(len(level) for level in noise.response.values()), len(noise.force)]
+    *parts, of_force, driving = np.split(np.exp(change[:-1]), np.cumsum(sizes))
     response = {
-        q: np.maximum(noise.response[q] * part, floor.response[q])
-        for q, part in zip(RESPONSE_QUANTITIES, parts[:-1], strict=True)
+        q: np.maximum(level * part, floor.response[q])
+        for (q, level), part in zip(noise.response.items(), parts, strict=True)
     }
-    force = np.maximum(noise.force * parts[-1], floor.force)
+    force = np.maximum(noise.force * of_force, floor.force)
     discrepancy = max(noise.discrepancy * float(np.exp(change[-1])), floor.discrepancy)
-    return replace(noise, response=response, force=force, discrepancy=discrepancy)
+    innovation = None if noise.innovation is None else noise.innovation * driving
+    return replace(noise, response=response, force=force, discrepancy=discrepancy, innovation=innovation)
 
 
 def _stride(before: np.ndarray | None, change: np.ndarray) -> np.ndarray:

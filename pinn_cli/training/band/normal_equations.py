@@ -21,6 +21,7 @@ from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, targets
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.dynamics import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
@@ -28,6 +29,7 @@ from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_b
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.row_sums import RowSums
+from pinn_cli.training.band.sensor_rows import SensorRows
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
@@ -76,15 +78,15 @@ class NormalEquations:
     Residuals and states are grouped as the network's segments are, (I, S, n), and 0 at padding.
 
     Args:
-        network: Fixed features, linear readout.
+        network: Fixed features, linear readout, an output for every unknown function.
         problem: Structure, record, uncertain parameters.
         device: Where residuals and blocks are computed.
     """
 
     def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
-        self.problem, self.structure = problem, problem.structure
+        self.problem, self.dynamics = problem, problem.dynamics
         self.refinement = collocation_refinement(network, problem.record)
-        self.target = targets(problem.record, problem.structure, device, refinement=self.refinement)
+        self.target = targets(problem.record, self.dynamics, device, refinement=self.refinement)
         self.network = network.to(device)
         self.observation = network.segments(self.target.observation_time)
         self.physics = network.segments(self.target.physics_time)
@@ -95,11 +97,12 @@ class NormalEquations:
         local = isinstance(network, SplineNetwork)
         self.prescribed = {name: value.to(self.target.force) for name, value in problem.structure.parameters.items()}
         self._place_parameters()
-        self.pattern = RowPattern(problem.structure, self.vector, self.target.force)
+        self.pattern = RowPattern(self.dynamics, self.vector, self.target.force)
         self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern, True if local else None)
         self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
+        self.sensor_rows = self._sensor_rows()
         self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
-        self.ridge: float | None = None
+        self.ridge: float | np.ndarray | None = None
         self._kept_point: Point | None = None
         self._kept_states: dict[int, States] = {}
 
@@ -122,10 +125,20 @@ class NormalEquations:
     def _own_features(self) -> dict[str, tuple[Segments, Tensor]]:
         """Residuals that touch their own DOF only, with rows that never change: their segments and features."""
         masks = observation_masks(self.target, self.problem.acceleration_through)
-        out = {name: (self.observation, getattr(self.observation, name)) for name in masks if name != "observer"}
+        own = [name for name in masks if name != "observer" and self.dynamics.feels_own(name)]
+        out = {name: (self.observation, getattr(self.observation, name)) for name in own}
         if self.physics.continuity is not None:
             out["continuity"] = (self.physics, self.physics.continuity)
         return out
+
+    def _sensor_rows(self) -> dict[str, SensorRows]:
+        """Residuals of sensors that feel several functions, with rows that never change."""
+        masks = observation_masks(self.target, self.problem.acceleration_through)
+        return {
+            name: SensorRows(self.observation, self.dynamics.sensing(name), mask.cpu().numpy())
+            for name, mask in masks.items()
+            if name != "observer" and not self.dynamics.feels_own(name)
+        }
 
     def start(self) -> Point:
         """The structure at rest with its prescribed parameters."""
@@ -155,6 +168,10 @@ class NormalEquations:
             segments.displacement @ local, segments.velocity @ local, segments.acceleration @ local, continuity
         )
 
+    def jet(self, segments: Segments, point: Point) -> Jet:
+        """The same without what separate outputs leave between them."""
+        return Jet(*self.states(segments, point)[:3])
+
     def flat_states(self, segments: Segments, point: Point) -> States:
         """Motion at a point in the order of the times, each (N, n)."""
         displacement, velocity, acceleration, _ = self.states(segments, point)
@@ -168,7 +185,7 @@ class NormalEquations:
         parameters = self.parameters(point)
         observed, states = self.states(self.observation, point), self.states(self.physics, point)
         through = self.problem.acceleration_through
-        out = observation_residuals(observed, self.observation_target, self.structure, parameters, through)
+        out = observation_residuals(observed, self.observation_target, self.dynamics, parameters, through)
         forces = self.force_residual(point)
         out["physics"] = forces if self.averages is None else self.averages(forces)
         if states.continuity is not None:
@@ -178,7 +195,7 @@ class NormalEquations:
     def force_residual(self, point: Point) -> Tensor:
         """Force that the motion takes minus the force that acts, at every collocation point, (I, S, n), N."""
         states, parameters = self.states(self.physics, point), self.parameters(point)
-        return physics_residual(states, self.physics_target, self.structure, parameters)
+        return physics_residual(states, self.physics_target, self.dynamics, parameters)
 
     def weights(self, noise: NoiseModel) -> dict[str, Tensor]:
         """Weight of every residual under a noise model, 0 where a DOF has none: (n,), or (I, S, n) where it varies."""
@@ -195,7 +212,7 @@ class NormalEquations:
             variance = variance + (between if self.averages is None else self.averages(between)).square()
         out["physics"] = self.target.equation / variance
         if self.physics.continuity is not None:
-            out["continuity"] = torch.full_like(self.prescribed["m"], 1.0 / noise.continuity**2)
+            out["continuity"] = torch.full_like(like[0], 1.0 / noise.continuity**2)
         return out
 
     def room_below(self, point: Point) -> np.ndarray:
@@ -224,7 +241,7 @@ class NormalEquations:
         out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
         if self.begins is not None:
             out["initial"] = self.begins.loss(point.unknowns)
-        out["ridge"] = (self.ridge or 0.0) * float(point.unknowns.square().sum())
+        out["ridge"] = self._ridge_loss(point.unknowns)
         return out
 
     def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
@@ -240,9 +257,12 @@ class NormalEquations:
                 mass = -self.parameters(point)["m"]
                 rows = self.rows(self.observation, point, with_mass=False)
                 sums.add_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
-            else:
+            elif name in own:
                 segments, features = own[name]
-                sums.add_own_rows(segments, self.grams[name], features.mT @ residual, weights[name])
+                moment, weight = (self.dynamics.padded(x) for x in (features.mT @ residual, weights[name]))
+                sums.add_own_rows(segments, self.grams[name], moment, weight)
+            else:
+                self.sensor_rows[name].add_to(sums, residual, weights[name])
         return self._system(sums, point, self.precision(noise))
 
     def _sums(self) -> RowSums:
@@ -255,19 +275,19 @@ class NormalEquations:
     def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> EquationRows:
         """Linearised equation of motion at a point, with or without its inertia force."""
         parameters = self.parameters(point)
-        displacement, velocity, acceleration, _ = self.states(segments, point)
-        slope = self.structure.linearise(displacement, velocity, parameters)
+        jet = self.jet(segments, point)
+        slope, acceleration = self.dynamics.linearise(jet, parameters), self.dynamics.inertial_acceleration(jet)
         if not with_mass:
             force = self.observation_target.observer_force
-            acceleration = self.structure.acceleration(displacement, velocity, force, parameters)
-        mass = parameters["m"] if with_mass else None
+            acceleration = self.dynamics.structure.acceleration(jet.value, jet.rate, force, parameters)
+        mass = self.dynamics.mass(parameters) if with_mass else None
         return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
 
     def own_by_parameter(self, segments: Segments, point: Point) -> Tensor:
         """(I, S, places), what each parameter does to its own connection or mass, per prior standard deviation."""
-        displacement, velocity, acceleration, _ = self.states(segments, point)
-        slope = self.structure.linearise(displacement, velocity, self.parameters(point))
-        return own_by_parameter(slope, acceleration, self.spread)
+        jet = self.jet(segments, point)
+        slope = self.dynamics.linearise(jet, self.parameters(point))
+        return own_by_parameter(slope, self.dynamics.inertial_acceleration(jet), self.spread)
 
     def moved_force(self, rows: EquationRows, step: Point) -> Tensor:
         """Change of the physics residual, as it is enforced, with a small step of weights and parameters.
@@ -288,10 +308,24 @@ class NormalEquations:
         """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
         return torch.where(self.unknown, 1.0, noise.spread**-2)
 
+    def _ridge(self, diagonal: np.ndarray) -> float | np.ndarray:
+        """Of every unknown: motions share one, forces and the ground's acceleration have their own, in other units."""
+        if self.dynamics.is_plain:
+            return RELATIVE_RIDGE * float(diagonal.max())
+        by_function = self.layout.weights(torch.from_numpy(diagonal))  # (count, functions)
+        largest = by_function.amax(0)
+        largest[: self.dynamics.ndof] = largest[: self.dynamics.ndof].max()
+        return RELATIVE_RIDGE * self.layout.unknowns(largest.expand_as(by_function)).numpy()
+
+    def _ridge_loss(self, unknowns: Tensor) -> float:
+        if isinstance(self.ridge, np.ndarray):
+            return float((torch.as_tensor(self.ridge).to(unknowns) * unknowns.square()).sum())
+        return (self.ridge or 0.0) * float(unknowns.square().sum())
+
     def _system(self, sums: RowSums, point: Point, precision: Tensor) -> BorderedSystem:
         pick, band = self.vector.column, sums.band
         if self.ridge is None:
-            self.ridge = RELATIVE_RIDGE * float(band[0].max())
+            self.ridge = self._ridge(band[0])
         band[0] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         if self.begins is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from pinn_cli.system.dynamics import Jet
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior
@@ -39,7 +40,7 @@ def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLike
     slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
     states = equations.flat_states(equations.forces, trained.solution.point)
     parameters = equations.parameters(trained.solution.point)
-    force = equations.structure.external_force(states.displacement, states.velocity, states.acceleration, parameters)
+    force = equations.dynamics.external_force(Jet(*states[:3]), parameters)
     found = np.array([float(parameters[p.kind][p.index]) for p in equations.problem.uncertain])
     moved = force.cpu().numpy() + slope @ (marginal.peak - found)
     return ParameterLikelihoods(marginal, conditional_likelihood(equations, trained), moved, slope)
@@ -51,7 +52,7 @@ def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelih
     names = tuple(p.name for p in equations.problem.uncertain)
     forced = record.sensors("force")
     repeats = 1 if record.repeats is None else record.repeats.count
-    sigma = np.where(forced, trained.noise.force * np.sqrt(repeats), np.nan)
+    sigma = np.where(forced, trained.noise.force[: len(forced)] * np.sqrt(repeats), np.nan)
     samples = int(forced.sum()) * len(record.time) * repeats
     s_std = 1.0 / np.sqrt(2.0 * samples) if samples else 1.0
     nodes = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * s_std if samples else np.zeros(1)
@@ -77,7 +78,9 @@ def _level(evidence: Evidence, trained: Trained, s: float) -> float:
     total += trained.factor.readout_log_determinant
     if record.repeats is not None:
         forced = record.sensors("force")
-        scatter = record.repeats.square["force"][forced] / (record.repeats.count * noise.force[forced] ** 2)
+        scatter = record.repeats.square["force"][forced] / (
+            record.repeats.count * noise.force[: len(forced)][forced] ** 2
+        )
         total += float(scatter.sum() + 2.0 * record.repeats.freedom * int(forced.sum()) * s)
     return -0.5 * total
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.band.subdomains import Subdomains
@@ -21,8 +25,48 @@ class ReadoutPosterior:
         # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
         self.root = torch.linalg.cholesky(torch.as_tensor(factor.corner_covariance))
 
-    def states(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
-        """Standard deviation of displacement, velocity and acceleration at the segments' times, each (N, n)."""
+    def sensed(self, segments: Segments) -> dict[str, Tensor]:
+        """Standard deviation of what sensors of every quantity would show without noise, at the segments' times.
+
+        Each (N, channels): of displacement, velocity and acceleration n, and of the ground where it moves.
+        """
+        dynamics = self.equations.dynamics
+        functions = dict(zip(RESPONSE_QUANTITIES, self.functions(segments), strict=True))
+        out = {
+            quantity: std[:, : dynamics.ndof]
+            if dynamics.feels_own(quantity)
+            else self.combined(segments, dynamics.sensing(quantity))
+            for quantity, std in functions.items()
+        }
+        if dynamics.inputs.ground:
+            out[GROUND] = functions["displacement"][:, dynamics.ground]
+        return out
+
+    def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
+        """Standard deviation of weighted sums of functions and of their derivatives, (N, channels).
+
+        Args:
+            segments: Of the times.
+            sensing: Orders of derivatives, and weights (channels, functions).
+        """
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        every = []
+        for channel in range(sensing[0][1].shape[0]):
+            parts = [
+                (int(function), order, float(weight))
+                for order, weights in sensing
+                for function, weight in zip(weights[channel].indices, weights[channel].data, strict=True)
+            ]
+            position = torch.cat([local[:, function] for function, _, _ in parts], -1)
+            rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
+            by_parameter = rows @ self.solved[position]
+            variance = ((rows @ self._window(position)) * rows).sum(-1)
+            every.append((variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt())
+        return segments.scatter(torch.stack(every, -1).to(segments.mask.device)).cpu()
+
+    def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
+        """Standard deviation of every function and its two derivatives at the segments' times, each (N, functions)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
@@ -40,7 +84,7 @@ class ReadoutPosterior:
     def force(self, segments: Segments) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
         rows = LocalRows(self.equations, segments, self.point)
-        result = [self._force_of_dof(rows, dof) for dof in range(self.equations.layout.ndof)]
+        result = [self._force_of_dof(rows, dof) for dof in range(self.equations.dynamics.ndof)]
         return segments.scatter(torch.stack(result, -1).to(segments.mask.device)).cpu()
 
     def force_residual(self) -> Tensor:
@@ -51,7 +95,7 @@ class ReadoutPosterior:
 
     def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
-        rows, dofs = LocalRows(self.equations, segments, self.point), range(self.equations.layout.ndof)
+        rows, dofs = LocalRows(self.equations, segments, self.point), range(self.equations.dynamics.ndof)
         every = [self._by_parameter(*rows.of_dof(dof)) for dof in dofs]
         return segments.scatter(torch.stack(every, 2).to(segments.mask.device)).cpu()
 

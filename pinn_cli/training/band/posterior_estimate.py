@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.physics import estimated_response
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
+from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import values_taken
@@ -22,11 +22,8 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
     equations, point = evidence.equations, trained.solution.point
     posterior = ReadoutPosterior(equations, point, trained.factor)
     motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
-    response = estimated_response(equations.problem.record, equations.structure, equations.parameters(point), *motion)
-    std = Response(
-        response.time,
-        *(x.numpy() for x in (*posterior.states(equations.observation), posterior.force(equations.forces))),
-    )
+    response = estimated_response(equations.problem.record, equations.dynamics, equations.parameters(point), *motion)
+    std = _deviations(posterior, response)
     response, std = _share_force(evidence, trained, response, std)
     summary = {
         "iterations": len(history.rows),
@@ -36,11 +33,32 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "effective_parameters": _effective_parameters(evidence, trained),
         "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
         "parameter_spread": trained.noise.spread,
-        "sigma_force": _listed(trained.noise.force),
+        "sigma_force": _listed(trained.noise.force[: equations.dynamics.ndof]),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
     parameters, correlation = parameter_posterior(equations, trained)
     return Estimate(response, std, parameters, history.table(), summary, correlation)
+
+
+def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
+    """Standard deviations of everything in a response, before what load cells add to the force."""
+    equations = posterior.equations
+    dynamics = equations.dynamics
+    sensed = posterior.sensed(equations.observation)
+    force = posterior.force(equations.forces)
+    functions = None if dynamics.is_plain else posterior.functions(equations.forces)[0]
+    if functions is not None:
+        force[:, list(dynamics.inputs.forces)] = functions[:, dynamics.forces]
+    displacement, velocity, acceleration = (sensed[quantity].numpy() for quantity in RESPONSE_QUANTITIES)
+    return Response(
+        response.time,
+        displacement,
+        velocity,
+        acceleration,
+        force.numpy(),
+        sensed[GROUND][:, 0].numpy() if dynamics.inputs.ground else None,
+        None if functions is None or response.hidden is None else functions[:, dynamics.hidden].numpy(),
+    )
 
 
 def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
@@ -51,11 +69,11 @@ def _share_force(evidence: Evidence, trained: Trained, response: Response, std: 
         return response, std
     measured = equations.problem.record.force
     filtered = evidence.followed_force()
-    share = sensor_share(noise)[forced]
+    share, sigma = (x[: len(forced)][forced] for x in (sensor_share(noise), noise.force))
     # Both variances count N samples for the K values that the features can tell apart.
     seen = min(equations.network.count / len(measured), 1.0)
     force_std = std.force.copy()
-    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * noise.force[forced] ** 2)
+    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * sigma**2)
     return acting_force(response, filtered, noise), replace(std, force=force_std)
 
 
@@ -63,7 +81,7 @@ def _effective_parameters(evidence: Evidence, trained: Trained) -> dict[str, lis
     """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
     record = evidence.equations.problem.record
     taken = values_taken(evidence, trained).response
-    sensors = {quantity: record.sensors(quantity) for quantity in RESPONSE_QUANTITIES}
+    sensors = {quantity: record.sensors(quantity) for quantity in record.response_quantities}
     return {q: _listed(np.where(there, taken[q], np.nan)) for q, there in sensors.items() if there.any()}
 
 

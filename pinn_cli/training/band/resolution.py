@@ -32,6 +32,7 @@ def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
     if not isinstance(network, SplineNetwork):
         return np.zeros(equations.problem.record.ndof)
     motion = equations.flat_states(equations.physics, trained.solution.point).acceleration.cpu().numpy()
+    motion = motion[:, : equations.dynamics.ndof]
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
     errors = []
     for column in motion.T:
@@ -85,11 +86,11 @@ def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
 def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
     """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
     parameters, point = equations.parameters(trained.solution.point), trained.solution.point
-    motion = equations.states(equations.observation, point)
-    slope = equations.structure.linearise(motion.displacement, motion.velocity, parameters)
-    stiffness = equations.observation.scatter(slope.stiffness).mean(0).cpu().numpy()
+    structure = equations.dynamics.structure
+    slope = equations.dynamics.linearise(equations.jet(equations.observation, point), parameters)
+    stretch = structure.incidence.matrix.toarray()
+    stiffness = equations.observation.scatter(slope.stiffness[..., : len(stretch)]).mean(0).cpu().numpy()
     root = np.sqrt(parameters["m"].cpu().numpy())
-    stretch = equations.structure.incidence.matrix.toarray()
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
     frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
     highest = float(max(frequencies[frequencies <= band], default=band))

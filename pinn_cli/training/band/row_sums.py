@@ -45,6 +45,21 @@ class RowSums(ABC):
             weight: (n,).
         """
 
+    @abstractmethod
+    def add_pair(self, segments: Segments, products: Tensor, first: int, second: int) -> None:
+        """Add products (I, B, B) of the features of two functions; of the second by the first likewise, transposed.
+
+        Args:
+            segments: Their groups.
+            products: Row: feature of the first function; column: of the second.
+            first: One function, counted from 0.
+            second: The other; the same for a function's own products.
+        """
+
+    @abstractmethod
+    def add_moment(self, segments: Segments, moment: Tensor, function: int) -> None:
+        """Add features against residual (I, B) of one function to the gradient."""
+
     @property
     @abstractmethod
     def band(self) -> np.ndarray:

@@ -25,8 +25,10 @@ def simulated_start(equations: NormalEquations) -> Point | None:
         motion = resimulate(problem.structure, problem.record, (rest, rest))
     except (OverflowsError, TooStiffError):
         return None
+    functions = [motion.displacement, *(x for x in (motion.hidden, motion.ground_acceleration) if x is not None)]
+    every = np.column_stack(functions)
     segments, network = equations.observation, equations.network
     projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
     like = equations.target.force
-    weights = projection.coefficients(torch.as_tensor(motion.displacement).to(like))
+    weights = projection.coefficients(torch.as_tensor(every).to(like))
     return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)

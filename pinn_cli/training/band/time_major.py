@@ -104,6 +104,40 @@ class TimeMajorSums(RowSums):
                     cells = self._cells(self._band[(a - b) * self.n], place + b * self.n, stop - start)
                     cells += products[start:stop, a, b, None] * scale
 
+    def add_pair(self, segments: Segments, products: Tensor, first: int, second: int) -> None:
+        """See :meth:`RowSums.add_pair`."""
+        values, rank = products.cpu().numpy(), self.pattern.rank
+        for group, start, length in self._placed(segments):
+            for a in range(self.features):
+                for b in range(self.features):
+                    above, below = a * self.n + int(rank[first]), b * self.n + int(rank[second])
+                    part = values[group : group + length, a, b]
+                    if above >= below:
+                        self._line(self._band[above - below], start + below, length)[...] += part
+                    if first != second and above < below:
+                        self._line(self._band[below - above], start + above, length)[...] += part
+
+    def add_moment(self, segments: Segments, moment: Tensor, function: int) -> None:
+        """See :meth:`RowSums.add_moment`."""
+        values, rank = moment.cpu().numpy(), int(self.pattern.rank[function])
+        for group, start, length in self._placed(segments):
+            for a in range(self.features):
+                line = self._line(self._gradient, start + a * self.n + rank, length)
+                line += values[group : group + length, a]
+
+    def _placed(self, segments: Segments) -> list[tuple[int, int, int]]:
+        """Runs of groups whose features follow one another: first group, where its first weight stands, how many."""
+        first = (segments.feature[:, 0] // self.stride).cpu().numpy()
+        return [
+            (start, int(first[start]) * self.stride * self.n + self.margin, stop - start)
+            for start, stop in _runs(first)
+        ]
+
+    def _line(self, line: np.ndarray, start: int, groups: int) -> np.ndarray:
+        """(groups,) view of a line from ``start`` on, one interval after the other."""
+        step = self.stride * self.n
+        return line[start : start + step * (groups - 1) + 1 : step]
+
     def _table(
         self, segments: Segments, rows: EquationRows, residual: Tensor, averages: Subdomains | None
     ) -> np.ndarray:

@@ -66,7 +66,7 @@ class FunctionSpacePosterior:
         """Share of the band that the forces out of balance fill."""
         search, target = self.search, self.search.rows.target
         states = search.network(target.physics_time)
-        residual = physics_residual(states, target, search.rows.structure, self._values())
+        residual = physics_residual(states, target, search.rows.dynamics, self._values())
         enforced = target.unforced if bool(target.unforced.any()) else target.equation
         step = float(target.physics_time[1] - target.physics_time[0])
         top = min(0.5 / step, BAND_MARGIN * search.network.cycles / search.network.span)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.physics import Targets, observation_masks, observation_residuals, physics_residual
+from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.noise_model import NoiseModel
@@ -24,7 +25,7 @@ class ResidualRows:
     """Which residuals there are, and what they are divided by.
 
     Attributes:
-        structure: The prescribed model.
+        dynamics: Equations of the prescribed model.
         target: What the motion is compared with, at P points.
         through: Of the accelerations, see :class:`pinn_cli.scheme.problem.Problem`.
         separate: Whether velocity is an output of its own, so that continuity is a residual too.
@@ -32,15 +33,20 @@ class ResidualRows:
             nothing is known about them.
     """
 
-    structure: Structure
+    dynamics: Dynamics
     target: Targets
     through: str
     separate: bool
     deviation: tuple[float, float] | None = None
 
+    @property
+    def structure(self) -> Structure:
+        """The prescribed model."""
+        return self.dynamics.structure
+
     def observed(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
         """Estimated minus measured response over its noise, (R_o, P)."""
-        residuals = observation_residuals(states, self.target, self.structure, parameters, self.through)
+        residuals = observation_residuals(states, self.target, self.dynamics, parameters, self.through)
         mass = self.structure.parameters["m"].detach().cpu().numpy()
         rows = []
         for name, mask in observation_masks(self.target, self.through).items():
@@ -51,7 +57,7 @@ class ResidualRows:
     def enforced(self, states: States, parameters: Mapping[str, Tensor], noise: NoiseModel) -> Tensor:
         """Forces out of balance over what model and load cells leave open, then continuity, (R_p, P)."""
         std = torch.as_tensor(noise.physics_variance).to(states.displacement).sqrt()
-        force = physics_residual(states, self.target, self.structure, parameters) / std
+        force = physics_residual(states, self.target, self.dynamics, parameters) / std
         rows = [force[..., self.target.equation].T]
         if states.continuity is not None:
             rows.append(states.continuity.T / noise.continuity)

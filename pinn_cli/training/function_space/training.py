@@ -64,15 +64,15 @@ class FunctionSpaceGaussNewton:
         if not isinstance(design, Mlp):
             hint = f"network={design.name} has neither a linear readout nor layers"
             raise InputError("training", "gauss_newton", "adam, lbfgs or ssbroyden for this network", hint)
-        every = targets(problem.record, problem.structure, run.device)
+        every = targets(problem.record, problem.dynamics, run.device)
         collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
-        network = design.build(problem.record, torch.float64, len(collocation.target.physics_time))
+        network = design.build(problem.record, torch.float64, points=len(collocation.target.physics_time))
         network.reset(run.seed)
         gain = network.make_nearly_linear()
         network.to(run.device)
         parameters = LearnedParameters(problem, torch.float64).to(run.device)
         rows = ResidualRows(
-            problem.structure, collocation.target, problem.acceleration_through, network.continuity == "penalised",
+            problem.dynamics, collocation.target, problem.acceleration_through, network.continuity == "penalised",
             problem.initial_deviation,
         )  # fmt: skip
         force, velocity = force_and_velocity_scale(problem)

@@ -41,9 +41,9 @@ class Losses:
 
     def __init__(self, problem: Problem, points: int | None, device: str, dtype: torch.dtype) -> None:
         record = problem.record
-        self.structure, self.through = problem.structure, problem.acceleration_through
+        self.dynamics, self.through = problem.dynamics, problem.acceleration_through
         self.simultaneous = hold_delay(record) == 0
-        everything = targets(record, problem.structure, device, dtype)
+        everything = targets(record, problem.dynamics, device, dtype)
         self.target = everything.at(torch.as_tensor(_samples(record, points), device=device))
         self.deviation = problem.initial_deviation
         amplitudes = motion_amplitudes(record)
@@ -70,12 +70,12 @@ class Losses:
         """Unweighted loss terms by name, scalars; those that a problem does not have are left out."""
         observed, enforced = self.states(network)
         values = parameters()
-        residuals = observation_residuals(observed, self.target, self.structure, values, self.through)
+        residuals = observation_residuals(observed, self.target, self.dynamics, values, self.through)
         squares = {name: self._mean_square(residual, name).sum() for name, residual in residuals.items()}
         terms = {"observation": torch.stack(list(squares.values())).sum()}
         if enforced.continuity is not None:
             terms["continuity"] = self._mean_square(enforced.continuity, "continuity").sum()
-        physics = self._mean_square(physics_residual(enforced, self.target, self.structure, values), "force")
+        physics = self._mean_square(physics_residual(enforced, self.target, self.dynamics, values), "force")
         terms["forced"] = (physics * self.target.measured_force).sum()
         terms["unforced"] = (physics * self.target.unforced).sum()
         if parameters.count or self.deviation is not None:

@@ -88,7 +88,7 @@ class GradientTraining(Training):
         with descent.history:
             train(descent, run)
         objective, parameters = descent.objective, descent.objective.parameters
-        every = targets(problem.record, problem.structure, run.device, DTYPES[self.dtype])
+        every = targets(problem.record, problem.dynamics, run.device, DTYPES[self.dtype])
         response = replace(network_response(problem, every, objective.network, parameters), time=time)
         unknown = Response.unknown(time, problem.record.ndof)
         summary = {**descent.summary(), "dtype": self.dtype}

@@ -92,9 +92,9 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
     def force(x):
         point = Point(x[:size], x[size:])
         motion = equations.flat_states(equations.physics, point)[:3]
-        return equations.structure.external_force(*motion, equations.parameters(point))
+        return equations.dynamics.structure.external_force(*motion, equations.parameters(point))
 
-    moved = torch.stack(posterior.states(equations.observation))
+    moved = torch.stack(posterior.functions(equations.observation))
     for given, function in ((moved, states), (posterior.force(equations.physics), force)):
         rows = jacobian(function, z)
         expected = ((rows @ covariance) * rows).sum(-1).sqrt().reshape(given.shape)
@@ -109,7 +109,7 @@ def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity, away):
     # A record that a point of the network fits exactly, so that Gauss-Newton is Newton there.
     there = solved(equations, noise, tolerance=1e-6).point
     motion = equations.flat_states(equations.physics, there)[:3]
-    force = equations.structure.external_force(*motion, equations.parameters(there)).numpy()
+    force = equations.dynamics.structure.external_force(*motion, equations.parameters(there)).numpy()
     record = replace(equations.problem.record, acceleration=motion[2].numpy(), displacement=motion[0].numpy(),
                      force=force, unforced=np.zeros(3, bool))  # fmt: skip
     exact = NormalEquations(equations.network, replace(equations.problem, record=record))

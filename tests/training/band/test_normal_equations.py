@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 from small_problems import NONLINEARITIES, small_chain
-from structures import braced, shuffled
+from structures import braced, hysteretic, shuffled
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.dynamics import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
@@ -105,7 +106,8 @@ def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseMod
 
     inputs = (point.unknowns, point.parameters)
     jacobian = torch.cat(torch.autograd.functional.jacobian(weighted, inputs, vectorize=True), -1)
-    prior = torch.cat((torch.full_like(inputs[0], equations.ridge), torch.full_like(inputs[1], noise.spread**-2)))
+    ridge = torch.as_tensor(equations.ridge).to(inputs[0]).expand_as(inputs[0])
+    prior = torch.cat((ridge, torch.full_like(inputs[1], noise.spread**-2)))
     gradient = jacobian.T @ weighted(*inputs) + prior * torch.cat(inputs)
     return (jacobian.T @ jacobian + torch.diag(prior)).numpy(), gradient.detach().numpy()
 
@@ -167,6 +169,37 @@ def of_structure(structure, design, through="derivative") -> NormalEquations:
 @pytest.mark.parametrize("structure", [braced, shuffled])
 def test_structures_that_are_no_chains(structure, design, through):
     assert_agrees(of_structure(structure(), design, through))
+
+
+INPUTS = {
+    "memory": (hysteretic, Inputs(rate=4.0)),
+    "ground": (braced, Inputs(True, edge=5.0)),
+    "ground, relative sensors": (braced, Inputs(True, False, edge=5.0)),
+    "forces": (braced, Inputs(forces=(0, 2), correlation_time=0.3, rate=4.0)),
+    "all": (hysteretic, Inputs(True, True, (1,), 0.3, 4.0, 5.0)),
+}
+
+
+@pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
+@pytest.mark.parametrize("case", INPUTS)
+def test_functions_beside_the_motion(case, design):
+    of, inputs = INPUTS[case]
+    structure = of()
+    record = random_record(structure.ndof)
+    if inputs.ground:
+        shaken = np.random.default_rng(1).normal(size=SAMPLES)
+        record = replace(record, ground_acceleration=shaken, frame="absolute" if inputs.absolute else "relative")
+    uncertain = tuple(replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter())
+    problem = Problem(structure, record, uncertain, inputs=inputs)
+    dynamics = problem.dynamics
+    equations = NormalEquations(design.build(record, functions=dynamics.size), problem)
+    noise, more = noise_of(record), (0, dynamics.size - dynamics.ndof)
+    if inputs.ground:
+        noise.response["ground_acceleration"] = np.array([0.8])
+    driven = np.full(dynamics.size, np.nan)
+    driven[dynamics.ground], driven[dynamics.forces] = 0.6, 1.3
+    force = np.pad(noise.force, more, constant_values=np.nan)
+    assert_agrees(equations, replace(noise, force=force, innovation=driven))
 
 
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
@@ -261,7 +294,7 @@ def test_global_features_are_never_summed_by_diagonals(ndof):
 def test_parameters_at_a_point():
     equations = posed(random_record(3), kinds=("k", "c"))
     point = somewhere(equations)
-    expected = {name: value.clone() for name, value in equations.structure.parameters.items()}
+    expected = {name: value.clone() for name, value in equations.dynamics.structure.parameters.items()}
     for parameter, x in zip(equations.problem.uncertain, point.parameters, strict=True):
         expected[parameter.kind][parameter.index] += parameter.prior_std * x
     given = equations.parameters(point)

@@ -65,7 +65,7 @@ def test_the_conditional_is_the_sum_over_all_residuals_at_the_trained_motion(non
         values = {kind: value.clone() for kind, value in equations.prescribed.items()}
         for parameter, value in zip(problem.uncertain, theta, strict=True):
             values[parameter.kind][parameter.index] = value
-        residual = physics_residual(states, equations.target, equations.structure, values).numpy()
+        residual = physics_residual(states, equations.target, equations.dynamics, values).numpy()
         each = np.stack([residual + equations.target.force.numpy() - force for force in repeats])
         return float(-0.5 * np.sum((each / (sigma * np.exp(s))) ** 2) - each.size * s)
 

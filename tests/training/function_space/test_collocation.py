@@ -9,6 +9,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.training.function_space.collocation import Collocation, collocate
 
 
@@ -18,7 +19,7 @@ def problem(snr_db: float | None = 20.0, seed: int = 0) -> Problem:
 
 
 def collocated(given: Problem, points: int | None, most_rows: int) -> Collocation:
-    return collocate(given, targets(given.record, given.structure), points, most_rows)
+    return collocate(given, targets(given.record, Dynamics(given.structure)), points, most_rows)
 
 
 def test_there_are_as_many_points_as_the_record_has_independent_values():
@@ -40,7 +41,7 @@ def test_low_passing_takes_as_much_noise_out_as_it_says():
     noisy, clean = problem(), problem(snr_db=None)
     collocation = collocated(noisy, 150, 10000)
     samples = torch.linspace(0, 2048, 150).round().long()
-    truth = targets(clean.record, clean.structure).at(samples)
+    truth = targets(clean.record, Dynamics(clean.structure)).at(samples)
     for dof in range(2):
         error = (collocation.target.response["acceleration"] - truth.response["acceleration"])[:, dof]
         assert float(error.square().mean().sqrt()) == pytest.approx(collocation.response["acceleration"][dof], rel=0.35)
@@ -52,6 +53,6 @@ def test_low_passing_takes_as_much_noise_out_as_it_says():
 def test_a_clean_record_stays_as_it_is():
     clean = problem(snr_db=None)
     collocation = collocated(clean, 150, 10000)
-    whole = targets(clean.record, clean.structure).at(torch.linspace(0, 2048, 150).round().long())
+    whole = targets(clean.record, Dynamics(clean.structure)).at(torch.linspace(0, 2048, 150).round().long())
     for quantity in ("acceleration",):
         assert relative_error(collocation.target.response[quantity].numpy(), whole.response[quantity].numpy()) < 1e-3

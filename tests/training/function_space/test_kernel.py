@@ -9,6 +9,7 @@ from small_problems import accelerations, measured, small_chain
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.kernel import prior_variance, pulled_back, pushed_forward
@@ -49,7 +50,7 @@ class Dense:
             last.mul_(1.0 / max(1.0, float(last.abs().max())))
         self.parameters = LearnedParameters(problem, torch.float64)
         self.parameters.moved.data += 0.05
-        collocation = collocate(problem, targets(problem.record, problem.structure), 48, 10000)
+        collocation = collocate(problem, targets(problem.record, Dynamics(problem.structure)), 48, 10000)
         self.noise = collocation.noise_model(0.05, 0.01).with_spread(0.8)
         self.rows = ResidualRows(structure, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)

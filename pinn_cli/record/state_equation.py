@@ -1,0 +1,72 @@
+"""A structure's equation of motion as a first-order one: its state and the slope of that state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from pinn_cli.system.structure import Structure
+
+
+@dataclass(frozen=True, eq=False)
+class StateEquation:
+    """Of a structure under a load: the force (n,), or, where the ground moves, force and ground acceleration (2, n).
+
+    Its state is {u, v}, (2, n); with hidden forces z it is {u, v, z} in a row, (2 n + h,).
+
+    Attributes:
+        structure: Whose parameters are detached.
+        shaken: Whether its ground moves.
+    """
+
+    structure: Structure
+    shaken: bool
+
+    @cached_property
+    def _parameters(self) -> dict[str, np.ndarray]:
+        return self.structure.parameters_like(np.empty(0))
+
+    def start(self, initial: npt.ArrayLike | None) -> np.ndarray:
+        """The state at the first time, from displacement, velocity and hidden forces; rest where None.
+
+        Raises:
+            ValueError: It has another shape, or is not finite.
+        """
+        n, hidden = self.structure.ndof, len(self.structure.memory)
+        if initial is None:
+            return np.zeros(2 * n + hidden) if hidden else np.zeros((2, n))
+        parts = [np.array(part, dtype=np.float64) for part in initial]  # type: ignore[union-attr]
+        sizes = [part.shape for part in parts]
+        if sizes not in ([(n,), (n,), (hidden,)], [(n,), (n,)]) or not all(np.isfinite(part).all() for part in parts):
+            also = f", and ({hidden},) hidden forces" if hidden else ""
+            raise ValueError(f"the initial state must be {{displacement, velocity}}, (2, {n}) finite numbers{also}")
+        if not hidden:
+            return np.array(parts[:2])
+        return np.concatenate((*parts, np.zeros(2 * n + hidden - sum(map(len, parts)))))
+
+    def slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
+        """d(state)/dt."""
+        structure, p = self.structure, self._parameters
+        force = load[0] if self.shaken else load
+        n, hidden = structure.ndof, len(structure.memory)
+        u, v, z = (state[:n], state[n : 2 * n], state[2 * n :]) if hidden else (*state, None)
+        acceleration = structure.acceleration(u, v, force, p, z)
+        if self.shaken:
+            acceleration = acceleration - structure.with_ground * load[1]
+        if z is None:
+            return np.array((v, acceleration))
+        rate = structure.hidden_rate(structure.elongation(u), structure.elongation(v), z, p)
+        return np.concatenate((v, acceleration, rate))
+
+    def split(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Displacement and velocity (N, n), and hidden forces (N, h) where there are any, of states (N, ...)."""
+        n = self.structure.ndof
+        if len(self.structure.memory):
+            return states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
+        return states[:, 0], states[:, 1], None

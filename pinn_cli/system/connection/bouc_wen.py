@@ -1,0 +1,77 @@
+"""Bouc-Wen hysteresis."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pinn_cli.system.array_namespace import namespace
+from pinn_cli.system.connection.base import Hysteresis
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+
+    from pinn_cli.system.array_namespace import Array
+
+# Part of the elongation's inverse that beta starts at, and the scale of n about one.
+FIRST_BEND, N_SCALE = 0.3, 0.05
+
+
+class BoucWen(Hysteresis):
+    """Hysteresis of Bouc (1967) and Wen (J. Eng. Mech. Div. 102, 1976): r = c de + k e + z with a hidden force z.
+
+    dz/dt = A de - beta |de| |z|^(n-1) z - gamma de |z|^n.
+
+    A in N/m, n without unit, beta and gamma in N^(1-n)/m: 1/m for n = 1. It dissipates where beta > 0 and
+    -beta <= gamma <= beta; other values can create energy, and are told, not refused.
+    """
+
+    name = "bouc_wen"
+    parameters = ("A", "beta", "gamma", "n")
+    nonnegative = ("c", "k", "A", "n")
+
+    @property
+    def titles(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.titles`."""
+        return {"A": "Hysteretic stiffness", "beta": "Hysteresis", "gamma": "Hysteresis", "n": "Sharpness"}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """See :attr:`Nonlinearity.units`; of beta and gamma for n = 1."""
+        return {"A": "N/m", "beta": "1/m", "gamma": "1/m", "n": "1"}
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Nonlinearity.force`: all of it is hidden."""
+        none: Array = namespace(e).zeros_like(e)
+        return none
+
+    def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:
+        """See :meth:`Hysteresis.rate`."""
+        a, beta, gamma, n = (parameters[name] for name in self.parameters)
+        # At z = 0 a power's slope by n is 0 times an infinite logarithm: keep it away and put the zero back.
+        where = namespace(z).where
+        size = where(z == 0, 1.0, abs(z))
+        power = where(z == 0, 0.0, size**n)
+        sign = where(z == 0, 0.0, z / size)
+        slowed: Array = (beta * abs(de) * sign + gamma * de) * power
+        return a * de - slowed
+
+    def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
+        """See :meth:`Hysteresis.starts`: half of the spring is hidden, and it yields at the elongation that there is.
+
+        With gamma at zero the loop is thickest; A and the spring beside it cannot be told apart without any.
+        """
+        bend = 1.0 / elongation
+        half = stiffness / 2.0
+        return {
+            "k": (half, stiffness),
+            "A": (half, stiffness),
+            "beta": (FIRST_BEND * bend, bend),
+            "gamma": (0.0, bend),
+            "n": (1.0, N_SCALE),
+        }
+
+    def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """See :meth:`Hysteresis.stiffness_at_rest`."""
+        return parameters["A"]

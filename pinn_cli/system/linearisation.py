@@ -1,0 +1,37 @@
+"""The internal forces of a structure, linearised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from pinn_cli.system.parameters import MASS, Parameter
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """The connections' internal force and its derivatives, each (..., C).
+
+    Attributes:
+        force: r, N.
+        stiffness, damping: dr/de, dr/d(de/dt).
+        by_parameter: Kind to dr/d(parameter) of the connections that have it (..., members of the kind); without the
+            mass, on which r does not depend.
+    """
+
+    force: torch.Tensor
+    stiffness: torch.Tensor
+    damping: torch.Tensor
+    by_parameter: dict[str, torch.Tensor]
+
+    def by_parameters(self, parameters: Sequence[Parameter], acceleration: torch.Tensor) -> torch.Tensor:
+        """(..., p), what single parameters do to the force of their own connection, or to the inertia of their mass.
+
+        Args:
+            parameters: p of them.
+            acceleration: (..., n), of the masses.
+        """
+        own = [(acceleration if p.kind == MASS else self.by_parameter[p.kind])[..., p.index] for p in parameters]
+        return torch.stack(own, -1) if own else acceleration.new_zeros((*acceleration.shape[:-1], 0))

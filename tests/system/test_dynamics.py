@@ -1,0 +1,109 @@
+"""Equations of motion, memory and inputs against the equations written out and automatic differentiation."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from structures import braced, hysteretic
+
+from pinn_cli.system.dynamics import Dynamics, Inputs, Jet
+
+GROUND_AND_FORCES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0)
+CASES = {
+    "memory": (hysteretic, Inputs(rate=4.0)),
+    "ground": (braced, Inputs(True, edge=11.0)),
+    "forces": (braced, Inputs(forces=(0, 2), correlation_time=0.3, rate=4.0)),
+    "all": (hysteretic, GROUND_AND_FORCES),
+}
+
+
+@pytest.fixture(params=CASES)
+def dynamics(request) -> Dynamics:
+    structure, inputs = CASES[request.param]
+    return Dynamics(structure(), inputs)
+
+
+def some_jet(dynamics, times: int = 4) -> Jet:
+    generator = torch.Generator().manual_seed(3)
+    return Jet(*(torch.randn((times, dynamics.size), generator=generator, dtype=torch.float64) for _ in range(3)))
+
+
+def test_the_functions_in_their_order():
+    dynamics = Dynamics(hysteretic(), GROUND_AND_FORCES)
+    assert (dynamics.ndof, dynamics.size) == (2, 6)
+    assert [dynamics.hidden, dynamics.ground, dynamics.forces] == [slice(2, 4), slice(4, 5), slice(5, 6)]
+
+
+def test_the_equations_written_out():
+    dynamics = Dynamics(hysteretic(), GROUND_AND_FORCES)
+    y, dy, ddy = (x[0].tolist() for x in some_jet(dynamics, 1))
+    (u1, u2, z1, z2, g, w), (v1, v2, dz1, dz2, dg, dw), (a1, a2, _, _, ddg, _) = y, dy, ddy
+    r1 = 1.0 * v1 + 15.0 * u1 + 30.0 * u1**3
+    r2 = 1.2 * (v2 - v1) + 6.0 * (u2 - u1) + z1
+    r3 = 0.7 * v2 + 4.0 * u2 + z2
+    h1 = 9.0 * (v2 - v1) - 2.0 * abs(v2 - v1) * z1 + 0.6 * (v2 - v1) * abs(z1)
+    h2 = 7.0 * v2 - 1.4 * abs(v2) * abs(z2) ** 0.3 * z2 - 0.5 * v2 * abs(z2) ** 1.3
+    expected = [
+        10.0 * (a1 + g) + r1 - r2,
+        8.0 * (a2 + g) + r2 + r3 - w,
+        (dz1 - h1) / 4.0,
+        (dz2 - h2) / 4.0,
+        ddg / 11.0**2 + 2.0 * dg / 11.0 + g,
+        (dw + w / 0.3) / 4.0,
+    ]
+    jet = some_jet(dynamics, 1)
+    found = dynamics.residual(jet, dynamics.structure.parameters)[0]
+    torch.testing.assert_close(found, torch.tensor(expected, dtype=torch.float64), rtol=1e-12, atol=1e-12)
+    force = dynamics.external_force(jet, dynamics.structure.parameters)[0]
+    torch.testing.assert_close(force, torch.tensor([expected[0], w], dtype=torch.float64), rtol=1e-12, atol=1e-12)
+
+
+def test_the_terms_are_the_derivatives_of_the_equations(dynamics):
+    jet, parameters = some_jet(dynamics), dynamics.structure.parameters
+    slope, coupling = dynamics.linearise(jet, parameters), dynamics.coupling
+    into, by = (torch.as_tensor(matrix.toarray()) for matrix in (coupling.into, coupling.by))
+    derivatives = torch.autograd.functional.jacobian(lambda *y: dynamics.residual(Jet(*y), parameters), tuple(jet))
+    for order, terms in enumerate((slope.stiffness, slope.damping)):
+        found = torch.einsum("ti,pt,tj->pij", into, terms, by)
+        expected = torch.stack([derivatives[order][p, :, p] for p in range(len(found))])
+        torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)
+    expected = torch.stack([derivatives[2][p, :, p] for p in range(len(jet.value))])
+    torch.testing.assert_close(dynamics.mass(parameters).diag().expand_as(expected), expected)
+
+
+def test_parameters_enter_through_their_branches(dynamics):
+    jet, structure = some_jet(dynamics), dynamics.structure
+    slope, branches = dynamics.linearise(jet, structure.parameters), torch.as_tensor(dynamics.branches.matrix.toarray())
+    for kind, values in structure.parameters.items():
+        derivative = torch.autograd.functional.jacobian(
+            lambda x, kind=kind: dynamics.residual(jet, {**structure.parameters, kind: x}), values
+        )
+        if kind == "m":
+            found = torch.zeros_like(derivative)
+            for i, a in enumerate(dynamics.inertial_acceleration(jet).T):
+                found[:, i, i] = a
+        else:
+            found = torch.einsum("pk,ki->pik", slope.by_parameter[kind], branches[dynamics.branch(kind)])
+        torch.testing.assert_close(found, derivative, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_what_accelerometers_feel(absolute):
+    dynamics = Dynamics(braced(), Inputs(True, absolute))
+    jet = some_jet(dynamics)
+    expected = jet.curvature[:, :3] + (jet.value[:, 3:] if absolute else 0.0)
+    torch.testing.assert_close(dynamics.sensed("acceleration", jet), expected)
+    sensing = sum(
+        jet[order] @ torch.as_tensor(weights.toarray()).T for order, weights in dynamics.sensing("acceleration")
+    )
+    torch.testing.assert_close(sensing, expected)
+    torch.testing.assert_close(dynamics.sensed("ground_acceleration", jet), jet.value[:, 3:])
+    assert dynamics.feels_own("acceleration") is not absolute
+
+
+def test_of_a_motion_alone_nothing_is_added():
+    dynamics, parameters = Dynamics(braced()), braced().parameters
+    jet = some_jet(dynamics)
+    assert dynamics.is_plain
+    assert not dynamics.beside_motion
+    assert torch.equal(dynamics.residual(jet, parameters), dynamics.structure.external_force(*jet, parameters))
