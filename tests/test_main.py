@@ -13,8 +13,8 @@ import pytest
 import xarray as xr
 from calls import SMALL, PinnRun
 
-FILES = {"fitness.csv", "free_run.csv", "parameters.csv", "residuals.csv", "history.csv", "response.nc", "run.json"}
-FILES |= {"figures", ".hydra", "pinn-run.log"}
+FILES = {f"{name}.csv" for name in ("fitness", "drift", "free_run", "parameters", "residuals", "history")}
+FILES |= {"response.nc", "run.json", "figures", ".hydra", "pinn-run.log"}
 LABELS = ["case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed"]
 
 
@@ -69,7 +69,7 @@ def test_the_record_of_a_run_says_what_made_it(small_run: FinishedRun) -> None:
 
 def test_the_response_is_labelled(small_run: FinishedRun) -> None:
     with xr.open_dataset(small_run.directory / "response.nc") as response:
-        assert dict(response.sizes) == {"time": 256, "dof": 3}
+        assert dict(response.sizes) == {"time": 256, "dof": 3, "connection": 3}
         assert response["dof"].values.tolist() == [1, 2, 3]
         for quantity in ("displacement", "velocity", "acceleration", "force"):
             for suffix in ("", "_std", "_true", "_observed"):
@@ -78,14 +78,14 @@ def test_the_response_is_labelled(small_run: FinishedRun) -> None:
 
 def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: PinnRun) -> None:
     again = pinn_run(*SMALL, "case=small", "seed=0").directory
-    for name in ("fitness.csv", "free_run.csv", "parameters.csv", "residuals.csv"):
+    for name in ("fitness.csv", "drift.csv", "free_run.csv", "parameters.csv", "residuals.csv"):
         assert (small_run.directory / name).read_bytes() == (again / name).read_bytes()
 
 
 def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
     outcome = pinn_run("--multirun", *SMALL, "noise.snr_db=40,30")
     assert outcome.status == 0, outcome.err
-    for name in ("fitness.csv", "free_run.csv", "parameters.csv", "residuals.csv"):
+    for name in ("fitness.csv", "drift.csv", "free_run.csv", "parameters.csv", "residuals.csv"):
         joined = pd.read_csv(outcome.directory / name)
         assert joined.columns[0] == "noise.snr_db"
         joined = joined.drop(columns=["status", "reason"], errors="ignore")

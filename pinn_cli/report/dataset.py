@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pinn_cli.record.record import Record, Response
+    from pinn_cli.report.drift import Drifts
     from pinn_cli.training.estimate import Estimate
 
 
@@ -26,6 +27,7 @@ def response_dataset(
     attributes: Mapping[str, object],
     free_run: Response | None = None,
     baseline: tuple[str, Estimate] | None = None,
+    drifts: Drifts | None = None,
 ) -> xr.Dataset:
     """Everything that a figure of the response needs, labelled.
 
@@ -37,6 +39,7 @@ def response_dataset(
             null).
         free_run: The motion of the estimated system by itself; None where there is none.
         baseline: Name and estimate of another estimator; None where there is none.
+        drifts: Of the connections; None: they are left out.
 
     Returns:
         For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
@@ -44,8 +47,9 @@ def response_dataset(
         (left out where there is none), and so on for velocity, acceleration and force (which has no free run), over
         ``time`` (s) and ``dof`` (from 1, nearest the fixed end); last ``displacement_<name>`` of the baseline and
         ``displacement_<name>_std``. Where the ground moves, ``ground_acceleration`` and the same of it over ``time``,
-        each left out where there is none. ``observed`` and ``unforced``: DOFs with a response sensor, and those known
-        to carry no force.
+        each left out where there is none. ``drift``, ``drift_std`` and, where known, ``drift_true`` over ``time`` and
+        ``connection`` (its name, or its number from 1). ``observed`` and ``unforced``: DOFs with a response sensor, and
+        those known to carry no force.
     """
     variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
     for quantity in QUANTITIES:
@@ -68,7 +72,7 @@ def response_dataset(
         for quantity, (suffix, words, response) in product(QUANTITIES, kinds):
             described = {"long_name": f"{words}{quantity} estimated by {name}", "units": UNITS[quantity]}
             variables[f"{quantity}_{name}{suffix}"] = (("time", "dof"), getattr(response, quantity), described)
-    variables |= _of_the_ground(estimate, record, truth)
+    variables |= _of_the_ground(estimate, record, truth) | _of_the_connections(drifts)
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a chain of masses",
@@ -76,7 +80,7 @@ def response_dataset(
     }
     if record.ground_acceleration is not None:
         fixed["frame"] = record.frame
-    return xr.Dataset(variables, coords=_coordinates(record), attrs=fixed | netcdf_attributes(attributes))
+    return xr.Dataset(variables, coords=_coordinates(record, drifts), attrs=fixed | netcdf_attributes(attributes))
 
 
 def _of_the_ground(
@@ -93,6 +97,22 @@ def _of_the_ground(
         GROUND + suffix: (("time",), values, {"long_name": long_name, "units": UNITS[GROUND]})
         for suffix, (values, long_name) in sources.items()
         if values is not None
+    }
+
+
+def _of_the_connections(drifts: Drifts | None) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """Their drifts, estimated and true; see :func:`response_dataset`."""
+    if drifts is None:
+        return {}
+    sources = {
+        "drift": (drifts.estimate, "estimated drift"),
+        "drift_std": (drifts.std, "standard deviation of the estimated drift"),
+        "drift_true": (drifts.true, "true drift"),
+    }
+    return {
+        name: (("time", "connection"), values, {"long_name": long_name, "units": UNITS["displacement"]})
+        for name, (values, long_name) in sources.items()
+        if name != "drift_true" or np.isfinite(values).any()
     }
 
 
@@ -114,11 +134,15 @@ def _observed(record: Record, quantity: str) -> np.ndarray:
     return np.where(record.sensors(quantity), getattr(record, quantity), np.nan)
 
 
-def _coordinates(record: Record) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:
+def _coordinates(record: Record, drifts: Drifts | None) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:
     dofs = np.arange(1, record.ndof + 1, dtype=np.int32)
-    return {
+    coordinates = {
         "time": ("time", record.time, {"long_name": "time", "units": "s"}),
         "dof": ("dof", dofs, {"long_name": "degree of freedom, 1 is nearest the fixed end", "units": "1"}),
         "observed": ("dof", record.observed, {"long_name": "has a displacement, velocity or acceleration sensor"}),
         "unforced": ("dof", record.unforced, {"long_name": "is known to carry no force"}),
     }
+    if drifts is not None:
+        described = {"long_name": "connection; what it joins is stretched by its drift"}
+        coordinates["connection"] = ("connection", np.array(drifts.names), described)
+    return coordinates

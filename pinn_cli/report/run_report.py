@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.report.dataset import response_dataset, write_dataset
+from pinn_cli.report.drift import Drifts, drift_table
 from pinn_cli.report.free_run import free_run, free_run_table
 from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table
 from pinn_cli.report.posterior import (
@@ -55,7 +56,9 @@ def write_report(results: Results, directory: Path, stages: Stages, figures: boo
         write_table(free_table, directory / "free_run.csv")
         _write_tables(results, tables.above(baseline), directory)
         labels, named = run.labels_of(estimator="pinn"), (run.baseline, other) if other else None
-        dataset = response_dataset(estimate, record, truth.response, labels, free.response, named)
+        drifts = Drifts.of(results.prescribed, estimate, truth.response)
+        write_table(drift_table(drifts, labels), directory / "drift.csv")
+        dataset = response_dataset(estimate, record, truth.response, labels, free.response, named, drifts)
         write_dataset(dataset, directory / "response.nc")
     if figures:
         with stages("figures"):

@@ -12,7 +12,8 @@ from pinn_cli.sweep.jobs import FAILED, FINISHED, Job, Sweep
 FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
 _WITH_FAILURES = (FITNESS, PARAMETERS)
-TABLES = (*_WITH_FAILURES, "residuals.csv", "free_run.csv", "score.csv", "identifiability.csv", "diagnostics.csv")
+_OF_FINISHED = ("residuals", "drift", "free_run", "score", "identifiability", "diagnostics")
+TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 STATUS, REASON = "status", "reason"
 
 Settings = dict[str, str]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pinn_cli.report.drift import Drifts
 from pinn_cli.report.figures.correlation import correlation_figure
+from pinn_cli.report.figures.drift import drift_figure
 from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.force_predictive import force_predictive_figure
 from pinn_cli.report.figures.history import history_figure
@@ -39,6 +41,7 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
         ),
         "residuals": residuals_figure(estimate, record),
         "error_map": error_map_figure(estimate, record, truth.response),
+        "drift": drift_figure(Drifts.of(results.prescribed, estimate, truth.response), run.truth_label),
     }
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         figures["history"] = history_figure(estimate.history)

@@ -1,0 +1,110 @@
+"""Drifts: how far every connection is stretched, and how far at most (``drift.csv``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.report.results import with_labels
+from pinn_cli.training.central_interval import HALF_WIDTH_90
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.record.record import Response
+    from pinn_cli.system.structure import Structure
+    from pinn_cli.training.estimate import Estimate
+
+COLUMNS = (
+    "connection", "peak", "std", "lower_90", "upper_90", "time_of_peak", "true_peak", "true_time_of_peak",
+    "error_percent",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Drifts:
+    """Elongations of C connections over time: of a storey, its drift.
+
+    Attributes:
+        time: (N,), s.
+        names: Of the connections; their numbers from 1 where they have none.
+        estimate: (N, C), m.
+        std: (N, C), m; NaN where the estimator gives none.
+        true: (N, C), m; NaN where unknown.
+    """
+
+    time: np.ndarray
+    names: tuple[str, ...]
+    estimate: np.ndarray
+    std: np.ndarray
+    true: np.ndarray
+
+    @classmethod
+    def of(cls, structure: Structure, estimate: Estimate, truth: Response) -> Drifts:
+        """Of an estimate.
+
+        Args:
+            structure: Whose connections they are.
+            estimate: Its displacements tell the drifts.
+            truth: NaN where unknown: a connection is known where all that it joins are.
+        """
+        found = structure.elongation(estimate.response.displacement)
+        numbers = tuple(str(i + 1) for i in range(found.shape[1]))
+        std = np.full(found.shape, np.nan)
+        return cls(
+            estimate.response.time,
+            structure.labels.connections or numbers,
+            found,
+            std,
+            _elongation(structure, truth.displacement),
+        )
+
+    def peak(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Largest absolute value of histories (N, C) and its sample, each (C,)."""
+        sample = np.argmax(np.abs(histories), axis=0)
+        return np.abs(histories[sample, np.arange(histories.shape[1])]), sample
+
+
+def drift_table(drifts: Drifts, labels: Mapping[str, object]) -> pd.DataFrame:
+    """One row per connection (the content of ``drift.csv``).
+
+    Args:
+        drifts: Of the estimate.
+        labels: A value for each of `pinn_cli.report.results.LABELS`.
+
+    Returns:
+        Columns: the labels and `COLUMNS`. ``peak`` is the largest absolute drift, m, at ``time_of_peak``, s. Its 90 %
+        interval is that of the drift at this time: two peaks of nearly the same height are not told apart.
+        ``error_percent`` is 100 |peak - true_peak| / true_peak. Cells of what is not known are empty (NaN).
+    """
+    peak, sample = drifts.peak(drifts.estimate)
+    std = drifts.std[sample, np.arange(len(peak))]
+    true, when = drifts.peak(drifts.true)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.where(true > 0.0, 100.0 * np.abs(peak - true) / true, np.nan)
+    table = pd.DataFrame(
+        {
+            "connection": drifts.names,
+            "peak": peak,
+            "std": std,
+            "lower_90": np.maximum(peak - HALF_WIDTH_90 * std, 0.0),
+            "upper_90": peak + HALF_WIDTH_90 * std,
+            "time_of_peak": drifts.time[sample],
+            "true_peak": true,
+            "true_time_of_peak": np.where(np.isfinite(true), drifts.time[when], np.nan),
+            "error_percent": error,
+        },
+        columns=list(COLUMNS),
+    )
+    return with_labels(table, labels)
+
+
+def _elongation(structure: Structure, displacement: np.ndarray) -> np.ndarray:
+    """(N, C) of displacements (N, n) that may be NaN."""
+    unknown = np.isnan(displacement).any(axis=0)
+    joins = abs(structure.incidence.matrix) @ unknown.astype(float) > 0.0
+    known = np.asarray(structure.elongation(np.nan_to_num(displacement)))
+    return np.where(joins, np.nan, known)
