@@ -171,7 +171,7 @@ def _simulated(
         return np.array((z[1], structure.acceleration(z[0], z[1], f, parameters) - carried))
 
     step = record.step / substeps
-    load = _half_steps(record, samples, substeps)
+    load = _half_steps(record, samples, substeps, structure.with_ground)
     relative = record.frame == "relative"
     z = np.zeros((2, *masses.shape))
     out = np.empty((samples, 3, *masses.shape))
@@ -187,7 +187,7 @@ def _simulated(
     return out
 
 
-def _half_steps(record: Record, samples: int, substeps: int) -> np.ndarray:
+def _half_steps(record: Record, samples: int, substeps: int, with_ground: np.ndarray) -> np.ndarray:
     """(2 samples substeps + 1, 2, n): at every half step the force, and what the ground's acceleration takes away."""
     if record.intersample == "zero_order_hold":
         force = np.repeat(record.force[:samples], 2 * substeps, axis=0)
@@ -197,5 +197,5 @@ def _half_steps(record: Record, samples: int, substeps: int) -> np.ndarray:
     times = np.minimum(times, record.time[-1])
     force, carried = between_samples(record, record.force)(times), np.zeros((len(times), record.ndof))
     if record.ground_acceleration is not None:
-        carried += between_samples(record, record.ground_acceleration)(times)[:, None]
+        carried += between_samples(record, record.ground_acceleration)(times)[:, None] * with_ground
     return np.stack((force, carried), axis=1)

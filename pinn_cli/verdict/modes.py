@@ -26,6 +26,7 @@ class Modes:
         poles: (2n,), 1/s.
         shapes: (n, 2n), displacements of each mode.
         inputs: (2n, n), what a unit acceleration f/m on a DOF puts into each mode.
+        with_ground: (n,), how far each DOF moves with the ground.
     """
 
     m: np.ndarray
@@ -34,6 +35,7 @@ class Modes:
     poles: np.ndarray
     shapes: np.ndarray
     inputs: np.ndarray
+    with_ground: np.ndarray
 
     @classmethod
     def of(cls, structure: Structure) -> Modes:
@@ -43,7 +45,7 @@ class Modes:
         K, C = (stretch.T @ (p[kind][:, None] * stretch) for kind in ("k", "c"))
         state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
         poles, vectors = np.linalg.eig(state)
-        return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:])
+        return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:], structure.with_ground)
 
     @property
     def stable(self) -> bool:
@@ -77,7 +79,7 @@ class Modes:
             acting = force * (np.exp(-1j * angle) * np.sinc(angle / np.pi))[:, None]
         shaking = np.zeros((1, len(self.m)))
         if record.ground_acceleration is not None:
-            shaking = rfft(record.ground_acceleration)[:, None] * np.ones(len(self.m))
+            shaking = rfft(record.ground_acceleration)[:, None] * self.with_ground
         with np.errstate(divide="ignore", invalid="ignore"):  # a chain without stiffness has no answer to a mean force
             u = ((acting / self.m - shaking) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
         v = s[:, None] * u

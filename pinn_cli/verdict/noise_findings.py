@@ -91,7 +91,7 @@ def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
     variances = list(np.var(record.force[:, record.sensors("force")], axis=0))
     if record.ground_acceleration is not None:
         masses = problem.structure.parameters["m"].detach().cpu().numpy()
-        variances += list(masses**2 * np.var(record.ground_acceleration))
+        variances += list((masses * problem.structure.with_ground) ** 2 * np.var(record.ground_acceleration))
     if not levels or not variances:
         return []
     rms = float(np.sqrt(np.mean(variances)))
