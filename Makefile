@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all lint format fuzz audit bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
 	against-smoother clean
 
 help: ## list the targets
@@ -48,6 +48,12 @@ test: lint ## lint, then every test that is not slow
 
 test-all: lint $(RAY) ## lint, then every test
 	$(BIN)/python -m pytest
+
+fuzz: venv ## bad inputs of every family, 90 each, counted: each is told in one line or has a sound result (20 minutes)
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz $(ARGS)
+
+audit: ## known holes of the versions in constraints.txt; needs a network
+	VENV=$(VENV) PYTHON=$(PYTHON) .ci/audit
 
 calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
 	$(BIN)/python -m benchmarks.calibration $(ARGS)

@@ -145,8 +145,8 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:
     """Share of the band up to ``top`` (Hz) that histories (N, n) fill, together; 1 when they are white, or none."""
     # Averaging over pieces steadies the periodogram, whose own scatter would pass for colour.
-    length = max(16, len(residual) // AVERAGED_PIECES)
-    if residual.shape[1] == 0:
+    length = min(max(16, len(residual) // AVERAGED_PIECES), len(residual))
+    if residual.shape[1] == 0 or length < FEWEST_BINS:
         return 1.0
     pieces = [column[i : i + length] for column in residual.T for i in range(0, len(column) - length + 1, length)]
     frequency, _ = periodogram(pieces[0], step)

@@ -201,3 +201,8 @@ def test_floors_go_with_the_unit():
     x = banded(0.1, 4.0)[:, 0] + white(0.05)[:, 0]
     for level in (lowest_level, visible_floor):
         assert level(1e-6 * x, STEP) == pytest.approx(1e-6 * level(x, STEP))
+
+
+def test_a_handful_of_samples_has_no_band():
+    """As the residuals of a spline with a handful of intervals."""
+    assert occupied_band(white(1.0)[:5], STEP, 10.0) == 1.0

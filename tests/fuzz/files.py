@@ -1,0 +1,214 @@
+"""Inputs of the families csv, yaml, resume and disk: files that a run reads, and where it writes."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from typing import Any
+
+from hypothesis import strategies as st
+
+from fuzz.overrides import HANDLER
+from fuzz.starts import FINISHED, QUICK, STOPPED
+from fuzz.trial import Trial
+
+MEASURED = (
+    "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}", "data.acceleration={1: a}", "system=linear",
+    "system.ndof=1", "system.m=1", "system.c=0.4", "system.k=40", "figures=false", "threads=1",
+)  # fmt: skip
+ROWS = 160
+CELLS = (
+    "", "NaN", "inf", "True", "1e300", "1e-300", "-", "1,5", '"1', "0x1", "1_0", "abc", "2024-05-01T10:00:00", "10:00:01",
+    "5/1/2024", "\x00", "ä", "1e30", "9" * 400, "#", "=1+1", "1;2", " 1 ", "1\t2", "None", "1.5.2", "١",
+)  # fmt: skip
+HEADERS = ("", "t;f;a", "t\tf\ta", "t,f", "t,f,a,a", "f,f,a", "T,F,A", "t ,f ,a ", '"t","f","a"', "0,0,0", "t,f,a,", "﻿t,f,a")
+ENCODINGS = ("utf-16", "utf-32", "latin-1", "utf-8-sig", "cp037")
+FRAGMENTS = (
+    "case: x", "seed: 3", "seed: [1", "system: {ndof: 2}", "system:\n\tndof: 2", "noise: {snr_db: .nan}", "- 1", "3", "null",
+    "noise: &a {b: *a}", "a: &a [1]\nb: *a", "<<: 5", "? [1, 2]\n: 3", "case: !!python/object/apply:os.mkdir ['{marker}']",
+    "case: !!python/name:os.system", "case: !x y", "case: x\ncase: y", "defaults: 5", "defaults: [x]", "defaults: [nothing: x]",
+    "defaults: [_self_, _self_]", "defaults:\n  - override /system: linear", "defaults:\n  - override /system: nothing",
+    "defaults: [bad]", "defaults: [/experiment/bad]", "defaults: [{a: b, c: d}]", "hydra: {run: {dir: '{marker}'}}",
+    "hydra: {callbacks: {x: {_target_: os.mkdir, path: '{marker}'}}}", "case: ${case}", "case: ${oc.env:NOTHING}", "case: ${",
+    f"network: {{_target_: {HANDLER}, entrypoint: mkdir, args: ['{{marker}}']}}", "network: {_target_: os.system}",
+    "network: 5", "training: [1, 2]", "system: null", "data: ~", "simulation: {1: 2}", "nothing: 1", "1: 2", "? {a: 1}\n: 2",
+    "%YAML 9.9\n---\ncase: x", "---\ncase: x\n---\ncase: y", "case: |\n  a\n  b", "case: 'x", "\x07", "case: 2024-05-01",
+    "case: 0o17", "seed: 1:30", "seed: 1_0", "case: \ud7ff", "# only a comment", "", "{", "[" * 3000, "a: " * 50,
+    "network: {degree: [[[[1]]]]}", "case: true", "hydra: 5", "hydra: {job_logging: {handlers: {x: {(): os.mkdir}}}}",
+    "a: &a [x, x, x, x, x, x, x, x]\n" + "".join(
+        f"{n}: &{n} [{', '.join(['*' + o] * 8)}]\n" for o, n in zip("abcdefghij", "bcdefghijk", strict=True)
+    ),
+)  # fmt: skip
+RUN_FILES = (
+    ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml", ".hydra", "run.json", "checkpoint.pt",
+    "checkpoint.previous.pt", "tracking.json", "run.lock", "pinn-run.log", "history.csv", "fitness.csv", "parameters.csv",
+    "residuals.csv", "response.nc", "multirun.yaml", "jobs.csv", "chains",
+)  # fmt: skip
+PLACES = (
+    ".", "''", "/dev/null", "..", "a" * 256, "/".join(["a" * 200] * 30), "there", "there/below", "pipe", "pipe/below",
+    "loop", "mine", "${x}", "ä/ö", "a b", "~", "run", "run/figures", "/proc/x", "'a\nb'", "link",
+)  # fmt: skip
+
+
+def rig() -> list[list[str]]:
+    """A mass on a spring and a damper under a sum of sines, as cells; the header first."""
+    step, rows, state = 0.05, [["t", "f", "a"]], [0.0, 0.0]
+    for index in range(ROWS):
+        force = sum(math.sin(0.9 * n * step * index + n) for n in range(1, 9))
+        acceleration = force - 0.4 * state[1] - 40.0 * state[0]
+        rows.append([f"{step * index:.2f}", f"{force:.6f}", f"{acceleration:.6f}"])
+        for _ in range(50):
+            state[1] += step / 50 * (force - 0.4 * state[1] - 40.0 * state[0])
+            state[0] += step / 50 * state[1]
+    return rows
+
+
+def _scaled(rows: list[list[str]], column: int, factor: float, offset: float) -> None:
+    for row in rows[1:]:
+        row[column] = repr(float(row[column]) * factor + offset)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> bytes:
+    """The content of a file that is, or nearly is, a record."""
+    rows = rig()
+    for _ in range(draw(st.integers(1, 2))):
+        row, column = draw(st.integers(1, ROWS - 1)), draw(st.integers(0, 2))
+        match draw(st.sampled_from(("cell", "row", "column", "header", "constant", "swap", "short", "wide"))):
+            case "cell":
+                rows[row][column % len(rows[row])] = draw(st.one_of(st.sampled_from(CELLS), st.text(max_size=6)))
+            case "row":
+                rows[row : row + draw(st.integers(0, 60))] = [draw(st.sampled_from(([], ["", "", ""], ["1"])))]
+            case "column" if all(len(row) == 3 for row in rows[1:]):
+                exponent = draw(st.sampled_from((-300, -30, -12, -3, 3, 12, 29, 300)))
+                try:
+                    _scaled(rows, column, 10.0**exponent, draw(st.sampled_from((0.0, 1.7e9, -1e6))))
+                except ValueError:
+                    continue
+            case "header":
+                rows[0] = draw(st.one_of(st.sampled_from(HEADERS), st.text(max_size=9))).split(",")
+            case "constant" if all(len(row) == 3 for row in rows[1:]):
+                value = draw(st.sampled_from(("0", "1", "True", "nan", "1e29")))
+                for each in rows[1:]:
+                    each[column] = value
+            case "swap":
+                other = draw(st.integers(1, len(rows) - 1))
+                rows[min(row, len(rows) - 1)], rows[other] = rows[other], rows[min(row, len(rows) - 1)]
+            case "short":
+                del rows[draw(st.integers(0, 40)) :]
+            case "wide":
+                rows[min(row, len(rows) - 1)] += ["1"] * draw(st.sampled_from((1, 3, 500)))
+            case _:
+                pass
+    text = draw(st.sampled_from(("\n", "\r\n", "\r"))).join(",".join(row) for row in rows)
+    match draw(st.sampled_from(("utf-8",) * 5 + ("other", "packed", "cut", "byte"))):
+        case "other":
+            return text.encode(draw(st.sampled_from(ENCODINGS)), errors="replace")
+        case "packed":
+            return gzip.compress(text.encode(), mtime=0)[: draw(st.sampled_from((None, 40)))]
+        case "cut":
+            return text.encode()[: draw(st.integers(0, 600))]
+        case "byte":
+            index = draw(st.integers(0, 900))
+            return text.encode()[:index] + draw(st.binary(min_size=1, max_size=4)) + text.encode()[index:]
+    return text.encode()
+
+
+@st.composite
+def csv(draw: st.DrawFn) -> Trial:
+    """Records of one's own."""
+    windows = (
+        "data.start=1", "data.stop=2", "data.start=nan", "data.decimate=3", "data.decimate=1e9", "data.time=f",
+        "data.force={1: a}", "data.holdout=[1]", "data.intersample=zero_order_hold", "data.velocity={1: f}",
+        "scheme=state_parameter", "data.force={1: null}", "data.acceleration={0: a}", "data.acceleration=[a]",
+        "data.path=nothing.csv", "data.path=.", "data.path=~", "data.path=pipe", "data.path=/dev/zero", "data.path=[1]",
+    )  # fmt: skip
+    extra = tuple(draw(st.lists(st.sampled_from(windows), max_size=1)))
+    name = draw(st.sampled_from(("rig.csv",) * 6 + ("rig.csv.gz", "rig.zip", "rig.xlsx", "rig")))
+    files: dict[str, tuple[str, Any]] = {name: ("bytes", draw(tables())), "pipe": ("pipe", None)}
+    return Trial("csv", (*MEASURED, f"data.path={name}", *extra), files)
+
+
+@st.composite
+def yaml(draw: st.DrawFn) -> Trial:
+    """Configurations of one's own."""
+    fragments = st.one_of(st.sampled_from(FRAGMENTS), st.text(max_size=20))
+    text = "\n".join(draw(st.lists(fragments, min_size=1, max_size=2)))
+    head = draw(st.sampled_from(("# @package _global_\n", "# @package _global_\n", "", "# @package nothing.x\n")))
+    place = draw(st.sampled_from(("experiment/bad", "experiment/bad", "network/bad", "system/bad", "hydra/launcher/bad")))
+    group = place.rpartition("/")[0]
+    content = (head + text).encode("utf-8", "replace")
+    match draw(st.sampled_from(("whole",) * 6 + ("utf-16", "byte", "folder", "cycle"))):
+        case "utf-16":
+            form: tuple[str, Any] = ("bytes", content.decode().encode("utf-16"))
+        case "byte":
+            form = ("bytes", content + b"\xff\x00")
+        case "folder":
+            form = ("folder", None)
+        case "cycle":
+            form = ("link", "bad.yaml")
+        case _:
+            form = ("text", content.decode())
+    return Trial("yaml", (*QUICK, "--config-dir", "conf", f"{group}=bad"), {f"conf/{place}.yaml": form})
+
+
+@st.composite
+def resume(draw: st.DrawFn) -> Trial:
+    """Directories of runs and sweeps that were damaged or made by somebody else."""
+    start = draw(st.sampled_from(("finished", "stopped", "stopped", "swept")))
+    directory = "sweep" if start == "swept" else "run"
+    below = draw(st.sampled_from(("sweep", "sweep/seed=0"))) if start == "swept" else directory
+    names = draw(st.lists(st.sampled_from(RUN_FILES), min_size=1, max_size=2, unique=True))
+    if ".hydra" in names:
+        names = [".hydra"]
+    part = st.floats(0, 1)
+    forms = st.one_of(
+        st.tuples(st.just("cut"), part),
+        st.tuples(st.just("flipped"), part),
+        st.sampled_from((("gone", None), ("folder", None), ("pipe", None), ("link", "nowhere"), ("link", "/dev/zero"))),
+        st.tuples(st.just("forged"), st.sampled_from(("bare", "archive", "checkpoint"))),
+        st.tuples(st.just("text"), st.sampled_from(FRAGMENTS)),
+        st.tuples(st.just("bytes"), st.binary(max_size=30)),
+    )
+    files = {f"{below}/{name}": draw(forms) for name in names}
+    again = {"finished": FINISHED, "stopped": STOPPED}.get(start, ())
+    if start == "swept":
+        arguments = draw(st.sampled_from((("collect=sweep",), ("resume=sweep",), ("collect=sweep/seed=0",))))
+    else:
+        arguments = draw(
+            st.sampled_from((("resume=run",), (*again, "resume=auto"), ("collect=run",), ("resume=run", "seed=1"), again))
+        )
+    return Trial("resume", arguments, files, start)
+
+
+@st.composite
+def disk(draw: st.DrawFn) -> Trial:
+    """Places that cannot be written to, or that are somebody's."""
+    files: dict[str, tuple[str, Any]] = {
+        "there": ("text", "a file of the user's"),
+        "pipe": ("pipe", None),
+        "loop": ("link", "loop"),
+        "link": ("link", "mine"),
+        "mine/history.csv": ("text", "iteration\n1\n"),
+        "mine/.x.partial1": ("text", "mine"),
+        "history.csv": ("text", "my own history"),
+    }
+    match draw(st.sampled_from(("place", "place", "small", "outputs", "beside", "case"))):
+        case "place":
+            place, setting = draw(st.sampled_from(PLACES)), "hydra.run.dir"
+            if draw(st.booleans()):
+                return Trial("disk", (*QUICK, f"{setting}={place}", "resume=auto"), files)
+            return Trial("disk", (*QUICK, f"{setting}={place}"), files)
+        case "small":
+            arguments = draw(st.sampled_from((STOPPED, FINISHED, (*FINISHED, "tracking=tensorboard"))))
+            limit = draw(st.sampled_from((0, 10, 500, 2000, 8000, 20000, 60000)))
+            return Trial("disk", arguments, largest_file=limit)
+        case "outputs":
+            form = draw(st.sampled_from((("text", "mine"), ("pipe", None), ("link", "outputs"), ("link", "nowhere/x"))))
+            return Trial("disk", QUICK, {**files, "outputs": form})
+        case "case":
+            return Trial("disk", (*QUICK, f"case={draw(st.sampled_from(PLACES))}"), files)
+    name = draw(st.sampled_from(RUN_FILES + ("figures", "figures/x", "validation.csv")))
+    form = draw(st.sampled_from((("folder", None), ("pipe", None), ("link", "../there"), ("text", "mine"), ("link", "x"))))
+    start, arguments = draw(st.sampled_from((("finished", FINISHED), ("stopped", (*STOPPED, "resume=auto")))))
+    return Trial("disk", arguments, {"there": files["there"], f"run/{name}": form}, start)

@@ -1,0 +1,191 @@
+"""What became of a trial: the command in a forked child of this process, which has everything imported, and its verdict."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import os
+import pkgutil
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from fuzz.starts import Starts
+from fuzz.trial import Trial
+
+DONE, REFUSED, DIVERGED, NOT_SOUND = 0, 2, 3, 4
+LONGEST_LINE = 1500
+# Of memory; a machine that runs out of it takes others along.
+MOST_MEMORY = 12 * 2**30
+# A run that is over says one of these; a sweep, its tables; or what was asked about settings.
+SAID = re.compile(r"^verdict: (sound|questionable|failed)|^finished before|\bjobs?\b.*\b(done|failed|finished)|^== ", re.M)
+QUESTIONS = ("--help", "--cfg", "--info", "--version", "--hydra-help", "-h", "-c", "-i", "--shell-completion")
+# How far a sweep is.
+_SWEEP = re.compile(r"\d+ of \d+ ")
+_TRACEBACK = re.compile(r"Traceback \(most recent call last\)|^\s+File \"", re.M)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a trial.
+
+    Attributes:
+        status: Exit status; negative: the signal that ended it; None: it was still running after the time limit.
+        out, err: What it printed.
+        seconds: That it took.
+        changes: Files of its folder that are new, gone or changed.
+        executed: Whether code of the input was executed, or anything was written beside its folder.
+    """
+
+    status: int | None
+    out: str
+    err: str
+    seconds: float
+    changes: tuple[str, ...]
+    executed: bool
+
+    def fault(self, trial: Trial) -> str:
+        """What is wrong with it; empty where nothing is."""
+        lines = [line for line in self.err.splitlines() if line.strip()]
+        if self.executed:
+            return "code of the input was executed, or something was written outside of its folder"
+        if self.status is None:
+            return f"still running after {self.seconds:.0f} s"
+        if _TRACEBACK.search(self.err) or _TRACEBACK.search(self.out):
+            return "traceback"
+        if self.status not in (DONE, REFUSED, DIVERGED, NOT_SOUND):
+            return f"exit status {self.status}"
+        foreign = [line for line in lines if not line.startswith("pinn-run: ") and not _SWEEP.match(line)]
+        if foreign and not set(QUESTIONS) & set(trial.arguments):
+            return f"not a line of pinn-run's: {foreign[0][:200]}"
+        if any(len(line) > LONGEST_LINE for line in lines):
+            return f"a line of {max(map(len, lines))} characters"
+        if self.status == REFUSED and len(lines) != 1:
+            return f"{len(lines)} lines instead of one"
+        if self.status == REFUSED and self.changes:
+            return f"refused, but changed {', '.join(self.changes[:4])}"
+        if self.status == DONE and not SAID.search(self.out) and not set(QUESTIONS) & set(trial.arguments):
+            return "done, but no verdict"
+        return ""
+
+
+class Judge:
+    """Tries inputs, each in a folder of its own.
+
+    Args:
+        starts: What may lie in the folder.
+        limit_s: Seconds that a trial may take.
+    """
+
+    def __init__(self, starts: Starts, limit_s: float = 90.0) -> None:
+        self.starts, self.limit_s = starts, limit_s
+
+    def outcome(self, trial: Trial, executable: bool = False) -> Outcome:
+        """Of a trial.
+
+        Args:
+            trial: To be tried.
+            executable: Whether by the real `pinn-run`, in a process of its own from the first instruction on.
+        """
+        with tempfile.TemporaryDirectory(prefix="fuzz-") as above:
+            folder, marker = Path(above, "here"), Path(above, "executed")
+            self.starts.lay(trial.start, folder)
+            trial.prepare(folder, marker)
+            before = contents(folder)
+            begun = time.monotonic()
+            status = self._called(trial, folder, executable)
+            seconds = time.monotonic() - begun
+            after = contents(folder)
+            changes = sorted(name for name in before.keys() | after.keys() if before.get(name) != after.get(name))
+            beside = [entry.name for entry in Path(above).iterdir() if entry.name not in ("here", "out", "err", "home")]
+            out, err = ((Path(above, name)).read_text(encoding="utf-8", errors="replace") for name in ("out", "err"))
+            return Outcome(status, out, err, seconds, tuple(changes), bool(beside))
+
+    def _called(self, trial: Trial, folder: Path, executable: bool) -> int | None:
+        """Exit status of the command; None where it was killed for taking too long."""
+        process = os.fork()
+        if process == 0:
+            try:
+                _child(trial, folder, executable)
+            finally:
+                os._exit(70)
+        end = time.monotonic() + self.limit_s
+        while time.monotonic() < end:
+            ended, status = os.waitpid(process, os.WNOHANG)
+            if ended:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process, signal.SIGKILL)  # what it left running
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.01)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        return None
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Every file below a folder, by its path, to what tells it from another one."""
+    return {str(entry.relative_to(folder)): _digest(entry) for entry in sorted(folder.rglob("*"))}
+
+
+def _digest(entry: Path) -> str:
+    if entry.is_symlink():
+        return f"link to {os.readlink(entry)}"
+    if not entry.is_file():
+        return "folder" if entry.is_dir() else "other"
+    return hashlib.sha256(entry.read_bytes()).hexdigest()
+
+
+def _child(trial: Trial, folder: Path, executable: bool) -> None:
+    os.setsid()
+    os.chdir(folder)
+    for number, name in ((1, "out"), (2, "err")):
+        os.dup2(os.open(folder.parent / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    (folder.parent / "home").mkdir(exist_ok=True)
+    os.environ["HOME"] = str(folder.parent / "home")
+    os.environ.pop("HYDRA_FULL_ERROR", None)
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+    if trial.largest_file is not None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (trial.largest_file, trial.largest_file))
+    if executable:
+        command = shutil.which("pinn-run", path=os.path.dirname(sys.executable)) or "pinn-run"
+        os._exit(subprocess.run([command, *trial.arguments], check=False).returncode)
+    sys.argv = ["pinn-run", *trial.arguments]
+    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False, buffering=1)
+    status = 1
+    try:
+        from pinn_cli.cli.command_line import execute
+        from pinn_cli.main import run
+
+        status = execute(run)
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status & 0xFF)
+
+
+def import_everything() -> None:
+    """Import what a run imports, once, so that children need not."""
+    import pinn_cli
+
+    for module in pkgutil.walk_packages(pinn_cli.__path__, "pinn_cli."):
+        if not module.name.endswith("__main__"):
+            with contextlib.suppress(ImportError):
+                importlib.import_module(module.name)
+    for name in ("scipy.signal", "scipy.optimize", "scipy.interpolate", "h5netcdf", "pandas", "torch.optim"):
+        importlib.import_module(name)

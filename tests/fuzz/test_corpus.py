@@ -1,0 +1,31 @@
+"""Every input that ever failed is refused in one line, or has a sound result: through the whole command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fuzz.judge import Judge, import_everything
+from fuzz.starts import Starts
+from fuzz.trial import Trial
+
+CORPUS = sorted((Path(__file__).parent / "corpus").glob("*.json"))
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
+    import_everything()
+    return Judge(Starts(tmp_path_factory.mktemp("starts")))
+
+
+@pytest.mark.parametrize("file", CORPUS, ids=lambda file: file.stem)
+def test_an_input_that_once_failed(judge: Judge, file: Path) -> None:
+    trial = Trial.read(file)
+    outcome = judge.outcome(trial)
+    assert outcome.fault(trial) == "", outcome
+
+
+def test_an_input_is_read_as_it_was_written(tmp_path: Path) -> None:
+    trial = Trial("csv", ("data=csv", "ä"), {"rig.csv": ("bytes", b"\xff\x00"), "x": ("cut", 0.5)}, "finished", 10)
+    (tmp_path / "kept.json").write_text(trial.text(), encoding="utf-8")
+    assert Trial.read(tmp_path / "kept.json") == trial

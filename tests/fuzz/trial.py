@@ -1,0 +1,140 @@
+"""One input of the command: arguments, and what lies in the folder where it is called."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import os
+import pickle
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+FORMS = ("text", "bytes", "folder", "pipe", "gone", "link", "cut", "flipped", "forged")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is tried.
+
+    Attributes:
+        family: The kind of input: options, numbers, csv, yaml, resume, disk, physics.
+        arguments: Of `pinn-run`.
+        files: Path, from the folder on, to the form of what is put there and its content, see :func:`put`.
+        start: What lies in the folder before: ``empty``, or one of `starts.STARTS`.
+        largest_file: Bytes that a file may have, as on a disk that is nearly full; None: no limit.
+    """
+
+    family: str
+    arguments: tuple[str, ...]
+    files: Mapping[str, tuple[str, Any]] = field(default_factory=dict)
+    start: str = "empty"
+    largest_file: int | None = None
+
+    def prepare(self, folder: Path, marker: Path) -> None:
+        """Put the files into their folder; code in them that is executed leaves ``marker``."""
+        for name, (form, content) in self.files.items():
+            put(folder / name, form, content, marker)
+
+    @property
+    def name(self) -> str:
+        """Of its file in the corpus."""
+        return f"{self.family}-{hashlib.sha256(self.text().encode()).hexdigest()[:10]}"
+
+    def text(self) -> str:
+        """As JSON."""
+        files = {name: [form, _plain(content)] for name, (form, content) in self.files.items()}
+        content = {"family": self.family, "arguments": list(self.arguments), "start": self.start, "files": files}
+        return json.dumps({**content, "largest_file": self.largest_file}, indent=1, sort_keys=True) + "\n"
+
+    @classmethod
+    def read(cls, file: Path) -> Trial:
+        """From a file of the corpus."""
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        files = {
+            name: (form, base64.b64decode(content) if form == "bytes" else content)
+            for name, (form, content) in kept["files"].items()
+        }
+        return cls(kept["family"], tuple(kept["arguments"]), files, kept["start"], kept["largest_file"])
+
+
+def put(place: Path, form: str, content: Any, marker: Path) -> None:
+    """Put something at a place, or change what is there.
+
+    Args:
+        place: Where.
+        form: ``text`` or ``bytes`` with that content; ``folder``, ``pipe``, ``gone``; ``link`` to the content; what is
+            there ``cut`` to that part of its length, or ``flipped``, a bit at that part of it; ``forged``: a pickle that
+            executes code, in a sealed checkpoint (``checkpoint``), in an archive as of torch (``archive``) or ``bare``.
+            ``{marker}`` in a text is what executed code would make.
+        content: See above.
+        marker: The file that executed code would make.
+    """
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if form in ("text", "bytes", "folder", "pipe", "gone", "link", "forged") and os.path.lexists(place):
+        if place.is_dir() and not place.is_symlink():
+            for entry in sorted(place.rglob("*"), reverse=True):
+                entry.rmdir() if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+            place.rmdir()
+        else:
+            place.unlink()
+    match form:
+        case "text":
+            place.write_text(content.replace("{marker}", str(marker)), encoding="utf-8")
+        case "bytes":
+            place.write_bytes(content)
+        case "folder":
+            place.mkdir()
+        case "pipe":
+            os.mkfifo(place)
+        case "link":
+            place.symlink_to(content)
+        case "forged":
+            place.write_bytes(_forged(content, marker))
+        case "cut" | "flipped" if place.is_file():
+            place.write_bytes(_damaged(place.read_bytes(), form, content))
+        case "gone" | "cut" | "flipped":
+            pass
+        case _:
+            raise ValueError(f"{form} is none of {FORMS}")
+
+
+def _damaged(data: bytes, form: str, part: float) -> bytes:
+    index = min(int(part * len(data)), max(len(data) - 1, 0))
+    if form == "cut" or not data:
+        return data[:index]
+    return data[:index] + bytes([data[index] ^ 0x10]) + data[index + 1 :]
+
+
+class _Executes:
+    """A pickle of it makes a file when it is read."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.marker),)
+
+
+def _forged(kind: str, marker: Path) -> bytes:
+    content = pickle.dumps({"format": 1, "identity": _Executes(marker)}, protocol=2)
+    if kind == "bare":
+        return content
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("archive/data.pkl", content)
+        archive.writestr("archive/byteorder", "little")
+        archive.writestr("archive/version", "3\n")
+    body = buffer.getvalue()
+    if kind == "archive":
+        return body
+    seal = hashlib.sha256(body[:-2]).hexdigest().encode()
+    return body[:-2] + len(seal).to_bytes(2, "little") + seal
+
+
+def _plain(content: Any) -> Any:
+    return base64.b64encode(content).decode() if isinstance(content, bytes) else content
