@@ -16,13 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
-
 from fuzz import files, overrides
 from fuzz.judge import Judge, Outcome, import_everything
 from fuzz.starts import Starts
 from fuzz.trial import Trial
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
 
 FAMILIES: dict[str, st.SearchStrategy[Trial]] = {
     "options": overrides.options(),
@@ -45,7 +44,11 @@ def tried(family: str, count: int, number: int, call: Callable[[Trial], None]) -
 
     @seed(number)
     @settings(
-        max_examples=2 * count, phases=[Phase.generate], database=None, deadline=None, suppress_health_check=list(HealthCheck)
+        max_examples=2 * count,
+        phases=[Phase.generate],
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
     )
     @given(FAMILIES[family])
     def each(trial: Trial) -> None:
@@ -76,7 +79,15 @@ def row(family: str, count: int, number: int, judge: Judge, failed: Path) -> dic
     tried(family, count, number, call)
     seconds = [outcome.seconds for outcome in outcomes]
     of = {status: sum(outcome.status == status for outcome in outcomes) for status in (0, 2, 3)}
-    figures = len(outcomes), len(outcomes) - faults, of[2], of[0], of[3], round(median(seconds), 2), round(max(seconds), 2)
+    figures = (
+        len(outcomes),
+        len(outcomes) - faults,
+        of[2],
+        of[0],
+        of[3],
+        round(median(seconds), 2),
+        round(max(seconds), 2),
+    )
     return dict(zip(COLUMNS, (family, *figures), strict=True))
 
 

@@ -6,11 +6,10 @@ import gzip
 import math
 from typing import Any
 
-from hypothesis import strategies as st
-
 from fuzz.overrides import HANDLER
 from fuzz.starts import FINISHED, QUICK, STOPPED
 from fuzz.trial import Trial
+from hypothesis import strategies as st
 
 MEASURED = (
     "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}", "data.acceleration={1: a}", "system=linear",
@@ -18,21 +17,41 @@ MEASURED = (
 )  # fmt: skip
 ROWS = 160
 CELLS = (
-    "", "NaN", "inf", "True", "1e300", "1e-300", "-", "1,5", '"1', "0x1", "1_0", "abc", "2024-05-01T10:00:00", "10:00:01",
+    "", "NaN", "inf", "True", "1e300", "1e-300", "-", "1,5", '"1', "0x1", "1_0", "abc", "2024-05-01T10:00:00",
+    "10:00:01",
     "5/1/2024", "\x00", "ä", "1e30", "9" * 400, "#", "=1+1", "1;2", " 1 ", "1\t2", "None", "1.5.2", "١",
 )  # fmt: skip
-HEADERS = ("", "t;f;a", "t\tf\ta", "t,f", "t,f,a,a", "f,f,a", "T,F,A", "t ,f ,a ", '"t","f","a"', "0,0,0", "t,f,a,", "﻿t,f,a")
+HEADERS = (
+    "",
+    "t;f;a",
+    "t\tf\ta",
+    "t,f",
+    "t,f,a,a",
+    "f,f,a",
+    "T,F,A",
+    "t ,f ,a ",
+    '"t","f","a"',
+    "0,0,0",
+    "t,f,a,",
+    "﻿t,f,a",
+)
 ENCODINGS = ("utf-16", "utf-32", "latin-1", "utf-8-sig", "cp037")
 FRAGMENTS = (
-    "case: x", "seed: 3", "seed: [1", "system: {ndof: 2}", "system:\n\tndof: 2", "noise: {snr_db: .nan}", "- 1", "3", "null",
-    "noise: &a {b: *a}", "a: &a [1]\nb: *a", "<<: 5", "? [1, 2]\n: 3", "case: !!python/object/apply:os.mkdir ['{marker}']",
-    "case: !!python/name:os.system", "case: !x y", "case: x\ncase: y", "defaults: 5", "defaults: [x]", "defaults: [nothing: x]",
+    "case: x", "seed: 3", "seed: [1", "system: {ndof: 2}", "system:\n\tndof: 2", "noise: {snr_db: .nan}", "- 1", "3",
+    "null",
+    "noise: &a {b: *a}", "a: &a [1]\nb: *a", "<<: 5", "? [1, 2]\n: 3",
+    "case: !!python/object/apply:os.mkdir ['{marker}']",
+    "case: !!python/name:os.system", "case: !x y", "case: x\ncase: y", "defaults: 5", "defaults: [x]",
+    "defaults: [nothing: x]",
     "defaults: [_self_, _self_]", "defaults:\n  - override /system: linear", "defaults:\n  - override /system: nothing",
     "defaults: [bad]", "defaults: [/experiment/bad]", "defaults: [{a: b, c: d}]", "hydra: {run: {dir: '{marker}'}}",
-    "hydra: {callbacks: {x: {_target_: os.mkdir, path: '{marker}'}}}", "case: ${case}", "case: ${oc.env:NOTHING}", "case: ${",
+    "hydra: {callbacks: {x: {_target_: os.mkdir, path: '{marker}'}}}", "case: ${case}", "case: ${oc.env:NOTHING}",
+    "case: ${",
     f"network: {{_target_: {HANDLER}, entrypoint: mkdir, args: ['{{marker}}']}}", "network: {_target_: os.system}",
-    "network: 5", "training: [1, 2]", "system: null", "data: ~", "simulation: {1: 2}", "nothing: 1", "1: 2", "? {a: 1}\n: 2",
-    "%YAML 9.9\n---\ncase: x", "---\ncase: x\n---\ncase: y", "case: |\n  a\n  b", "case: 'x", "\x07", "case: 2024-05-01",
+    "network: 5", "training: [1, 2]", "system: null", "data: ~", "simulation: {1: 2}", "nothing: 1", "1: 2",
+    "? {a: 1}\n: 2",
+    "%YAML 9.9\n---\ncase: x", "---\ncase: x\n---\ncase: y", "case: |\n  a\n  b", "case: 'x", "\x07",
+    "case: 2024-05-01",
     "case: 0o17", "seed: 1:30", "seed: 1_0", "case: \ud7ff", "# only a comment", "", "{", "[" * 3000, "a: " * 50,
     "network: {degree: [[[[1]]]]}", "case: true", "hydra: 5", "hydra: {job_logging: {handlers: {x: {(): os.mkdir}}}}",
     "a: &a [x, x, x, x, x, x, x, x]\n" + "".join(
@@ -41,7 +60,8 @@ FRAGMENTS = (
 )  # fmt: skip
 RUN_FILES = (
     ".hydra/config.yaml", ".hydra/hydra.yaml", ".hydra/overrides.yaml", ".hydra", "run.json", "checkpoint.pt",
-    "checkpoint.previous.pt", "tracking.json", "run.lock", "pinn-run.log", "history.csv", "fitness.csv", "parameters.csv",
+    "checkpoint.previous.pt", "tracking.json", "run.lock", "pinn-run.log", "history.csv", "fitness.csv",
+    "parameters.csv",
     "residuals.csv", "response.nc", "multirun.yaml", "jobs.csv", "chains",
 )  # fmt: skip
 PLACES = (
@@ -135,7 +155,9 @@ def yaml(draw: st.DrawFn) -> Trial:
     fragments = st.one_of(st.sampled_from(FRAGMENTS), st.text(max_size=20))
     text = "\n".join(draw(st.lists(fragments, min_size=1, max_size=2)))
     head = draw(st.sampled_from(("# @package _global_\n", "# @package _global_\n", "", "# @package nothing.x\n")))
-    place = draw(st.sampled_from(("experiment/bad", "experiment/bad", "network/bad", "system/bad", "hydra/launcher/bad")))
+    place = draw(
+        st.sampled_from(("experiment/bad", "experiment/bad", "network/bad", "system/bad", "hydra/launcher/bad"))
+    )
     group = place.rpartition("/")[0]
     content = (head + text).encode("utf-8", "replace")
     match draw(st.sampled_from(("whole",) * 6 + ("utf-16", "byte", "folder", "cycle"))):
@@ -176,7 +198,9 @@ def resume(draw: st.DrawFn) -> Trial:
         arguments = draw(st.sampled_from((("collect=sweep",), ("resume=sweep",), ("collect=sweep/seed=0",))))
     else:
         arguments = draw(
-            st.sampled_from((("resume=run",), (*again, "resume=auto"), ("collect=run",), ("resume=run", "seed=1"), again))
+            st.sampled_from(
+                (("resume=run",), (*again, "resume=auto"), ("collect=run",), ("resume=run", "seed=1"), again)
+            )
         )
     return Trial("resume", arguments, files, start)
 
@@ -208,7 +232,9 @@ def disk(draw: st.DrawFn) -> Trial:
             return Trial("disk", QUICK, {**files, "outputs": form})
         case "case":
             return Trial("disk", (*QUICK, f"case={draw(st.sampled_from(PLACES))}"), files)
-    name = draw(st.sampled_from(RUN_FILES + ("figures", "figures/x", "validation.csv")))
-    form = draw(st.sampled_from((("folder", None), ("pipe", None), ("link", "../there"), ("text", "mine"), ("link", "x"))))
+    name = draw(st.sampled_from((*RUN_FILES, "figures", "figures/x", "validation.csv")))
+    form = draw(
+        st.sampled_from((("folder", None), ("pipe", None), ("link", "../there"), ("text", "mine"), ("link", "x")))
+    )
     start, arguments = draw(st.sampled_from((("finished", FINISHED), ("stopped", (*STOPPED, "resume=auto")))))
     return Trial("disk", arguments, {"there": files["there"], f"run/{name}": form}, start)

@@ -1,4 +1,4 @@
-"""What became of a trial: the command in a forked child of this process, which has everything imported, and its verdict."""
+"""What became of a trial: the command in a forked child of this process, which has everything imported, is judged."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ LONGEST_LINE = 1500
 # Of memory; a machine that runs out of it takes others along.
 MOST_MEMORY = 12 * 2**30
 # A run that is over says one of these; a sweep, its tables; or what was asked about settings.
-SAID = re.compile(r"^verdict: (sound|questionable|failed)|^finished before|\bjobs?\b.*\b(done|failed|finished)|^== ", re.M)
+SAID = re.compile(
+    r"^verdict: (sound|questionable|failed)|^finished before|\bjobs?\b.*\b(done|failed|finished)|^== ", re.M
+)
 QUESTIONS = ("--help", "--cfg", "--info", "--version", "--hydra-help", "-h", "-c", "-i", "--shell-completion")
 # How far a sweep is.
 _SWEEP = re.compile(r"\d+ of \d+ ")
@@ -64,8 +66,9 @@ class Outcome:
             return "traceback"
         if self.status not in (DONE, REFUSED, DIVERGED, NOT_SOUND):
             return f"exit status {self.status}"
+        asked = any(argument.partition("=")[0] in QUESTIONS for argument in trial.arguments)
         foreign = [line for line in lines if not line.startswith("pinn-run: ") and not _SWEEP.match(line)]
-        if foreign and not set(QUESTIONS) & set(trial.arguments):
+        if foreign and not asked:
             return f"not a line of pinn-run's: {foreign[0][:200]}"
         if any(len(line) > LONGEST_LINE for line in lines):
             return f"a line of {max(map(len, lines))} characters"
@@ -73,7 +76,7 @@ class Outcome:
             return f"{len(lines)} lines instead of one"
         if self.status == REFUSED and self.changes:
             return f"refused, but changed {', '.join(self.changes[:4])}"
-        if self.status == DONE and not SAID.search(self.out) and not set(QUESTIONS) & set(trial.arguments):
+        if self.status == DONE and not SAID.search(self.out) and not asked:
             return "done, but no verdict"
         return ""
 
@@ -162,7 +165,8 @@ def _child(trial: Trial, folder: Path, executable: bool) -> None:
         command = shutil.which("pinn-run", path=os.path.dirname(sys.executable)) or "pinn-run"
         os._exit(subprocess.run([command, *trial.arguments], check=False).returncode)
     sys.argv = ["pinn-run", *trial.arguments]
-    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False, buffering=1)
+    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", closefd=False, buffering=1)  # noqa: SIM115
     status = 1
     try:
         from pinn_cli.cli.command_line import execute

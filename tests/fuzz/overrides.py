@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-from hypothesis import strategies as st
-
 from fuzz.starts import QUICK, STEPPED
 from fuzz.trial import Trial
+from hypothesis import strategies as st
 
 GROUPS = (
     "system", "excitation", "model_error", "data", "scheme", "network", "training", "posterior", "validation",
@@ -17,23 +16,26 @@ HANDLER = "torch.distributed.elastic.multiprocessing.subprocess_handler.subproce
 # Values that were never meant.
 ODD = (
     "", "null", "true", "???", "[]", "{}", "[1,2]", "{a:1}", "[[]]", "'", '"', "[1", "{a", "a b", "ä", "~/x", "-",
-    "${nothing}", "${oc.env:HOME}", "${now:%Y}", "${", "$", "\\", "=", "a=b", "1,2", "range(3)", "choice(1,2)", "glob(*)",
-    "../../etc", "/dev/null", "nan", "0x10", "1e", "1_000", "None", "on", "\t", "%", "${seed}", "${sweep_name:1,2}", "\x00",
-    "a" * 300, "..", "_", "'a'", "'${x}'", "interval(0,1)", "sort(3,1)", "[null]", "{1: a1}", "\U0001f600", ":", "1e999",
+    "${nothing}", "${oc.env:HOME}", "${now:%Y}", "${", "$", "\\", "=", "a=b", "1,2", "range(3)", "choice(1,2)",
+    "glob(*)",
+    "../../etc", "/dev/null", "nan", "0x10", "1e", "1_000", "None", "on", "\t", "%", "${seed}", "${sweep_name:1,2}",
+    "\x00",
+    "a" * 300, "..", "_", "'a'", "'${x}'", "interval(0,1)", "sort(3,1)", "[null]", "{1: a1}", "\U0001f600", ":",
+    "1e999",
 )  # fmt: skip
 EXECUTED = (
     "network._target_=os.system",
     "network._target_=subprocess.Popen",
     f"network={{_target_: {HANDLER}, entrypoint: mkdir, args: [../executed], env: {{}}, stdout: null, stderr: null}}",
     f"+excitation.x={{_target_: {HANDLER}}}",
-    "+system.x={_target_: builtins.eval, _args_: ['__import__(\"os\").mkdir(\"../executed\")']}",
+    '+system.x={_target_: builtins.eval, _args_: [\'__import__("os").mkdir("../executed")\']}',
     f"+hydra.callbacks.x={{_target_: {HANDLER}, entrypoint: mkdir, args: [../executed], env: {{}}}}",
     "+hydra.callbacks.x={_target_: os.mkdir, path: ../executed}",
     "+hydra.job_logging.handlers.x={(): os.mkdir, path: ../executed}",
     "++hydra.job_logging.handlers.file={class: logging.FileHandler, filename: ../executed, mode: w}",
     "hydra.launcher._target_=os.system",
     "hydra.sweeper._target_=os.system",
-    "+hydra.job.env_set={PYTHONSTARTUP: x, GIT_CONFIG_COUNT: 1, GIT_CONFIG_KEY_0: core.fsmonitor, GIT_CONFIG_VALUE_0: mkdir}",
+    "+hydra.job.env_set={GIT_CONFIG_COUNT: 1, GIT_CONFIG_KEY_0: core.fsmonitor, GIT_CONFIG_VALUE_0: mkdir}",
     "hydra.output_subdir=../../executed",
     "hydra.sweep.subdir=../../executed",
     "tracking={_target_: torch.utils.tensorboard.SummaryWriter, log_dir: ../executed}",
@@ -51,7 +53,8 @@ FLAGS = (
     "-m", "--shell-completion", "@file",
 )  # fmt: skip
 NUMBERS = (
-    "0", "-0.0", "-1", "1", "2", "0.5", "1e-30", "1e-31", "1e30", "1e31", "1e300", "-1e300", "1e-300", "5e-324", "1e309",
+    "0", "-0.0", "-1", "1", "2", "0.5", "1e-30", "1e-31", "1e30", "1e31", "1e300", "-1e300", "1e-300", "5e-324",
+    "1e309",
     "nan", "inf", "-inf", "4294967296", "9223372036854775808", "1" + "0" * 400, "true", "null", "abc", "[]", "[1,2]",
     "[1,2,3]", "[1,-2,3]", "[0,0,0]", "[1,null,3]", "[nan]", "1e6", "1000000000", "-1e-9", "0.999999", "1.5",
 )  # fmt: skip
@@ -88,10 +91,11 @@ def odd_values() -> st.SearchStrategy[str]:
 def options(draw: st.DrawFn) -> Trial:
     """Settings of any value, unknown ones, groups, classes to call, flags."""
     override = st.builds(
-        "{}{}={}".format, st.sampled_from(("", "", "", "+", "++", "~")),
-        st.one_of(st.sampled_from(setting_names()), st.sampled_from(GROUPS), st.text("abc.@:/_é ", min_size=1, max_size=8)),
+        "{}{}={}".format,
+        st.sampled_from(("", "", "", "+", "++", "~")),
+        st.sampled_from(setting_names()) | st.sampled_from(GROUPS) | st.text("abc.@:/_é ", min_size=1, max_size=8),
         odd_values(),
-    )  # fmt: skip
+    )
     kinds = st.one_of(override, override, st.sampled_from(EXECUTED), st.sampled_from(FLAGS), odd_values())
     arguments = [a for a in draw(st.lists(kinds, min_size=1, max_size=2)) if a]
     return Trial("options", (*QUICK, *arguments))

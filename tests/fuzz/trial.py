@@ -68,9 +68,9 @@ def put(place: Path, form: str, content: Any, marker: Path) -> None:
     Args:
         place: Where.
         form: ``text`` or ``bytes`` with that content; ``folder``, ``pipe``, ``gone``; ``link`` to the content; what is
-            there ``cut`` to that part of its length, or ``flipped``, a bit at that part of it; ``forged``: a pickle that
-            executes code, in a sealed checkpoint (``checkpoint``), in an archive as of torch (``archive``) or ``bare``.
-            ``{marker}`` in a text is what executed code would make.
+            there ``cut`` to that part of its length, or ``flipped``, a bit at that part of it; ``forged``: a pickle
+            that executes code, in a sealed checkpoint (``checkpoint``), in an archive as of torch (``archive``) or
+            ``bare``. ``{marker}`` in a text is what executed code would make.
         content: See above.
         marker: The file that executed code would make.
     """
