@@ -97,7 +97,7 @@ def main() -> int:
     parser.add_argument("--each", type=int, default=90, help="inputs of each family")
     parser.add_argument("--seed", type=int, default=0, help="of the inputs")
     parser.add_argument("--family", choices=FAMILIES, action="append", help="only this one; may be given again")
-    parser.add_argument("--limit", type=float, default=90.0, help="seconds that one input may take")
+    parser.add_argument("--limit", type=float, default=240.0, help="seconds that one input may take")
     given_ = parser.parse_args()
     import_everything()
     rows = []

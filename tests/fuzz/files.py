@@ -88,38 +88,44 @@ def _scaled(rows: list[list[str]], column: int, factor: float, offset: float) ->
         row[column] = repr(float(row[column]) * factor + offset)
 
 
+def _change_whole(draw: st.DrawFn, rows: list[list[str]]) -> None:
+    """Change the header, or a column, or the number of rows, of a table whose rows are whole."""
+    column = draw(st.integers(0, 2))
+    match draw(st.sampled_from(("header", "scaled", "constant", "short", "none"))):
+        case "header":
+            rows[0] = draw(st.one_of(st.sampled_from(HEADERS), st.text(max_size=9))).split(",")
+        case "scaled":
+            factor = 10.0 ** draw(st.sampled_from((-300, -30, -12, -3, 3, 12, 29, 300)))
+            _scaled(rows, column, factor, draw(st.sampled_from((0.0, 1.7e9, -1e6))))
+        case "constant":
+            value = draw(st.sampled_from(("0", "1", "True", "nan", "1e29")))
+            for row in rows[1:]:
+                row[column] = value
+        case "short":
+            del rows[draw(st.integers(1, 40)) :]
+
+
+def _change_one(draw: st.DrawFn, rows: list[list[str]]) -> None:
+    """Change one cell or a few rows."""
+    row, other = draw(st.integers(0, len(rows) - 1)), draw(st.integers(0, len(rows) - 1))
+    match draw(st.sampled_from(("cell", "cell", "gap", "swap", "wide"))):
+        case "cell":
+            rows[row][draw(st.integers(0, 2)) % len(rows[row])] = draw(st.sampled_from(CELLS) | st.text(max_size=6))
+        case "gap":
+            rows[row : row + draw(st.integers(0, 60))] = [draw(st.sampled_from(([], ["", "", ""], ["1"])))]
+        case "swap":
+            rows[row], rows[other] = rows[other], rows[row]
+        case "wide":
+            rows[row] += ["1"] * draw(st.sampled_from((1, 3, 500)))
+
+
 @st.composite
 def tables(draw: st.DrawFn) -> bytes:
     """The content of a file that is, or nearly is, a record."""
     rows = rig()
-    for _ in range(draw(st.integers(1, 2))):
-        row, column = draw(st.integers(1, ROWS - 1)), draw(st.integers(0, 2))
-        match draw(st.sampled_from(("cell", "row", "column", "header", "constant", "swap", "short", "wide"))):
-            case "cell":
-                rows[row][column % len(rows[row])] = draw(st.one_of(st.sampled_from(CELLS), st.text(max_size=6)))
-            case "row":
-                rows[row : row + draw(st.integers(0, 60))] = [draw(st.sampled_from(([], ["", "", ""], ["1"])))]
-            case "column" if all(len(row) == 3 for row in rows[1:]):
-                exponent = draw(st.sampled_from((-300, -30, -12, -3, 3, 12, 29, 300)))
-                try:
-                    _scaled(rows, column, 10.0**exponent, draw(st.sampled_from((0.0, 1.7e9, -1e6))))
-                except ValueError:
-                    continue
-            case "header":
-                rows[0] = draw(st.one_of(st.sampled_from(HEADERS), st.text(max_size=9))).split(",")
-            case "constant" if all(len(row) == 3 for row in rows[1:]):
-                value = draw(st.sampled_from(("0", "1", "True", "nan", "1e29")))
-                for each in rows[1:]:
-                    each[column] = value
-            case "swap":
-                other = draw(st.integers(1, len(rows) - 1))
-                rows[min(row, len(rows) - 1)], rows[other] = rows[other], rows[min(row, len(rows) - 1)]
-            case "short":
-                del rows[draw(st.integers(0, 40)) :]
-            case "wide":
-                rows[min(row, len(rows) - 1)] += ["1"] * draw(st.sampled_from((1, 3, 500)))
-            case _:
-                pass
+    _change_whole(draw, rows)
+    if draw(st.booleans()):
+        _change_one(draw, rows)
     text = draw(st.sampled_from(("\n", "\r\n", "\r"))).join(",".join(row) for row in rows)
     match draw(st.sampled_from(("utf-8",) * 5 + ("other", "packed", "cut", "byte"))):
         case "other":

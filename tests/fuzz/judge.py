@@ -9,6 +9,7 @@ import os
 import pkgutil
 import re
 import resource
+import select
 import shutil
 import signal
 import subprocess
@@ -89,7 +90,7 @@ class Judge:
         limit_s: Seconds that a trial may take.
     """
 
-    def __init__(self, starts: Starts, limit_s: float = 90.0) -> None:
+    def __init__(self, starts: Starts, limit_s: float = 240.0) -> None:
         self.starts, self.limit_s = starts, limit_s
 
     def outcome(self, trial: Trial, executable: bool = False) -> Outcome:
@@ -105,34 +106,48 @@ class Judge:
             trial.prepare(folder, marker)
             before = contents(folder)
             begun = time.monotonic()
-            status = self._called(trial, folder, executable)
+            status, out, err = self._called(trial, folder, executable)
             seconds = time.monotonic() - begun
             after = contents(folder)
             changes = sorted(name for name in before.keys() | after.keys() if before.get(name) != after.get(name))
-            beside = [entry.name for entry in Path(above).iterdir() if entry.name not in ("here", "out", "err", "home")]
-            out, err = ((Path(above, name)).read_text(encoding="utf-8", errors="replace") for name in ("out", "err"))
+            beside = [entry.name for entry in Path(above).iterdir() if entry.name not in ("here", "home")]
             return Outcome(status, out, err, seconds, tuple(changes), bool(beside))
 
-    def _called(self, trial: Trial, folder: Path, executable: bool) -> int | None:
-        """Exit status of the command; None where it was killed for taking too long."""
+    def _called(self, trial: Trial, folder: Path, executable: bool) -> tuple[int | None, str, str]:
+        """Exit status of the command, None where it was killed for taking too long, and what it printed."""
+        pipes = [os.pipe() for _ in range(2)]
         process = os.fork()
         if process == 0:
             try:
-                _child(trial, folder, executable)
+                _child(trial, folder, executable, [write for _, write in pipes])
             finally:
                 os._exit(70)
-        end = time.monotonic() + self.limit_s
-        while time.monotonic() < end:
+        for _, write in pipes:
+            os.close(write)
+        printed = {read: b"" for read, _ in pipes}
+        end, status, ended = time.monotonic() + self.limit_s, 0, 0
+        while not ended and time.monotonic() < end:
             ended, status = os.waitpid(process, os.WNOHANG)
-            if ended:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process, signal.SIGKILL)  # what it left running
-                return os.waitstatus_to_exitcode(status)
-            time.sleep(0.01)
+            self._read(printed, 0.01 if not ended else 0.0)
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process, signal.SIGKILL)
-        os.waitpid(process, 0)
-        return None
+            os.killpg(process, signal.SIGKILL)  # or what it left running
+        if not ended:
+            os.waitpid(process, 0)
+        self._read(printed, 0.0)
+        out, err = (printed[read].decode("utf-8", "replace") for read, _ in pipes)
+        for read, _ in pipes:
+            os.close(read)
+        return os.waitstatus_to_exitcode(status) if ended else None, out, err
+
+    @staticmethod
+    def _read(printed: dict[int, bytes], wait_s: float) -> None:
+        """Add what the pipes hold."""
+        while ready := select.select(list(printed), [], [], wait_s)[0]:
+            pieces = {read: os.read(read, 65536) for read in ready}
+            printed.update({read: printed[read] + piece for read, piece in pieces.items()})
+            if not all(pieces.values()):  # closed
+                time.sleep(wait_s)
+                return
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -148,11 +163,11 @@ def _digest(entry: Path) -> str:
     return hashlib.sha256(entry.read_bytes()).hexdigest()
 
 
-def _child(trial: Trial, folder: Path, executable: bool) -> None:
+def _child(trial: Trial, folder: Path, executable: bool, pipes: list[int]) -> None:
     os.setsid()
     os.chdir(folder)
-    for number, name in ((1, "out"), (2, "err")):
-        os.dup2(os.open(folder.parent / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+    for number, pipe in enumerate(pipes, start=1):
+        os.dup2(pipe, number)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     (folder.parent / "home").mkdir(exist_ok=True)
     os.environ["HOME"] = str(folder.parent / "home")
