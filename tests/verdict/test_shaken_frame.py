@@ -59,9 +59,12 @@ def test_a_good_record_has_no_fault_in_its_own_frame_and_one_in_the_other(struct
     assert np.mean(left**2) > 0.05 * np.mean(record.acceleration**2)
 
 
-def test_the_prediction_of_a_linear_frame_is_its_response():
-    found = measured(snr_db=None)
-    response, truth = predicted(LINEAR, found.record).response, found.truth.response
+@pytest.mark.parametrize("frame", ["absolute", "relative"])
+@pytest.mark.parametrize("influence", [None, np.array([1.0, 0.5, 0.0])], ids=["all", "in_part"])
+def test_the_prediction_of_a_linear_frame_is_its_response(influence, frame):
+    structure = replace(LINEAR, influence=influence)
+    found = measured(structure, frame, snr_db=None)
+    response, truth = predicted(structure, found.record).response, found.truth.response
     later = slice(1000, 1500)  # what is left of the free decays has died out
     for quantity in ("displacement", "acceleration"):
         given, expected = getattr(response, quantity)[later], getattr(truth, quantity)[later]

@@ -87,7 +87,7 @@ def response_figure(
         for column, quantity in enumerate(QUANTITIES):
             _draw_column(panels[: len(dofs), column], sources, quantity, dofs)
         if shaken:
-            _draw_ground(panels[-1], sources)
+            _draw_ground(panels[-2:], sources)
         for row, dof in enumerate(dofs):
             panels[row, 0].set_ylabel(f"DOF {dof + 1}" + ("" if record.observed[dof] else "*"))
         figure.align_ylabels(list(panels[: len(dofs), 0]))
@@ -138,12 +138,18 @@ def _draw_column(panels: np.ndarray, sources: _Sources, quantity: str, dofs: lis
     panels[-1].set_xlabel(r"Time $t$ (s)", labelpad=2)
 
 
-def _draw_ground(row: np.ndarray, sources: _Sources) -> None:
-    """The ground's acceleration below those of the DOFs; the other panels of the row stay empty."""
+def _draw_ground(rows: np.ndarray, sources: _Sources) -> None:
+    """The ground's acceleration in the last row, below those of the DOFs; its other panels stay empty."""
     column = QUANTITIES.index("acceleration")
-    for axes in row[np.arange(len(row)) != column]:
-        axes.set_axis_off()
-    _draw_column(row[column : column + 1], sources, GROUND, [0])
+    above, axes = rows[:, column]
+    for empty in rows[-1, np.arange(len(QUANTITIES)) != column]:
+        empty.set_axis_off()
+    _draw_column(rows[-1:, column], sources, GROUND, [0])
+    # There is no room between panels for a title and the times, which stand below.
+    axes.text(0.03, 0.93, axes.get_title(), transform=axes.transAxes, va="top", fontsize=7)
+    axes.set_title("")
+    above.tick_params(labelbottom=False)
+    above.set_xlabel("")
 
 
 def _limits(sources: _Sources, quantity: str, dof: int) -> tuple[float, float]:
