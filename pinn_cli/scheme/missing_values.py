@@ -20,23 +20,29 @@ def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> N
     Raises:
         InputError: Naming ``system.<kind>`` of what is neither given nor unknown.
     """
-    missing: dict[str, list[str]] = {}
+    missing: dict[str, list[Parameter]] = {}
     for parameter in prescribed.every_parameter():
         if parameter not in unknown and math.isnan(parameter.prescribed):
-            missing.setdefault(parameter.kind, []).append(parameter.name)
+            missing.setdefault(parameter.kind, []).append(parameter)
     if not missing:
         return
-    settings = ", ".join(f"system.{kind}" for kind in missing)
-    units = ", ".join(f"{kind} in {prescribed.units[kind]}" for kind in missing)
-    names = ", ".join(_shown(names) for names in missing.values())
+    every = [parameter for parameters in missing.values() for parameter in parameters]
+    settings = ", ".join(dict.fromkeys(prescribed.labels.setting(parameter) for parameter in every))
+    units = ", ".join(dict.fromkeys(f"{p.kind} in {p.unit}" for p in every))
+    named = bool(prescribed.labels.connections)
+    names = ", ".join(_shown([p.name for p in ps], named) for ps in missing.values())
+    given = "a number" if named else f"a number or a list of {prescribed.ndof}"
     raise InputError(
         settings,
         "(nothing)",
-        f"your structure's own, each a number or a list of {prescribed.ndof} ({units})",
+        f"your structure's own, each {given} ({units})",
         f"a measured record takes no value of the demonstration's. If {names} are unknown, name them in scheme.unknown"
         " of scheme=state_parameter or bayesian",
     )
 
 
-def _shown(names: list[str]) -> str:
+def _shown(names: list[str], named: bool) -> str:
+    """Numbered parameters as a range; those that have names of their own one by one."""
+    if named:
+        return ", ".join(names)
     return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}" if len(names) > 2 else ", ".join(names)

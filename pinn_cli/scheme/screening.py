@@ -1,4 +1,4 @@
-"""Where unknown masses and stiffnesses may start: linear chains that make of the measured force what the sensors saw.
+"""Where unknown masses and springs may start: linear structures that make of the measured force what the sensors saw.
 
 Springs that are not linear count as the linear ones that come nearest. The misfit is smoothed over frequency, widely at
 first: where a resonance lies next to the measured one, smoothing lets the two overlap, and the way downhill leads from
@@ -45,7 +45,7 @@ class Candidate:
     """A linear chain that may be the measured one.
 
     Attributes:
-        parameters: ``m``, ``c``, ``k`` to (n,).
+        parameters: ``m`` to (n,); ``c``, ``k`` to (C,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
     """
 
@@ -60,14 +60,14 @@ def screened(
 
     Args:
         record: What was measured.
-        stretch: (n, n), row i: which displacements stretch connection i.
-        known: ``m``, ``c``, ``k`` to (n,), NaN where unknown.
-        guess: ``m``, ``k`` to (n,), where the unknown ones may be: their ratios count, and one start is the guess.
+        stretch: (C, n), row i: which displacements stretch connection i.
+        known: ``m`` to (n,), ``c`` and ``k`` to (C,), NaN where unknown.
+        guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
     """
     spectra = CrossSpectra.of(record)
     if spectra is None or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
         return []
-    model = LinearFit(spectra, stretch, known)
+    model = LinearFit(spectra, stretch, known, guess["k"])
     starts = _starts(model, record, guess)
     found: list[tuple[float, np.ndarray]] = []
     for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
@@ -81,15 +81,19 @@ def screened(
 
 
 class LinearFit:
-    """Masses, stiffnesses and the damping of a chain as logarithms, and the misfit of its frequency response.
+    """Masses, stiffnesses and the damping of a structure as logarithms, and the misfit of its frequency response.
 
     Args:
         spectra: Of the record.
         stretch, known: See :func:`screened`.
+        typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
     """
 
-    def __init__(self, spectra: CrossSpectra, stretch: np.ndarray, known: Mapping[str, np.ndarray]) -> None:
+    def __init__(
+        self, spectra: CrossSpectra, stretch: np.ndarray, known: Mapping[str, np.ndarray], typical: np.ndarray
+    ) -> None:
         self.spectra, self.known = spectra, known
+        self.end, self.typical = last_ends(stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
         self.damped = len(self.free["c"]) > 0
         self.stretch = stretch
@@ -109,7 +113,7 @@ class LinearFit:
         self.size = float(np.sum(np.abs(self.common) ** 2))
 
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """The vector of unknowns at given masses and stiffnesses, each (n,)."""
+        """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
         m, k = (
             np.where(np.isnan(self.known[kind]), value, self.known[kind])
             for kind, value in (("m", mass), ("k", stiffness))
@@ -118,13 +122,13 @@ class LinearFit:
         return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping))
 
     def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """``m``, ``c``, ``k`` (n,) at the unknowns x; unknown dampers have one damping ratio."""
+        """``m`` (n,), ``c`` and ``k`` (C,) at the unknowns x; unknown dampers have one damping ratio."""
         m, k, c = (self.known[kind].copy() for kind in ("m", "k", "c"))
         split = len(self.free["m"])
         m[self.free["m"]] = np.exp(x[:split])
         k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
         if self.damped:
-            critical = 2.0 * np.sqrt(np.maximum(k, 1e-300) * m)
+            critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
             c[self.free["c"]] = np.exp(x[-1]) * critical[self.free["c"]]
         return {"m": m, "c": c, "k": k}
 
@@ -153,7 +157,7 @@ class LinearFit:
     def _residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
         s, p = self.spectra, self.parameters(x)
-        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, n)
+        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
         stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
         stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
         flexibility = np.linalg.inv(stiffness)
@@ -168,8 +172,9 @@ class LinearFit:
         pull, stretched = seen @ self.stretch.T, self.stretch @ driven
         for dof in self.free["m"]:
             slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
-            if dof in self.free["c"]:  # critical damping grows with the mass
-                slope = slope - 0.5j * s.omega[:, None, None] * p["c"][dof] * pull[:, :, [dof]] * stretched[:, [dof]]
+            # Critical damping grows with the mass.
+            for i in self.free["c"][self.end[self.free["c"]] == dof]:
+                slope = slope - 0.5j * s.omega[:, None, None] * p["c"][i] * pull[:, :, [i]] * stretched[:, [i]]
             by.append(slope)
         for i in self.free["k"]:
             rate = p["k"][i] * (1.0 + LEAST_LOSS * 1j) + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
@@ -178,6 +183,12 @@ class LinearFit:
             c = self.free["c"]
             by.append(-1j * s.omega[:, None, None] * (pull[:, :, c] * p["c"][c]) @ stretched[:, c])
         return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
+
+
+def last_ends(stretch: np.ndarray) -> np.ndarray:
+    """(C,), of every connection, a row of (C, n), the last coordinate that stretches it; of a chain its own mass."""
+    last: np.ndarray = stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)
+    return last
 
 
 def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:

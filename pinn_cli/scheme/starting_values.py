@@ -25,16 +25,27 @@ def parameter_scales(structure: Structure, record: Record) -> dict[str, float]:
     force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0
     # Without a load cell there is no force to compare with: newtons then have no scale but one kilogram's.
     force = force if force > 0 else size["acceleration"]
-    u, v = (np.full(record.ndof, size[quantity]) for quantity in ("displacement", "velocity"))
-    scales = {}
-    for kind in structure.parameters:
-        if kind == "m":
-            scales[kind] = force / size["acceleration"]
-            continue
-        alone = {name: np.full(record.ndof, float(name == kind)) for name in structure.parameters}
-        per_unit = abs(float(structure.connection_force(u, v, alone)[0]))
+    scales = {"m": force / size["acceleration"]}
+    for kind, alone in unit_forces(structure, size["displacement"], size["velocity"]).items():
+        per_unit = float(alone.max())
         scales[kind] = force / per_unit if per_unit > 0 else 1.0
     return scales
+
+
+def unit_forces(structure: Structure, elongation: float, rate: float) -> dict[str, np.ndarray]:
+    """Kind of the connections' parameters to the size of the force that a value of one makes alone (members,), N.
+
+    Args:
+        structure: For its laws; its parameters are not read.
+        elongation: Of every connection, m.
+        rate: Of it, m/s.
+    """
+    e, de = (np.full(structure.incidence.shape[0], value) for value in (elongation, rate))
+    forces = {}
+    for kind, members in structure.members.items():
+        alone = {name: np.full(len(other), float(name == kind)) for name, other in structure.parameters.items()}
+        forces[kind] = np.abs(structure.connection_force(e, de, alone)[members])
+    return forces
 
 
 def starting_value(kind: str, scale: float) -> float:

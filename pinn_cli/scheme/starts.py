@@ -15,8 +15,8 @@ import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.screening import DAMPING, screened
-from pinn_cli.scheme.starting_values import parameter_scales, starting_value
+from pinn_cli.scheme.screening import DAMPING, last_ends, screened
+from pinn_cli.scheme.starting_values import parameter_scales, starting_value, unit_forces
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
@@ -80,7 +80,7 @@ def parameter_starts(
 
 
 def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
-    """``m``, ``c``, ``k`` to (n,), NaN where unknown."""
+    """``m`` to (n,), ``c`` and ``k`` to (C,), NaN where unknown."""
     known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
     for parameter in unknown:
         if parameter.kind in known:
@@ -91,7 +91,7 @@ def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, n
 def _guess(
     prescribed: Structure, record: Record, unknown: Collection[Parameter], given: Mapping[Parameter, float]
 ) -> dict[str, np.ndarray]:
-    """Masses and stiffnesses (n,) that have the right ratios as far as anybody has said something about them."""
+    """Masses (n,) and stiffnesses (C,) with the right ratios, as far as anybody has said something about them."""
     scales = parameter_scales(prescribed, record)
     out = {}
     for kind in ("m", "k"):
@@ -118,10 +118,11 @@ def _starts(
     linear: Mapping[str, np.ndarray],
 ) -> dict[Parameter, Start]:
     scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
-    out = {}
+    out, springs = {}, unit_forces(prescribed, size, 0.0)
     # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
     typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
-    damping = DAMPING * 2.0 * np.sqrt(linear["m"] * np.maximum(np.abs(linear["k"]), typical["k"]))
+    mass = linear["m"][last_ends(prescribed.incidence.matrix.toarray())]
+    damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), typical["k"]))
     for parameter in unknown:
         kind, index = parameter.kind, parameter.index
         remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
@@ -136,9 +137,10 @@ def _starts(
             out[parameter] = Start(value, max(abs(value), float(damping[index])))
         else:
             value = given.get(parameter, starting_value(kind, scales[kind]))
-            # A cubic spring as strong as the linear one beside it, at the motion that there is.
-            stiffness = max(float(abs(linear["k"][index])), typical["k"])
-            scale = stiffness / size**2 if kind == "kappa" else scales[kind]
+            # A spring as strong as the linear one beside it, at the motion that there is.
+            stiffness = max(float(abs(linear["k"][prescribed.members[kind][index]])), typical["k"])
+            per_unit = springs[kind][index]
+            scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
             out[parameter] = Start(value, max(abs(value), scale))
     return out
 

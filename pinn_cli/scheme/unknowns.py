@@ -6,14 +6,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
+import numpy as np
+
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 # Kinds that cannot be negative unless the user says otherwise.
-POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n")
+POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c")
+# In a message.
+NAMES_SHOWN = 16
 
 
 def all_names(structure: Structure) -> dict[str, Parameter]:
@@ -28,15 +34,20 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
         structure: The prescribed model.
         record: What the estimator sees.
         unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
-            the nonlinear parameter of every connection whose DOF has no sensor (paper, section 4.2).
+            the nonlinear parameters of every connection that ends at a DOF without a sensor. Of a chain: connection i
+            if DOF i has none (paper, section 4.2).
 
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
     """
     names = all_names(structure)
     if unknown is None:
-        kinds = {"k", *structure.parameters} - {MASS, "c"}
-        chosen = {name for name, p in names.items() if p.kind in kinds and not record.observed[p.index]}
+        hidden = _hidden_connections(structure, record)
+        chosen = {
+            name
+            for name, p in names.items()
+            if p.kind not in (MASS, "c") and hidden[structure.members[p.kind][p.index]]
+        }
         if not chosen:
             raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
     else:
@@ -50,13 +61,41 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
     return found
 
 
+def _hidden_connections(structure: Structure, record: Record) -> np.ndarray:
+    """(C,) bool: those that end at a DOF without a sensor; of a chain DOF i counts as the end of connection i alone."""
+    stretch = structure.incidence.matrix
+    if stretch.shape[0] == stretch.shape[1] and (stretch != Incidence.chain(structure.ndof).matrix).nnz == 0:
+        return ~record.observed
+    hidden: np.ndarray = abs(stretch) @ ~record.observed > 0
+    return hidden
+
+
 def _matching(pattern: Any, structure: Structure, names: Mapping[str, Parameter], setting: str) -> list[str]:
-    found = [name for name in names if isinstance(pattern, str) and fnmatchcase(name, pattern)]
+    """Names that a name or a pattern means. ``k_*`` means every k and no k_2: what stands before the _ is a kind."""
+    if isinstance(pattern, str) and pattern in names:
+        return [pattern]
+    found = []
+    if isinstance(pattern, str):
+        kinds = [kind for kind in structure.parameters if pattern.startswith(f"{kind}_")]
+        found = [
+            name
+            for name, p in names.items()
+            if (p.kind in kinds and fnmatchcase(name, pattern) and fnmatchcase(p.whose, pattern[len(p.kind) + 1 :]))
+            or (not kinds and fnmatchcase(name, pattern))
+        ]
     if not found:
-        kinds = ", ".join(structure.parameters)
-        allowed = f"one of {kinds} with _1 to _{structure.ndof}, or a pattern such as k_* (any connection)"
-        raise InputError(setting, pattern, allowed, f"the estimator's model is a {structure.nonlinearity_name} chain")
+        raise InputError(setting, pattern, *_allowed(pattern, structure, names))
     return found
+
+
+def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter]) -> tuple[str, str]:
+    """What a name of a parameter may be, and the likely cause of another one."""
+    if structure.labels.connections:
+        shown = ", ".join([*list(names)[:NAMES_SHOWN], *(["..."] if len(names) > NAMES_SHOWN else [])])
+        return f"one of {shown}, or a pattern such as k_* (any connection)", suggestion(str(pattern), names)
+    kinds = ", ".join(structure.parameters)
+    allowed = f"one of {kinds} with _1 to _{structure.ndof}, or a pattern such as k_* (any connection)"
+    return allowed, f"the estimator's model is a {structure.nonlinearity_name} chain"
 
 
 def _check_touched(parameter: Parameter, structure: Structure, record: Record) -> None:
@@ -111,7 +150,7 @@ def initial_values(
 
 
 def parameters_called(key: str, structure: Structure, setting: str) -> list[Parameter]:
-    """The parameters that a kind (``k``: all connections), a name or a pattern means, in the chain's order.
+    """The parameters that a kind (``k``: all connections), a name or a pattern means, in the structure's order.
 
     None, for a kind that this chain lacks and another nonlinearity has.
 
@@ -121,8 +160,9 @@ def parameters_called(key: str, structure: Structure, setting: str) -> list[Para
     if key in (*LINEAR_UNITS, "kappa", "mu") and key not in structure.parameters:
         return []
     names = all_names(structure)
-    pattern = f"{key}_*" if key in structure.parameters else key
-    return [names[name] for name in _matching(pattern, structure, names, setting)]
+    if key in structure.parameters and key not in names:
+        return [parameter for parameter in names.values() if parameter.kind == key]
+    return [names[name] for name in _matching(key, structure, names, setting)]
 
 
 def checked_positive(positive: Any) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -58,20 +59,27 @@ class Parameter:
     prior: Prior | None = field(default=None, compare=False)
 
     @property
+    def whose(self) -> str:
+        """Name or number of its mass or connection."""
+        return self.label or str(self.index + 1)
+
+    @property
     def owner(self) -> str:
         """Whose it is, as people say it: ``DOF 2``, ``connection 2``."""
-        return f"{'DOF' if self.kind == MASS else 'connection'} {self.label or self.index + 1}"
+        return f"{'DOF' if self.kind == MASS else 'connection'} {self.whose}"
 
     @property
     def name(self) -> str:
         """As tables print it: ``k_2``."""
-        return f"{self.kind}_{self.label or self.index + 1}"
+        return f"{self.kind}_{self.whose}"
 
     @property
     def symbol(self) -> str:
-        """As mathematics, for matplotlib."""
-        number = self.index + 1 if not self.label else rf"\mathrm{{{self.label}}}"
-        return rf"${letter(self.kind)}_{{{number}}}$"
+        """As mathematics, for matplotlib: ``k_2`` of connection 3 has both numbers below the letter."""
+        kind, _, order = self.kind.partition("_")
+        whose = upright(self.label) if self.label else self.whose
+        below = f"{upright(order)},{whose}" if order else whose
+        return rf"${letter(kind)}_{{{below}}}$"
 
     @property
     def lower(self) -> float:
@@ -89,8 +97,15 @@ class Parameter:
 
 
 def letter(kind: str) -> str:
-    """A kind of parameter as mathematics, without dollar signs: ``kappa`` is a Greek letter."""
-    return rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else rf"\mathrm{{{kind}}}"
+    """A kind of parameter as mathematics, without dollar signs: ``kappa`` is a Greek letter, ``k_2`` has an index."""
+    kind, _, below = kind.partition("_")
+    symbol = rf"\{kind}" if kind in _GREEK else kind if len(kind) == 1 else upright(kind)
+    return rf"{symbol}_{{{upright(below)}}}" if below else symbol
+
+
+def upright(word: str) -> str:
+    """A word within mathematics; what is a sign there, such as _, is a letter."""
+    return r"\mathrm{" + re.sub(r"([_%#&])", r"\\\1", word) + "}"
 
 
 class ParameterVector(Generic[T]):

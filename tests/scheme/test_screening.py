@@ -82,12 +82,20 @@ def test_nothing_is_screened_without_all_forces_or_without_anything_unknown():
     assert screened(made.record, STRETCH, known(made, "c"), guess(made)) == []
 
 
-def test_slopes_of_the_misfit_are_those_of_its_values():
+# The chain with a brace from the ground to the second mass, a tie from the first to the third, and a bare damper.
+BRACED = np.vstack([STRETCH, [[0.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.8, 0.0, -0.6]]])
+
+
+@pytest.mark.parametrize("stretch", [STRETCH, BRACED], ids=["chain", "braced"])
+def test_slopes_of_the_misfit_are_those_of_its_values(stretch):
     made = linear(sensors=(("acceleration", (1, 3)), ("displacement", (2,))))
-    fit = LinearFit(CrossSpectra.of(made.record), STRETCH, known(made, "m", "c", "k"))
-    x = fit.start(*(guess(made, k=1.3)[kind] for kind in ("m", "k")))
+    free, count = known(made, "m", "c", "k"), len(stretch)
+    stiffness = 1.3 * np.resize(guess(made)["k"], count)
+    free |= {"c": np.full(count, np.nan), "k": np.where(np.arange(count) < 5, np.nan, 0.0)}
+    fit = LinearFit(CrossSpectra.of(made.record), stretch, free, stiffness)
+    x = fit.start(guess(made)["m"], stiffness)
     _, slopes = fit._residual(x, slopes=True)
-    assert slopes.shape[-1] == len(x) == 7
+    assert slopes.shape[-1] == len(x) == 3 + min(count, 5) + 1
     for i, move in enumerate(1e-6 * np.eye(len(x))):
         ends = [fit._residual(x + s * move, slopes=False)[0] for s in (1.0, -1.0)]
         rise = (ends[0] - ends[1]) / 2e-6

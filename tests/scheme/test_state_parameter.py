@@ -116,9 +116,9 @@ def test_starting_values_from_the_record_scale_with_it(measurements):
     weak, strong = (scheme.problem(c, scheme.observe(r)) for c, r in ((structure, record), (heavy, stronger)))
     for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
         # They come from an iterative fit.
-        assert b.prescribed == pytest.approx(1000.0 * a.prescribed, rel=1e-3)
-        assert b.prior_std == pytest.approx(1000.0 * a.prior_std, rel=1e-3)
-        assert b.step == pytest.approx(1000.0 * a.step, rel=1e-3)
+        assert b.prescribed == pytest.approx(1000.0 * a.prescribed, rel=3e-3)
+        assert b.prior_std == pytest.approx(1000.0 * a.prior_std, rel=3e-3)
+        assert b.step == pytest.approx(1000.0 * a.step, rel=3e-3)
         assert a.prior_std > 0
     assert {p.kind for p in weak.uncertain if p.prescribed == 0.0} == {"kappa"}
 
