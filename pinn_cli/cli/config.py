@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pinn_cli.cli.dof_names import in_names, named, numbered
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.memory import keep_freed_memory, leave_without_collecting
 from pinn_cli.runs.resume import ALLOWED, NEVER
@@ -146,6 +147,7 @@ class RunConfig:
         _check_available(device)
         model_error = build(config.model_error, "model_error")
         structure = _structure(config)
+        config = numbered(config, structure.labels)
         source = _source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name) for name in names}
@@ -294,15 +296,16 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
     from pinn_cli.record.size import check_size
 
     if not _is_simulated(config):
-        measured = build(config.data, "data", base=base)
+        with in_names(structure.labels):
+            measured = build(config.data, "data", base=base)
         if model_error.name != "none":
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"
             raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
-        return Source(lambda true: measured.measure(true.ndof), simulated=False, snr_db=None)
+        return Source(lambda true: named(measured.measure, true.ndof, true.labels), simulated=False, snr_db=None)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)
     span = {"ndof": structure.ndof, "duration": simulation.duration, "samples": simulation.samples}
     excitation = build(config.excitation, "excitation", base=base, **span)
     simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
-    return Source(simulated.measure, simulated=True, snr_db=noise.snr_db)
+    return Source(lambda true: named(simulated.measure, true, true.labels), simulated=True, snr_db=noise.snr_db)

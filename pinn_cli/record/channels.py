@@ -29,23 +29,28 @@ class Channel:
         quantity: displacement, velocity, acceleration, force or ground_acceleration.
         dof: Counted from 0; `GROUND_DOF` of the ground.
         measured: (N,), in the quantity's unit.
+        label: What the user calls the DOF; "": its number.
     """
 
     quantity: str
     dof: int
     measured: np.ndarray
+    label: str = ""
 
     @property
     def name(self) -> str:
         """As sentences have it, the DOF counted from 1: ``acceleration of DOF 3``, ``ground acceleration``."""
-        if self.quantity == GROUND:
-            return "ground acceleration"
-        return f"{self.quantity} of DOF {self.dof + 1}"
+        return "ground acceleration" if self.quantity == GROUND else f"{self.quantity} of DOF {self.where}"
+
+    @property
+    def where(self) -> str:
+        """Name of the DOF, or its number, counted from 1."""
+        return self.label or str(self.dof + 1)
 
     @property
     def setting(self) -> str:
         """Where a user gave it: ``data.acceleration, DOF 3``."""
-        return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.dof + 1}"
+        return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.where}"
 
     @property
     def order(self) -> int:
@@ -72,7 +77,7 @@ def channels(
         excused: Names of channels that are left out.
     """
     every = [
-        Channel(quantity, int(dof), getattr(record, quantity)[:, dof])
+        Channel(quantity, int(dof), getattr(record, quantity)[:, dof], record.dof_name(int(dof)))
         for quantity in quantities
         if quantity != GROUND
         for dof in np.flatnonzero(record.sensors(quantity))

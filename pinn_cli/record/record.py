@@ -86,6 +86,7 @@ class Record:
         repeats: Where the histories are means of repeated measurements, how far those scattered.
         simulated: Whether a simulation of the configured structure made it. What is prescribed for an unknown parameter
             is then the truth, and to be forgotten; of a measured record it is what the user knows.
+        dofs: What the user calls the DOFs, n names; empty: they go by their numbers.
 
     Raises:
         InputError: No response sensor at all; a held force where the ground moves.
@@ -103,6 +104,7 @@ class Record:
     simulated: bool = False
     ground_acceleration: np.ndarray | None = None
     frame: Frame = "absolute"
+    dofs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):
@@ -155,6 +157,15 @@ class Record:
     def ndof(self) -> int:
         """Number of degrees of freedom."""
         return self.unforced.size
+
+    def dof_name(self, dof: int) -> str:
+        """What people call a DOF, counted from 0: its name, or its number from 1."""
+        return self.dofs[dof] if self.dofs else str(dof + 1)
+
+    def dof_names(self, dofs: Iterable[int]) -> str:
+        """Of several, with what they are: ``DOF 2``, ``DOFs roof, mezzanine``."""
+        names = [self.dof_name(int(dof)) for dof in dofs]
+        return f"DOF{'s' if len(names) > 1 else ''} {', '.join(names)}"
 
     @property
     def step(self) -> float:

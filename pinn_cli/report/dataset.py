@@ -45,11 +45,11 @@ def response_dataset(
         For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
         DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor) and ``displacement_free_run``
         (left out where there is none), and so on for velocity, acceleration and force (which has no free run), over
-        ``time`` (s) and ``dof`` (from 1, nearest the fixed end); last ``displacement_<name>`` of the baseline and
-        ``displacement_<name>_std``. Where the ground moves, ``ground_acceleration`` and the same of it over ``time``,
-        each left out where there is none. ``drift``, ``drift_std`` and, where known, ``drift_true`` over ``time`` and
-        ``connection`` (its name, or its number from 1). ``observed`` and ``unforced``: DOFs with a response sensor, and
-        those known to carry no force.
+        ``time`` (s) and ``dof`` (from 1, of a chain nearest the fixed end; ``dof_name`` where DOFs have names); last
+        ``displacement_<name>`` of the baseline and ``displacement_<name>_std``. Where the ground moves,
+        ``ground_acceleration`` and the same of it over ``time``, each left out where there is none. ``drift``,
+        ``drift_std`` and, where known, ``drift_true`` over ``time`` and ``connection`` (its name, or its number from
+        1). ``observed`` and ``unforced``: DOFs with a response sensor, and those known to carry no force.
     """
     variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
     for quantity in QUANTITIES:
@@ -75,7 +75,7 @@ def response_dataset(
     variables |= _of_the_ground(estimate, record, truth) | _of_the_connections(drifts)
     fixed = {
         "Conventions": "CF-1.11",
-        "title": "Estimated response of a chain of masses",
+        "title": "Estimated response of a structure",
         "intersample": record.intersample,
     }
     if record.ground_acceleration is not None:
@@ -136,9 +136,10 @@ def _observed(record: Record, quantity: str) -> np.ndarray:
 
 def _coordinates(record: Record, drifts: Drifts | None) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:
     dofs = np.arange(1, record.ndof + 1, dtype=np.int32)
-    coordinates = {
+    names = {"dof_name": ("dof", np.array(record.dofs, dtype=object), {"long_name": "name"})} if record.dofs else {}
+    coordinates = names | {
         "time": ("time", record.time, {"long_name": "time", "units": "s"}),
-        "dof": ("dof", dofs, {"long_name": "degree of freedom, 1 is nearest the fixed end", "units": "1"}),
+        "dof": ("dof", dofs, {"long_name": "degree of freedom, of a chain counted from the fixed end", "units": "1"}),
         "observed": ("dof", record.observed, {"long_name": "has a displacement, velocity or acceleration sensor"}),
         "unforced": ("dof", record.unforced, {"long_name": "is known to carry no force"}),
     }

@@ -63,10 +63,9 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         record: Whose force acts, and the motion of whose ground; what these do between the samples is the record's
             ``intersample``.
     """
-    unknown = np.flatnonzero(np.isnan(record.force).any(axis=0)) + 1
+    unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
     if unknown.size:
-        dofs = f"DOF{'s' if unknown.size > 1 else ''} {', '.join(map(str, unknown))}"
-        return FreeRun(None, f"the force on {dofs} is unknown, and a free run needs every force")
+        return FreeRun(None, f"the force on {record.dof_names(unknown)} is unknown, and a free run needs every force")
     structure = estimated_structure(prescribed, estimate.parameters)
     try:
         response = _simulated(structure, estimate, record)

@@ -122,13 +122,12 @@ def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: b
 
 def _check_sensors(record: Record) -> None:
     """Every connection's elongation and rate must be there, or its parameters are a guess."""
-    unseen = np.flatnonzero(~record.observed) + 1
+    unseen = np.flatnonzero(~record.observed)
     if unseen.size:
         hint = "scheme=state_parameter estimates hidden motion and unknown parameters together"
-        dofs = ", ".join(map(str, unseen))
-        raise InputError("scheme", "bayesian", f"a sensor on every DOF, and there is none on DOF {dofs}", hint)
+        allowed = f"a sensor on every DOF, and there is none on {record.dof_names(unseen)}"
+        raise InputError("scheme", "bayesian", allowed, hint)
     follows = record.sensors("displacement") | record.sensors("velocity")
-    for dof in np.flatnonzero(~follows) + 1:
-        log.warning(
-            "DOF %d has an accelerometer only: drift below its noise leaves stiffness and damping poorly known", dof
-        )
+    for dof in np.flatnonzero(~follows):
+        text = "DOF %s has an accelerometer only: drift below its noise leaves stiffness and damping poorly known"
+        log.warning(text, record.dof_name(int(dof)))

@@ -53,9 +53,9 @@ class Forecast(Validation):
 
     def check(self, problem: Problem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
-        unknown = np.flatnonzero(np.isnan(problem.record.force).any(axis=0)) + 1
+        unknown = np.flatnonzero(np.isnan(problem.record.force).any(axis=0))
         if unknown.size:
-            hint = f"that on DOF {', '.join(map(str, unknown))} is neither measured nor known to be zero"
+            hint = f"that on {problem.record.dof_names(unknown)} is neither measured nor known to be zero"
             raise InputError("validation", self.name, "used with a record whose forces are all known", hint)
         starts, length = self._starts(problem.record), self._length(problem.record)
         if min(length, starts[0]) < MINIMUM_SAMPLES:

@@ -66,7 +66,7 @@ class HeldOut(Validation):
             try:
                 found = setup.estimator.solve(reduced, setup.run)
             except DivergenceError as error:
-                reason = f"without the sensors of DOF {dof}: {error}"
+                reason = f"without the sensors of DOF {problem.record.dof_name(dof - 1)}: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
             rows += self._rows(problem.record, dof, found)

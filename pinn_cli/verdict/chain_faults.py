@@ -1,4 +1,4 @@
-"""What is wrong with the chain or with its clock: one mass, or the unit of the time axis.
+"""What is wrong with the structure or with its clock: one mass, or the unit of the time axis.
 
 Of the masses, all storeys and factors are simulated at once from the start of the record: first over a few periods of
 the first mode, where a factor that is some per cent off still shows, then over more of it around the best.
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
 # A highest natural frequency up to this times the Nyquist frequency may be seen in the record.
 SEEN = 1.3
-# Of a mass, from the least to the largest, 11 % apart: over ten periods the response of a chain whose frequency is 3 %
-# off is still half right.
+# Of a mass, from the least to the largest, 11 % apart: over ten periods the response of a structure whose frequency is
+# 3 % off is still half right.
 COARSE = np.geomspace(1 / 12, 12, 46)
 FINE = np.geomspace(1 / 1.12, 1.12, 17)
 PERIODS, MORE_PERIODS = 10.0, 40.0
@@ -42,7 +42,7 @@ FLOOR = 1e-3
 
 
 def time_unit_fault(structure: Structure, record: Record, excused: Sequence[str] = ()) -> Finding | None:
-    """The unit of time in which the chain predicts every sensor; None where seconds will do, or no unit does.
+    """The unit of time in which the structure predicts every sensor; None where seconds will do, or no unit does.
 
     Args:
         structure: Whose natural frequencies should be in the record's band, below its Nyquist frequency.
@@ -63,12 +63,12 @@ def time_unit_fault(structure: Structure, record: Record, excused: Sequence[str]
 
 def unit_finding(seconds: float, left: float) -> Finding:
     """That the unit of the time axis is so many seconds long."""
-    reason = f"the chain does what was measured if the time is in {UNITS[seconds]}"
+    reason = f"the structure does what was measured if the time is in {UNITS[seconds]}"
     return Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed", left)
 
 
 def in_band(structure: Structure, record: Record) -> bool:
-    """Whether the record is sampled fast enough for the chain, and long enough for a period of its first mode."""
+    """Whether the record is sampled fast enough for the structure, and long enough for a period of its first mode."""
     frequencies = modes_of(structure).natural_frequencies
     if not np.isfinite(frequencies).all():
         return False
@@ -102,14 +102,15 @@ def mass_fault(structure: Structure, record: Record, excused: Sequence[str] = ()
     left = worst_misfit(predicted(_with_mass(structure, dof, factor), record), excused)
     if left > REPRODUCED or left > MENDS_BY_MOVING * before:
         return None
-    return mass_finding(dof, float(structure.parameters["m"][dof]) * factor, factor, "the chain", left)
+    return mass_finding(structure, dof, factor, "the structure", left)
 
 
-def mass_finding(dof: int, mass: float, factor: float, which: str, left: float) -> Finding:
-    """That a chain with another mass of a DOF, counted from 0, does what was measured."""
-    name = f"m_{dof + 1}"
+def mass_finding(structure: Structure, dof: int, factor: float, which: str, left: float) -> Finding:
+    """That a structure with so many times the mass of a DOF, counted from 0, does what was measured."""
+    given = structure.parameter("m", dof)
+    name, mass = given.name, given.prescribed * factor
     reason = f"with {name} = {mass:.4g} kg, {factor:.3g} times what is prescribed, {which} does what was measured"
-    return Finding("mass", name, f"{reason}; check system.m", left=left)
+    return Finding("mass", name, f"{reason}; check {structure.labels.setting(given)}", left=left)
 
 
 def _with_mass(structure: Structure, dof: int, factor: float) -> Structure:

@@ -1,4 +1,4 @@
-"""What is wrong with a sensor, the ground's too, or with the force, where other channels call the chain right."""
+"""What is wrong with a sensor, the ground's too, or with the force, where other channels call the structure right."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _UNITS = {
 
 
 def channel_faults(prediction: Prediction, excused: Sequence[str] = ()) -> list[Finding]:
-    """The one channel, pair of channels or force whose mending makes the chain predict every sensor; else nothing.
+    """The one channel, pair of channels or force whose mending makes the structure predict every sensor; else nothing.
 
     Args:
-        prediction: Of a chain that may be right.
+        prediction: Of a structure that may be right.
         excused: Names of channels whose fault is known already, which are not compared.
     """
     found = comparisons(prediction, excused)
@@ -94,7 +94,7 @@ def _factor(c: Comparison) -> Finding | None:
         return None
     value, name = c.factor.value, c.channel.name
     kind, text = _factor_in_words(value, c.factor.std)
-    reason = f"the {name} is {text} what the chain does under the measured {c.acting}"
+    reason = f"the {name} is {text} what the structure does under the measured {c.acting}"
     return Finding(kind, name, f"{reason}; {_remedy(kind, c.channel.setting, value)}", left=c.factor.left)
 
 
@@ -149,7 +149,7 @@ def _common_fault(found: Sequence[Comparison]) -> Finding | None:
         return None
     name, setting = "ground acceleration", f"data.{GROUND}"
     if not shaken:
-        name, setting = f"force of DOF {', '.join(map(str, forced))}", "data.force"
+        name, setting = f"force of DOF {found[0].forced_names}", "data.force"
     value = float(np.median([f.value for f in factors]))
     if all(_off(c) for c in found) and all(abs(f.value / value - 1) < SAME for f in factors):
         left = max(f.left for f in factors)
@@ -181,7 +181,7 @@ def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
 
 def swap_finding(one: Channel, other: Channel, left: float) -> Finding:
     """That two channels are in each other's place."""
-    name = f"{one.quantity} of DOFs {one.dof + 1} and {other.dof + 1}"
+    name = f"{one.quantity} of DOFs {one.where} and {other.where}"
     return Finding("swap", name, f"the {name} fit each other's place; swap their columns", left=left)
 
 
@@ -195,16 +195,16 @@ def _misplaced(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     left, dof = min(tried, default=(np.inf, 0))
     if left > REPRODUCED or left > MENDS_BY_MOVING * one.misfit:
         return None
-    reason = f"the {one.channel.name} fits DOF {dof + 1}"
+    reason = f"the {one.channel.name} fits DOF {prediction.record.dof_name(dof)}"
     return Finding("misplaced", one.channel.name, f"{reason}; check where that sensor is mounted", left=left)
 
 
 def _odd_one_out(faulty: Sequence[Comparison], found: Sequence[Comparison]) -> list[Finding]:
-    """The one sensor that is not predicted by a chain that predicts at least two others."""
+    """The one sensor that is not predicted by a structure that predicts at least two others."""
     if len(faulty) != 1 or len(found) < 3:
         return []
     name = faulty[0].channel.name
-    reason = f"the {name} alone is not what the chain does under the measured {faulty[0].acting}"
+    reason = f"the {name} alone is not what the structure does under the measured {faulty[0].acting}"
     return [Finding("sensor", name, f"{reason}; check that sensor, or leave it out", left=faulty[0].misfit)]
 
 

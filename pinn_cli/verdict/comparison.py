@@ -1,4 +1,4 @@
-"""A measured channel against what a chain predicts for it: factor, delay, offset and what of the channel is left over.
+"""A measured channel against what a structure predicts for it: factor, delay, offset and what of it is left over.
 
 Free decays are taken out of both before: how the structure began is nobody's fault.
 """
@@ -58,6 +58,7 @@ class Comparison:
         force: (M, n), that the prediction is of, N.
         ground: Likewise the ground's acceleration (M,), m/s^2; None: at rest.
         step: From sample to sample, s.
+        dofs: Names of the DOFs; empty: they go by their numbers.
     """
 
     channel: Channel
@@ -68,6 +69,12 @@ class Comparison:
     force: np.ndarray
     step: float
     ground: np.ndarray | None = None
+    dofs: tuple[str, ...] = ()
+
+    @property
+    def forced_names(self) -> str:
+        """Names or numbers of the DOFs that carry a force: ``1, 3``."""
+        return ", ".join(self.dofs[dof - 1] if self.dofs else str(dof) for dof in self.forced)
 
     @property
     def forced(self) -> np.ndarray:
@@ -154,7 +161,8 @@ def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None)
     columns = columns - basis @ (basis.T @ columns)
     power = max(float(np.var(measured)), np.finfo(float).tiny)
     own, expected, constant = (np.ascontiguousarray(column) for column in columns.T)
-    return Comparison(channel, own, expected, constant, power, record.force, record.step, record.ground_acceleration)
+    acting = (record.force, record.step, record.ground_acceleration, record.dofs)
+    return Comparison(channel, own, expected, constant, power, *acting)
 
 
 def comparisons(prediction: Prediction, excused: Sequence[str] = ()) -> list[Comparison]:

@@ -1,7 +1,7 @@
 """The verdict on a run: sound, questionable or failed, and why. It sees record, problem and estimate, never the truth.
 
 Two layers. The numbers of the estimate say that something is wrong. Causes say what: a fault is named where mending it
-makes a chain, the estimated or the prescribed one, do under the measured force what every sensor measured.
+makes a structure, the estimated or the prescribed one, do under the measured force what every sensor measured.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ def judge(
         problem: That was solved.
         estimate: Its solution.
         baseline: Another estimator's solution of the same problem, where there is one.
-        free_run: The estimated chain's response to the measured force, where the caller has it already.
+        free_run: The estimated structure's response to the measured force, where the caller has it already.
     """
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
     own = record_faults(record)
     excused = [finding.suspect for finding in own]
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
-    findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline)
+    findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies:
         # A gain that believed parameters have made up for shows against the prescribed ones.
@@ -66,7 +66,7 @@ def judge(
 def _prediction(
     structure: Structure, record: Record, estimate: Estimate, free_run: Response | None
 ) -> Prediction | None:
-    """Of the estimated chain; a nonlinear one takes a second to simulate, which is saved where that was done."""
+    """Of the estimated structure; a nonlinear one takes a second to simulate, which is saved where that was done."""
     if free_run is not None and not is_linear(structure) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
         return Prediction(free_run, record, modes_of(structure))
     return predicted(structure, record, estimate.response.state(0))

@@ -80,7 +80,7 @@ class Modes:
         shaking = np.zeros((1, len(self.m)))
         if record.ground_acceleration is not None:
             shaking = rfft(record.ground_acceleration)[:, None] * self.with_ground
-        with np.errstate(divide="ignore", invalid="ignore"):  # a chain without stiffness has no answer to a mean force
+        with np.errstate(divide="ignore", invalid="ignore"):  # without stiffness there is no answer to a mean force
             u = ((acting / self.m - shaking) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
         v = s[:, None] * u
         a = (force - v @ self.C.T - u @ self.K.T) / self.m
@@ -106,5 +106,5 @@ class Modes:
 
 
 def modes_of(structure: Structure) -> Modes:
-    """Of the linear part of a chain."""
+    """Of the linear part of a structure."""
     return Modes.of(structure)

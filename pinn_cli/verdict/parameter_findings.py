@@ -108,24 +108,26 @@ def _frequencies(structure: Structure, record: Record) -> list[Finding]:
     frequencies = modes_of(structure).natural_frequencies
     nyquist, least = 0.5 / record.step, 1.0 / record.duration
     above, below = int(np.sum(frequencies > nyquist)), int(np.sum(frequencies < least))
-    of_chain, suspect = "natural frequencies of the estimated chain are", "natural frequencies"
+    of_structure, suspect = "natural frequencies of the estimated structure are", "natural frequencies"
     found = []
     if above:
-        text = f"{above} of {len(frequencies)} {of_chain} above the Nyquist frequency, {nyquist:.4g} Hz"
+        text = f"{above} of {len(frequencies)} {of_structure} above the Nyquist frequency, {nyquist:.4g} Hz"
         text += f" (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
         found.append(Finding("frequencies", suspect, text, failed_if(above == len(frequencies))))
     if below:
-        text = f"{below} {of_chain} below one period per record, {least:.4g} Hz; check the time axis and the units"
+        text = f"{below} {of_structure} below one period per record, {least:.4g} Hz; check the time axis and the units"
         found.append(Finding("frequencies", suspect, text, failed_if(below == len(frequencies))))
     if np.isnan(frequencies).any():
-        text = "the estimated chain is unstable: it has a negative stiffness"
+        text = "the estimated structure is unstable: it has a negative stiffness"
         found.append(Finding("frequencies", suspect, text, "failed"))
     return found
 
 
-def baseline_findings(estimate: Estimate, baseline: Estimate | None) -> list[Finding]:
+def baseline_findings(estimate: Estimate, baseline: Estimate | None, record: Record) -> list[Finding]:
     """Parameters and displacements that the two do not agree on; nothing without a baseline."""
-    return [] if baseline is None else _parameters_apart(estimate, baseline) + _displacements_apart(estimate, baseline)
+    if baseline is None:
+        return []
+    return _parameters_apart(estimate, baseline) + _displacements_apart(estimate, baseline, record)
 
 
 def _parameters_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
@@ -142,7 +144,7 @@ def _parameters_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
     return found
 
 
-def _displacements_apart(estimate: Estimate, baseline: Estimate) -> list[Finding]:
+def _displacements_apart(estimate: Estimate, baseline: Estimate, record: Record) -> list[Finding]:
     ours, theirs = estimate.response.displacement, baseline.response.displacement
     apart = np.sqrt(np.mean((ours - theirs) ** 2, axis=0))
     allowed = APART * np.sqrt(np.mean(estimate.std.displacement**2 + baseline.std.displacement**2, axis=0))
@@ -151,7 +153,7 @@ def _displacements_apart(estimate: Estimate, baseline: Estimate) -> list[Finding
     if not dofs.size:
         return []
     worst = int(dofs[np.argmax(apart[dofs] / size[dofs])])
-    named = ", ".join(str(dof + 1) for dof in dofs)
-    text = f"the displacement of DOF{'s' if dofs.size > 1 else ''} {named} is not the baseline's"
-    extent = f"{100 * apart[worst] / size[worst]:.0f} % of its rms apart on DOF {worst + 1}"
-    return [Finding("baseline", f"displacement of DOF {worst + 1}", f"{text}: {extent}; look at the free run")]
+    text = f"the displacement of {record.dof_names(dofs)} is not the baseline's"
+    place = f"DOF {record.dof_name(worst)}"
+    extent = f"{100 * apart[worst] / size[worst]:.0f} % of its rms apart on {place}"
+    return [Finding("baseline", f"displacement of {place}", f"{text}: {extent}; look at the free run")]

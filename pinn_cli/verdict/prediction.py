@@ -1,4 +1,4 @@
-"""What a chain does under the measured force and the ground's motion alone: no response sensor is looked at."""
+"""What a structure does under the measured force and the ground's motion alone: no response sensor is looked at."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Prediction:
     Attributes:
         response: (M, n) each, up to free decays.
         record: Its first M samples.
-        modes: Of the chain without its nonlinearity, whose free decays count as part of the prediction.
+        modes: Of the structure without its nonlinearity, whose free decays count as part of the prediction.
     """
 
     response: Response
@@ -42,7 +42,7 @@ class Prediction:
 
 
 def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
-    """The response of a chain to the record's force; None where a force is unknown or the chain is unstable.
+    """The response of a structure to the record's force; None where a force is unknown or the structure is unstable.
 
     Args:
         structure: Any. A linear one is solved in the frequency domain, exactly and in milliseconds; another one is
@@ -78,7 +78,7 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
 
 
 def is_linear(structure: Structure) -> bool:
-    """Whether every nonlinear parameter of a chain is zero."""
+    """Whether every nonlinear parameter of a structure is zero."""
     return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
 
 

@@ -1,7 +1,7 @@
 """Unknown stiffnesses once more, from nothing but spectra: where a fault has drawn the estimate away, causes need them.
 
-The chain without its nonlinearity is fitted to the shape of every channel's power spectrum over that of the force: a
-channel in another unit, with a gain, a sign or a delay has the same shape. A few steps on the histories follow.
+The structure without its nonlinearity is fitted to the shape of every channel's power spectrum over that of the force:
+a channel in another unit, with a gain, a sign or a delay has the same shape. A few steps on the histories follow.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
     from pinn_cli.verdict.finding import Finding
 
-# Free stiffnesses can make up for much: a cause must leave less than where the chain is prescribed, and this many times
-# less than the fit without it; a gain 15 % off leaves 0.02 where two channels disagree.
+# Free stiffnesses can make up for much: a cause must leave less than where the structure is prescribed, and this many
+# times less than the fit without it; a gain 15 % off leaves 0.02 where two channels disagree.
 LEFT, BETTER, GAIN_BETTER = 0.05, 4.0, 1.5
 # Pairs of sensors that are tried in each other's place, a second each.
 MOST_PAIRS = 10
@@ -32,7 +32,7 @@ LEAST_FACTOR = 1.3
 
 
 def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
-    """The one channel, mass or unit of time without which a chain with free stiffnesses does what was measured.
+    """The one channel, mass or unit of time without which a structure with free stiffnesses does what was measured.
 
     Args:
         problem: Some of whose stiffnesses are unknown; without any there is nothing to refit. A nonlinear chain's
@@ -49,7 +49,7 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
 
 @dataclass(frozen=True, eq=False)
 class _Refits:
-    """Fits of the chain's free stiffnesses to a record that is put right in one way or another."""
+    """Fits of the structure's free stiffnesses to a record that is put right in one way or another."""
 
     structure: Structure
     record: Record
@@ -78,7 +78,7 @@ class _Refits:
         return self.misfit_of(self.fitted(record), record)
 
     def misfit_of(self, structure: Structure | None, record: Record) -> float:
-        """The same of a chain; infinite without one."""
+        """The same of a structure; infinite without one."""
         return worst_misfit(None if structure is None else predicted(structure, record), self.excused)
 
     def channel(self, as_given: float) -> Finding | None:
@@ -121,6 +121,6 @@ class _Refits:
         left = self.misfit_of(fitted, self.record)
         if fitted is None or left > min(LEFT, as_given / BETTER):
             return None
-        value = float(fitted.parameters["m"][dof])
-        factor = value / float(self.structure.parameters["m"][dof])
-        return None if 1 / LEAST_FACTOR < factor < LEAST_FACTOR else mass_finding(dof, value, factor, "a chain", left)
+        factor = float(fitted.parameters["m"][dof]) / float(self.structure.parameters["m"][dof])
+        none = 1 / LEAST_FACTOR < factor < LEAST_FACTOR
+        return None if none else mass_finding(self.structure, dof, factor, "a structure", left)

@@ -1,4 +1,4 @@
-"""Sensors that the estimated chain, left to itself under the measured force, does not reproduce."""
+"""Sensors that the estimated structure, left to itself under the measured force, does not reproduce."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def sensor_findings(problem: Problem, estimate: Estimate, prediction: Prediction
     Args:
         problem: With the prescribed chain.
         estimate: With the noise levels and the parameters.
-        prediction: Of the estimated chain; None: it is unstable or too stiff, which is a finding where every force is
-            known.
+        prediction: Of the estimated structure; None: it is unstable or too stiff, which is a finding where every
+            force is known.
     """
     if prediction is None:
         if not np.isfinite(problem.record.force).all():
             return []
-        text = "the estimated chain is unstable or too stiff for a free run; check units, masses and the time axis"
+        text = "the estimated structure is unstable or too stiff for a free run; check units, masses and the time axis"
         return [Finding("free_run", "model", text, "failed")]
     every = comparisons(prediction)
     noise = {c.channel.name: _noise_share(c, estimate) for c in every}
@@ -97,7 +97,7 @@ def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) 
 
 
 def random_structure(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:
-    """The estimated chain with every parameter off by its standard deviation at random, correlations allowed for.
+    """The estimated structure with every parameter off by its standard deviation at random, correlations allowed for.
 
     Signs are kept: a stiffness that is known to itself has no negative values.
     """

@@ -43,7 +43,7 @@ def test_a_right_estimate_has_none(right_estimate):
     problem, estimate = right_estimate
     assert noise_findings(problem, estimate) == []
     assert of_parameters(problem, estimate) == of_sensors(problem, estimate) == []
-    assert baseline_findings(estimate, estimate) == []
+    assert baseline_findings(estimate, estimate, problem.record) == []
 
 
 @pytest.mark.parametrize(
@@ -171,11 +171,11 @@ def test_random_chains_scatter_by_the_standard_deviations(right_estimate):
 
 
 def test_a_baseline_that_differs(right_estimate):
-    _, estimate = right_estimate
+    problem, estimate = right_estimate
     other = with_parameter(estimate, "k_2", estimate=16.0)
-    assert kinds(baseline_findings(estimate, other)) == [("baseline", "k_2")]
-    assert baseline_findings(estimate, with_parameter(other, "k_2", std=0.5)) == []
+    assert kinds(baseline_findings(estimate, other, problem.record)) == [("baseline", "k_2")]
+    assert baseline_findings(estimate, with_parameter(other, "k_2", std=0.5), problem.record) == []
     displacement = estimate.response.displacement * np.array([1.0, 1.0, 1.5])
     moved = replace(estimate, response=replace(estimate.response, displacement=displacement))
-    assert kinds(baseline_findings(estimate, moved)) == [("baseline", "displacement of DOF 3")]
-    assert baseline_findings(estimate, None) == []
+    assert kinds(baseline_findings(estimate, moved, problem.record)) == [("baseline", "displacement of DOF 3")]
+    assert baseline_findings(estimate, None, problem.record) == []

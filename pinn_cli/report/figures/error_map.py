@@ -72,7 +72,8 @@ def _draw_map(figure: Figure, axes: Axes, record: Record, values: np.ndarray, qu
     bar.locator = MaxNLocator(5)
     axes.set_title(f"{quantity.capitalize()}: {meaning} ({style.unit(quantity, prefix)})", pad=4)
     axes.xaxis.set_major_locator(MaxNLocator(6))
-    axes.set_yticks(_dof_ticks(record.ndof))
+    ticks = _dof_ticks(record.ndof)
+    axes.set_yticks(ticks, [record.dof_name(dof - 1) for dof in ticks])
     axes.tick_params(direction="out")
 
 

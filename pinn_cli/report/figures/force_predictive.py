@@ -51,7 +51,9 @@ def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: n
         for panel, row in zip(panels, rows, strict=True):
             lines = (factor * line[window, row] for line in (observed, lower, median, upper))
             _draw(panel, time[window], *lines)
-            panel.set_ylabel(f"DOF {dofs[row]}: {style.SYMBOLS['force']} ({style.unit('force', prefix)})")
+            panel.set_ylabel(
+                f"DOF {record.dof_name(dofs[row] - 1)}: {style.SYMBOLS['force']} ({style.unit('force', prefix)})"
+            )
             share = f"band holds {100.0 * held[row]:.0f} % of the observations"
             panel.text(0.995, 0.96, share, transform=panel.transAxes, ha="right", va="top", fontsize=7)
         panels[-1].set_xlabel(r"Time $t$ (s)")

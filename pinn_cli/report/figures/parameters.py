@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 _ROW, _TOP, _BOTTOM = 2.3, 0.5, 0.39  # inch: of a row of panels, and of its legend and titles, its ticks and labels
 _LEFT, _RIGHT = 0.55, 0.08
+_NAMES, _LETTER = 0.12, 0.056  # inch: below the axis, and of each letter of the longest name that stands there
 # A start that lies further from all else in a panel than this many times its height would squash it: an arrow at the
 # edge points there instead.
 REACH = 1.0
@@ -46,13 +47,16 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str,
     rows = [row for row in (unknown, prescribed) if row]
     if not rows:
         raise ValueError("there is no estimated parameter that is unknown or has a prescribed value other than zero")
+    longest = max(len(given.parameter.label) for row in rows for group in row.values() for given in group)
     with style.look():
         width = min(1.2 + 2.0 * max(map(len, rows)), style.PAGE_WIDTH)
-        figure = Figure(figsize=(width, _ROW * len(rows)))
+        bottom = _BOTTOM if not longest else _NAMES + _LETTER * longest
+        height = _ROW + bottom - _BOTTOM
+        figure = Figure(figsize=(width, height * len(rows)))
         places = [figure] if len(rows) == 1 else np.asarray(figure.subfigures(len(rows), 1)).tolist()
         for place, row in zip(places, rows, strict=True):
-            margins = {"left": _LEFT / width, "right": 1.0 - _RIGHT / width, "bottom": _BOTTOM / _ROW, "wspace": 0.28}
-            grid = margins | {"top": 1.0 - _TOP / _ROW}
+            margins = {"left": _LEFT / width, "right": 1.0 - _RIGHT / width, "bottom": bottom / height, "wspace": 0.28}
+            grid = margins | {"top": 1.0 - _TOP / height}
             panels = place.subplots(1, len(row), squeeze=False, gridspec_kw=grid)[0]
             for axes, (kind, group) in zip(panels, row.items(), strict=True):
                 title = f"{group[0].parameter.title} ${letter(kind)}$".strip()
@@ -114,6 +118,7 @@ def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[s
     _dress(axes, connection)
     if len(connection) <= TICKS_IN_FULL:
         axes.set_xticks(connection)
+    _name_connections(axes, group)
     return prefix + unit
 
 
@@ -125,6 +130,7 @@ def _draw_changes(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[
     _draw_estimates(axes, _connections(group), estimate, lower, upper)
     _draw_truth(axes, _connections(group), truth)
     _dress(axes, _connections(group))
+    _name_connections(axes, group)
 
 
 def _values(group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> np.ndarray:
@@ -134,6 +140,9 @@ def _values(group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] |
 
 
 def _connections(group: Sequence[ParameterEstimate]) -> np.ndarray:
+    """Where the parameters of one kind stand on the axis: at their numbers, those with names side by side."""
+    if group[0].parameter.label:
+        return np.arange(1, len(group) + 1)
     return np.array([given.parameter.index + 1 for given in group])
 
 
@@ -179,6 +188,14 @@ def _point_to_start(axes: Axes, connection: np.ndarray, start: np.ndarray, arrow
                 f"{value:.4g}", (x, height), xycoords=axes.get_xaxis_transform(), xytext=(4, 0),
                 textcoords="offset points", va="center", fontsize=6.5, color=style.GREY,
             )  # fmt: skip
+
+
+def _name_connections(axes: Axes, group: Sequence[ParameterEstimate]) -> None:
+    """Names instead of numbers, upright so that long ones do not meet."""
+    names = [given.parameter.label for given in group]
+    if names[0]:
+        axes.set_xticks(_connections(group), names, rotation=90)
+        axes.set_xlabel("")
 
 
 def _dress(axes: Axes, connection: np.ndarray) -> None:

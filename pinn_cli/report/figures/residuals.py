@@ -82,7 +82,7 @@ def _draw_row(panels: np.ndarray, estimate: Estimate, record: Record, channel: C
     _draw_spectrum(spectrum, left, signal, sigma, record.step)
     spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
     _draw_correlation(correlation, left)
-    place = "ground" if channel.quantity == GROUND else f"DOF {channel.dof + 1}"
+    place = "ground" if channel.quantity == GROUND else channel.label if record.dofs else f"DOF {channel.where}"
     history.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {place}")
     error = nmse_percent(left, signal)
     if np.isfinite(error):

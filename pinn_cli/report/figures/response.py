@@ -89,7 +89,9 @@ def response_figure(
         if shaken:
             _draw_ground(panels[-2:], sources)
         for row, dof in enumerate(dofs):
-            panels[row, 0].set_ylabel(f"DOF {dof + 1}" + ("" if record.observed[dof] else "*"))
+            panels[row, 0].set_ylabel(
+                (record.dof_name(dof) if record.dofs else f"DOF {dof + 1}") + ("" if record.observed[dof] else "*")
+            )
         figure.align_ylabels(list(panels[: len(dofs), 0]))
         _legend(figure, sources, dofs, {"truth": truth_label, "baseline": name.replace("_", " ")})
     return figure

@@ -1,0 +1,84 @@
+"""Names of DOFs in settings: a structure whose coordinates have names takes those wherever a DOF is asked for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_whole_number
+from pinn_cli.settings.suggestion import suggestion
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Measurements
+    from pinn_cli.system.labels import Labels
+
+# Settings that are a map whose keys are DOFs, and those that are a list of DOFs.
+MAPS = ("data.force", "data.displacement", "data.velocity", "data.acceleration")
+LISTS = ("data.holdout", "excitation.dofs", "excitation.force.dofs", "scheme.unobserved", "validation.dofs")
+
+
+def numbered(config: DictConfig, labels: Labels) -> DictConfig:
+    """The configuration with the number, from 1, of every DOF that it names; as it is where DOFs have no names.
+
+    Args:
+        config: Of the run, without interpolations.
+        labels: Of the structure.
+
+    Raises:
+        InputError: Naming the setting: there is no such DOF, or it is there twice.
+    """
+    if not labels.dofs:
+        return config
+    plain: Any = OmegaConf.to_container(config)
+    for setting in (*MAPS, *LISTS):
+        *groups, last = setting.split(".")
+        node = plain
+        for group in groups:
+            node = node.get(group) if isinstance(node, dict) else None
+        if not isinstance(node, dict) or not isinstance(node.get(last), dict if setting in MAPS else list):
+            continue  # what is something else is refused by what reads it
+        given = node[last]
+        numbers = [_number(setting, dof, labels) for dof in given]
+        for i, number in enumerate(numbers):
+            if setting in MAPS and number in numbers[:i]:
+                raise InputError(setting, labels.dofs[number - 1], "there once only", "by its name or by its number")
+        node[last] = dict(zip(numbers, given.values(), strict=True)) if setting in MAPS else numbers
+    return OmegaConf.create(plain)
+
+
+def named(measure: Callable[[Any], Measurements], of: object, labels: Labels) -> Measurements:
+    """What ``measure`` makes of something, its record's DOFs with the names that the user has given them."""
+    with in_names(labels):
+        measured = measure(of)
+    return replace(measured, record=replace(measured.record, dofs=labels.dofs))
+
+
+@contextmanager
+def in_names(labels: Labels) -> Iterator[None]:
+    """Errors about `data.acceleration.3` name the DOF as the user does, within the block."""
+    try:
+        yield
+    except InputError as error:
+        known = rf"({'|'.join(map(re.escape, MAPS))})\.(\d+)"
+        match = re.fullmatch(known, error.setting)
+        if match is None or not labels.dofs or not 1 <= int(match[2]) <= len(labels.dofs):
+            raise
+        setting = f"{match[1]}.{labels.dofs[int(match[2]) - 1]}"
+        raise InputError(setting, error.value, error.allowed, error.hint) from None
+
+
+def _number(setting: str, dof: object, labels: Labels) -> int:
+    names, count = labels.dofs, len(labels.dofs)
+    if isinstance(dof, str) and dof in names:
+        return names.index(dof) + 1
+    number = int(dof) if isinstance(dof, str) and dof.isdecimal() else dof
+    if is_whole_number(number) and 1 <= number <= count:  # type: ignore[operator]
+        return int(number)  # type: ignore[call-overload]
+    allowed = f"one of the DOFs {', '.join(names)}, or its number from 1 to {count}"
+    raise InputError(setting, dof, allowed, suggestion(str(dof), names))
