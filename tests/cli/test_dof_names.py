@@ -100,7 +100,14 @@ def test_what_a_run_leaves_behind_has_the_names(pinn_run: PinnRun) -> None:
     assert {"k_storey_1", "k_brace", "c_storey_3"} <= set(parameters)
     assert {"dof_1", "dof_3"} <= set(pd.read_csv(outcome.directory / "fitness.csv")["group"])
     drawn = {figure.name for figure in (outcome.directory / "figures").iterdir()}
-    assert {"response.png", "parameters.pdf", "residuals.png", "error_map.png"} <= drawn
+    assert {
+        "structure.png",
+        "structure.pdf",
+        "response.png",
+        "parameters.pdf",
+        "residuals.png",
+        "error_map.png",
+    } <= drawn
 
 
 def test_sentences_of_the_verdict_have_the_names(pinn_run: PinnRun, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pinn_cli.report.figures.parameters import parameters_figure
 from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure, rank_figure, trace_figure
 from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
+from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.parameters import any_unknown
 from pinn_cli.report.posterior import worst_sampled
@@ -43,6 +44,8 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
         "error_map": error_map_figure(estimate, record, truth.response),
         "drift": drift_figure(Drifts.of(results.prescribed, estimate, truth.response), run.truth_label),
     }
+    if results.prescribed.labels.connections:
+        figures["structure"] = structure_figure(results.prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         figures["history"] = history_figure(estimate.history)
     if any(given.prescribed or given.unknown for given in estimate.parameters):
