@@ -62,7 +62,7 @@ def structure_figure(structure: Structure) -> Figure:
         for connection, line in zip(connections, lines, strict=True):
             _draw_connection(axes, connection, line, layout, colours[connection.law], taken, few)
         _draw_masses(axes, structure, layout, few)
-        _draw_ground(axes, layout)
+        _draw_ground(axes, layout, [line[0, 0] for line in lines if line is not None])
         across = np.concatenate([layout.places[:, 0], *(line[:, 0] for line in lines if line is not None)])
         axes.set_xlim(min(across.min() - 0.45, -1.0), max(across.max() + 0.45, 1.0))
         axes.set_ylim(GROUND_LEVEL - 0.25, layout.places[:, 1].max() + 0.45)
@@ -113,7 +113,7 @@ def _is_plain(connection: _Connection) -> bool:
 
 def _bowed(start: np.ndarray, end: np.ndarray, turn: int, on_ground: bool) -> np.ndarray:
     """(points, 2): a straight line, or the arc of the turn-th line between two ends, right and left by turns."""
-    side = (1 if turn % 2 else -1) * (turn + 1) // 2 if turn else 0
+    side = (1 if turn % 2 else -1) * ((turn + 1) // 2)
     along = end - start
     across = np.array([along[1], -along[0]]) / max(float(np.hypot(*along)), 1e-9)
     reach = 1.1 * side * max(1.0, 0.45 * float(np.hypot(*along)))
@@ -174,10 +174,11 @@ def _draw_masses(axes: Axes, structure: Structure, layout: Layout, few: bool) ->
         axes.text(place[0], place[1], text, fontsize=size, ha="center", va="center", bbox=box, zorder=3)
 
 
-def _draw_ground(axes: Axes, layout: Layout) -> None:
+def _draw_ground(axes: Axes, layout: Layout, feet: list[float]) -> None:
     if not layout.grounded:
         return
-    left, right = layout.places[:, 0].min() - 0.7, layout.places[:, 0].max() + 0.7
+    across = [*layout.places[:, 0], *feet]
+    left, right = min(across) - 0.5, max(across) + 0.5
     axes.plot([left, right], [GROUND_LEVEL, GROUND_LEVEL], color=style.BLACK, linewidth=1.2, zorder=2)
     for x in np.arange(left, right, 0.15):
         axes.plot([x, x - 0.1], [GROUND_LEVEL, GROUND_LEVEL - 0.12], color=style.BLACK, linewidth=0.6, zorder=2)
