@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from pinn_cli.system.parameters import Parameter
     from pinn_cli.training.estimate import ParameterEstimate
 
 ANNOTATED = 16  # parameters up to which every cell has its number: as many as fit across a page
@@ -53,18 +54,19 @@ def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.n
         bar = figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.1 / side, 0.0, 0.12 / side, 1.0)))
         bar.outline.set_linewidth(0.4)
         bar.set_label("Posterior correlation")
-        _name_rows(axes, [estimates[i].parameter.symbol for i in order])
+        _name_rows(axes, [estimates[i].parameter for i in order])
         _part(axes, unknown, count)
         if count <= ANNOTATED:
             _annotate(axes, shown)
     return figure
 
 
-def _name_rows(axes: Axes, symbols: Sequence[str]) -> None:
+def _name_rows(axes: Axes, parameters: Sequence[Parameter]) -> None:
+    symbols, named = [p.symbol for p in parameters], any(p.label for p in parameters)
     kept = range(0, len(symbols), math.ceil(len(symbols) / LABELLED))
     labels = [symbols[i] for i in kept]
     size = 8.0 if len(symbols) <= ANNOTATED else 6.0
-    axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(symbols) <= ANNOTATED else 90)
+    axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(symbols) <= ANNOTATED and not named else 90)
     axes.set_yticks(kept, labels, fontsize=size)
     axes.tick_params(length=0)
 

@@ -1,0 +1,28 @@
+"""The worked examples of docs/how-to/my-structure.md, as their commands run them."""
+
+from __future__ import annotations
+
+import json
+
+import pandas as pd
+import pytest
+from calls import PinnRun
+
+# Per cent by which each unknown parameter may be off: some four standard deviations.
+EXAMPLES = {
+    "frame_with_brace": {"k_storey_1": 0.7, "k_brace": 0.7, "kappa_storey_1": 1.7},
+    "tuned_mass_damper": {"k_spring": 0.3, "c_damper": 1.6},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
+    outcome = pinn_run(f"experiment=examples/{example}", "figures=false")
+    assert outcome.status == 0, outcome.err
+    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    for name, percent in EXAMPLES[example].items():
+        assert parameters.loc[name, "error_percent"] < percent
+    fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
+    assert fitness["unobserved", "displacement"] > 97.0
+    assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound"
