@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,14 +50,15 @@ class TensorboardTracking(Tracking):
             if not known:
                 for events in place.glob("events.out.tfevents.*"):  # of a run that this one replaces
                     events.unlink()
+            _leave_failures_to_calls()
             # A reader passes over what lies there of later rows: those that were written, but not noted, before a kill.
             writer = SummaryWriter(log_dir=str(place), purge_step=int(state.logged) + 1 if known else None)
+            tracker = TensorboardTracker(writer, place, run)
+            if not known:
+                tracker.settings()
         except (OSError, ValueError) as error:  # a null character is a ValueError
             hint = f"{place}: {getattr(error, 'strerror', None) or error}"
             raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
-        tracker = TensorboardTracker(writer, place, run)
-        if not known:
-            tracker.settings()
         return tracker
 
 
@@ -106,6 +109,18 @@ class TensorboardTracker(Tracker):
         for events in self.place.glob("events.out.tfevents.*"):
             events.unlink()
         self.place.rmdir()
+
+
+@cache
+def _leave_failures_to_calls() -> None:
+    """Have TensorBoard's writing threads print no traceback: what stopped one is raised by the next call of it."""
+    otherwise = threading.excepthook
+
+    def hook(raised: threading.ExceptHookArgs) -> None:
+        if not type(raised.thread).__module__.startswith("tensorboard."):
+            otherwise(raised)
+
+    threading.excepthook = hook
 
 
 def _grouped(name: str) -> str:

@@ -85,3 +85,24 @@ def test_impossible_settings_are_named(pinn_run: PinnRun, tmp_path: Path) -> Non
     (tmp_path / "file").write_text("")
     outcome = pinn_run(*ADAM, "tracking=tensorboard", "tracking.directory=file")
     assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+
+
+def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """TensorBoard writes in a thread of its own, which would print a traceback."""
+    import resource
+
+    from pinn_cli.tracking.base import TrackedRun
+    from pinn_cli.tracking.follow import follow
+    from pinn_cli.tracking.tensorboard import TensorboardTracking
+
+    job = TrackedRun(tmp_path, "run", {"case": "x" * 3000}, {}, "")
+
+    def start() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+        full = pytest.raises(InputError, match=r"^tracking\.directory=None: .*: File too large$")
+        with full, follow(TensorboardTracking(), job, resuming=False):
+            pass
+
+    assert in_a_child(start) == 0
+    assert "Traceback" not in capfd.readouterr().err
