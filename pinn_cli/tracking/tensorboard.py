@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,6 +58,8 @@ class TensorboardTracking(Tracking):
             if not known:
                 tracker.settings()
         except (OSError, ValueError) as error:  # a null character is a ValueError
+            if not known:
+                _take_away(place)
             hint = f"{place}: {getattr(error, 'strerror', None) or error}"
             raise InputError("tracking.directory", self.directory, "a folder that can be written to", hint) from error
         return tracker
@@ -106,9 +109,15 @@ class TensorboardTracker(Tracker):
     def delete(self) -> None:
         """See :meth:`Tracker.delete`."""
         self.writer.close()
-        for events in self.place.glob("events.out.tfevents.*"):
+        _take_away(self.place)
+
+
+def _take_away(place: Path) -> None:
+    """Remove the event files of a run, and their folder if it is empty then."""
+    with suppress(OSError):
+        for events in place.glob("events.out.tfevents.*"):
             events.unlink()
-        self.place.rmdir()
+        place.rmdir()
 
 
 @cache

@@ -105,4 +105,5 @@ def test_a_disk_that_is_full_is_told_in_one_line(tmp_path: Path, capfd: pytest.C
             pass
 
     assert in_a_child(start) == 0
+    assert list(tmp_path.iterdir()) == []
     assert "Traceback" not in capfd.readouterr().err
