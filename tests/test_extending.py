@@ -127,8 +127,18 @@ def test_pip_registers_the_package(tmp_path):
 def test_a_law_of_a_connection(example):
     directory = example("A law of a connection")
     parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
-    assert parameters.loc["friction_1", "estimate"] == pytest.approx(0.5, rel=0.05)
-    assert parameters.loc["friction_2", "estimate"] == pytest.approx(0.5, rel=0.05)
+    assert parameters.loc["strength_1", "estimate"] == pytest.approx(0.5, rel=0.05)
+    assert parameters.loc["strength_2", "estimate"] == pytest.approx(0.5, rel=0.05)
+
+
+def test_a_law_is_one_of_a_structure_s_connections_too(installed, pinn_run):
+    connections = "{a: {between: [ground, x], law: softening_spring, width: 0.02, c: 1, k: 15, strength: 0.5}}"
+    outcome = pinn_run(
+        "system=structure", "system.dofs=[x]", "system.mass=10", f"system.connections={connections}", "figures=false",
+        "scheme.unobserved=[]", "simulation.duration=10", "simulation.samples=256", "excitation.band=[0.2,1]",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    assert "strength_a" in set(pd.read_csv(outcome.directory / "parameters.csv")["parameter"])
 
 
 def test_a_network(example):

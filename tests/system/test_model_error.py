@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from structures import braced
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, VanDerPol
+from pinn_cli.system.labels import Labels
 from pinn_cli.system.model_error import LinearModelError, ModelError, NoModelError, PerturbedModelError
 
 NOMINAL = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0}
@@ -108,3 +112,20 @@ def test_another_model_error_is_one_class():
     true, prescribed = HeavierModelError().structures(nominal())
     assert true.parameters["m"][0] == pytest.approx(11.0)
     assert prescribed.parameters["m"][0] == 10.0
+
+
+def test_structures_of_several_laws_have_model_errors_too():
+    named = replace(braced(), labels=Labels(("x1", "x2", "x3"), ("s1", "s2", "s3", "brace", "tie", "damper")))
+    true, model = LinearModelError().structures(named)
+    assert true is named
+    assert set(model.parameters) == {"m", "c", "k"}
+    assert [p.name for p in model.every_parameter()][-1] == "k_damper"
+    u, v = torch.rand(2, 5, 3, dtype=torch.float64)
+    e, de = named.elongation(u), named.elongation(v)
+    expected = named.incidence.pull(named.parameters["c"] * de + named.parameters["k"] * e)
+    torch.testing.assert_close(model.restoring_force(u, v), expected)
+    true, model = PerturbedModelError(seed=3).structures(named)
+    assert model is named
+    for kind, values in named.parameters.items():
+        off = (true.parameters[kind] / values - 1.0).abs()
+        assert ((off >= 0.05) & (off <= 0.1)).all() if kind != "m" else (off == 0).all()
