@@ -28,6 +28,8 @@ ITERATIONS, TOLERANCE = 12, 1e-6
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 # Steps of the correlation time of unknown forces, and how many are taken at most in one direction.
 CORRELATION_FACTOR, CORRELATION_STEPS = 3.0, 6
+# Rounds of the noise levels under each.
+CORRELATION_ROUNDS = 3
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
 
@@ -187,7 +189,7 @@ def _correlated(
     again = evidence.train(replace(trained.noise, innovation=driving / factor**0.5), trained.solution.point)
     if again is None or not again.solution.converged:
         return None
-    return Inferred(evidence, settled(evidence, again, settings.pooled))
+    return Inferred(evidence, settled(evidence, again, settings.pooled, CORRELATION_ROUNDS))
 
 
 def _refined(

@@ -37,18 +37,19 @@ KINSHIP = 0.01
 LONGEST_STRIDE = 5.0
 
 
-def settled(evidence: Evidence, trained: Trained, pooled: bool = False) -> Trained:
+def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: int = ROUNDS) -> Trained:
     """Alternate noise levels and solution until neither moves, or until the record gets no more probable.
 
     Args:
         evidence: Of the problem.
         trained: Where to begin; its discrepancy is that of a search.
         pooled: Whether the sensors of one quantity share one level.
+        rounds: At most.
     """
     before: np.ndarray | None = None
     floor = _floor(evidence, trained.noise)
     best = trained
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         found = updated(evidence, trained, floor)
         found = found.pooled() if pooled else found
         change = _log_levels(found) - _log_levels(trained.noise)

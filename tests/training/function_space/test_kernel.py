@@ -52,7 +52,7 @@ class Dense:
         self.parameters.moved.data += 0.05
         collocation = collocate(problem, targets(problem.record, Dynamics(problem.structure)), 48, 10000)
         self.noise = collocation.noise_model(0.05, 0.01).with_spread(0.8)
-        self.rows = ResidualRows(structure, collocation.target, through, self.network.continuity == "penalised")
+        self.rows = ResidualRows(problem.dynamics, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
 
     def residuals(self) -> torch.Tensor:
