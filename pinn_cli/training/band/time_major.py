@@ -9,6 +9,7 @@ is ever stored.
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -181,20 +182,33 @@ class TimeMajorSums(RowSums):
 
     def _cells(self, line: np.ndarray, start: int, groups: int) -> np.ndarray:
         """(groups, n) view of a line from ``start`` on, one interval after the other."""
-        step = self.stride * self.n
-        size = line.strides[0]
-        return np.lib.stride_tricks.as_strided(line[start:], (groups, self.n), (step * size, size))
+        step, size = self.stride * self.n, line.itemsize
+        return np.ndarray((groups, self.n), line.dtype, line, start * size, (step * size, size))
+
+    @cached_property
+    def _shared(self) -> list[list[np.ndarray | slice | None]]:
+        """By slot and slot: the rows that use both, as an index where they are few; None where there are none."""
+        coupled = self._in_order(self.pattern.coupled.T)
+
+        def rows(both: np.ndarray) -> np.ndarray | slice | None:
+            if not both.any():
+                return None
+            return slice(None) if 2 * int(both.sum()) > self.n else np.flatnonzero(both)
+
+        return [[rows(one & other) for other in coupled] for one in coupled]
 
     def _add_readout(self, part: np.ndarray, first: int) -> None:
         """Products of the local weights' columns, and of each with the residual; ``part`` is (C, I, n)."""
-        offsets, place = self._offsets(), first * self.stride * self.n + self.margin
+        offsets, place, groups = self._offsets(), first * self.stride * self.n + self.margin, part.shape[1]
         for a, above in enumerate(offsets):
-            column = part[a]
-            self._cells(self._gradient, place + above, part.shape[1])[...] += column * part[-1]
+            column, shared = part[a], self._shared[a // self.features]
+            self._cells(self._gradient, place + above, groups)[...] += column * part[-1]
             for b, below in enumerate(offsets):
+                rows = shared[b // self.features]
                 # Two columns at one offset, or further apart than the band is wide, are never in one row: one is zero.
-                if 0 < above - below <= self.half_width or a == b:
-                    self._cells(self._band[above - below], place + below, part.shape[1])[...] += column * part[b]
+                if rows is not None and (0 < above - below <= self.half_width or a == b):
+                    cells = self._cells(self._band[above - below], place + below, groups)
+                    cells[:, rows] += column[:, rows] * part[b][:, rows]
 
     def _add_parameters(self, part: np.ndarray, first: int) -> None:
         """Products of the parameters' columns with everything, connection by connection of every row."""
