@@ -25,13 +25,13 @@ SETTINGS = {
     "simulation.samples=3": "simulation.samples=3: must be a whole number >= 16",
     "simulation.samples=1000000000": "simulation.samples=1000000000: must be at most ",
     f"simulation.samples=1{'0' * 400}": f"simulation.samples=1{'0' * 400}: must be a whole number <= {2**63 - 1}",
-    "system.ndof=1000000000": "system.ndof=1000000000: must be a whole number <= 100000",
-    "system.ndof=100000": "simulation.samples=4096: must be at most ",
+    "system.ndof=1000000000": "system.ndof=1000000000: must be a whole number <= 2000",
+    "system.ndof=2001": "system.ndof=2001: must be a whole number <= 2000",
     "system.k=1e300": f"system.k=1e+300: must be 0 or {SIZE}",
     f"system.k=1{'0' * 400}": f"system.k=1{'0' * 400}: must be a finite number or a list of 6 finite numbers",
     "system.k=1e12": "system.k=1000000000000.0: must be small enough for 10 kg not to have a natural frequency above ",
     "system.c=1e12": "system.c=1000000000000.0: must be small enough for 10 kg not to have a decay above ",
-    "system.m=1e-12": "system.k=15.0: must be small enough for 1e-12 kg not to have a natural frequency above ",
+    "system.m=1e-12": "system.c=1.0: must be small enough for 1e-12 kg not to have a decay above ",
     "excitation.rms=1e300": f"excitation.rms=1e+300: must be a finite number > 0, {SIZE}",
     "excitation.rms=1e-300": f"excitation.rms=1e-300: must be a finite number > 0, {SIZE}",
     "excitation.band=[1e-320,1]": "excitation.band=[1e-320, 1]: must be [low, high] in Hz with 0 <= low < high",
@@ -55,14 +55,14 @@ def structure(ndof: int = 1, **parameters: float):
 
 
 def test_a_chain_is_as_stiff_as_the_steps_allow() -> None:
-    # Gershgorin's bound is sqrt(2 k / m) for one mass, and a step takes 0.2 of its period over 2 pi.
+    # Gershgorin's bound is sqrt(2 k / m) for one mass, and a step takes so much of its period over 2 pi.
     simulation = Simulation(duration=100.0, samples=1001)
-    stiffest = (0.2 * MOST_STEPS / 100.0) ** 2 / 2.0
+    stiffest = (simulation.step_times_rate * MOST_STEPS / 100.0) ** 2 / 2.0
     check_size(simulation, structure(k=0.99 * stiffest))
-    with pytest.raises(InputError, match=r"^system\.k=.* 3\.18e\+03 Hz"):
+    with pytest.raises(InputError, match=r"^system\.k=.* 318 Hz"):
         check_size(simulation, structure(k=1.01 * stiffest))
-    with pytest.raises(InputError, match=r"^simulation\.substeps=10001: must be at most 10000$"):
-        check_size(Simulation(duration=100.0, samples=1001, substeps=10001), structure())
+    with pytest.raises(InputError, match=r"^simulation\.substeps=2001: must be at most 2000$"):
+        check_size(Simulation(duration=100.0, samples=1001, substeps=2001), structure())
 
 
 def test_memory_bounds_samples_dofs_and_repeats(monkeypatch) -> None:
@@ -72,8 +72,17 @@ def test_memory_bounds_samples_dofs_and_repeats(monkeypatch) -> None:
         check_size(Simulation(duration=100.0, samples=1001), structure(100))
     with pytest.raises(InputError, match=r"^noise\.repeats=13: must be at most 12 with this record"):
         check_size(Simulation(duration=100.0, samples=1000), structure(100), repeats=13)
-    with pytest.raises(InputError, match=r"^system\.ndof=10000: must be at most 100; "):
-        check_size(Simulation(duration=100.0, samples=1000), structure(10000))
+    monkeypatch.setattr("pinn_cli.record.size.of_this_machine", lambda: 4_000_000)
+    with pytest.raises(InputError, match=r"^system\.ndof=1000: must be at most 10; "):
+        check_size(Simulation(duration=100.0, samples=1000), structure(1000))
+
+
+def test_memory_of_the_normal_equations_is_counted_before_they_are_made(pinn_run: PinnRun, tmp_path: Path) -> None:
+    outcome = pinn_run("system.ndof=2000", "simulation.samples=1024", "simulation.duration=30", "excitation.band=[1,2]")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    assert outcome.err.startswith("pinn-run: system.ndof=2000: must be such that a run fits into the memory of this")
+    assert " features x 2000 DOFs in a band of " in outcome.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_libraries_say_when_memory_runs_out() -> None:

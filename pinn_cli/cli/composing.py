@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,8 +13,12 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.cli.unused import check_choices, check_used
+from pinn_cli.settings.config_folder import HYDRAS, ConfigFolder, as_folder
+from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.hydra_node import check_hydra, check_search_path
 from pinn_cli.settings.instantiation import check_classes
+from pinn_cli.settings.override_syntax import quoted
 
 
 class CheckedLoader(ConfigLoader):
@@ -25,6 +30,12 @@ class CheckedLoader(ConfigLoader):
 
     def __init__(self, hydras: ConfigLoader) -> None:
         self.hydras = hydras
+        for element in hydras.get_search_path().get_path():
+            element.path = as_folder(element.path)
+        sources = hydras.get_sources()  # made of that path already
+        sources[:] = [
+            ConfigFolder(s.provider, as_folder(s.full_path())) if s.scheme() == HYDRAS else s for s in sources
+        ]
 
     def load_configuration(
         self,
@@ -37,17 +48,25 @@ class CheckedLoader(ConfigLoader):
         """See :class:`hydra.core.config_loader.ConfigLoader`.
 
         Raises:
-            InputError: It chooses a class that is not registered, or Hydra would do what `check_hydra` refuses.
+            InputError: A class is not registered, Hydra would do what `check_hydra` refuses, something is not used,
+                or a file cannot be read.
         """
-        _check_searched(overrides)
-        config = self.hydras.load_configuration(config_name, overrides, run_mode, from_shell, validate_sweep_overrides)
+        check_choices(overrides)
+        overrides = _in_folders(overrides)
+        try:
+            config = self.hydras.load_configuration(
+                config_name, overrides, run_mode, from_shell, validate_sweep_overrides
+            )
+        except KeyError as error:
+            if error.args[0] in os.environ:
+                raise
+            raise InputError("hydra.job.env_copy", error.args[0], "names of variables that are set") from error
         return _checked(config, overrides)
 
     def load_sweep_config(self, master_config: DictConfig, sweep_overrides: list[str]) -> DictConfig:
         """See :class:`hydra.core.config_loader.ConfigLoader`; raises what `load_configuration` does."""
         of_hydra: Any = OmegaConf.to_container(master_config.hydra.overrides.hydra, resolve=False)
-        overrides = [*of_hydra, *sweep_overrides]
-        _check_searched(overrides)
+        overrides, sweep_overrides = _in_folders([*of_hydra, *sweep_overrides]), _in_folders(sweep_overrides)
         return _checked(self.hydras.load_sweep_config(master_config, sweep_overrides), overrides)
 
     def get_group_options(
@@ -58,13 +77,11 @@ class CheckedLoader(ConfigLoader):
         overrides: list[str] | None = None,
     ) -> list[str]:
         """See :class:`hydra.core.config_loader.ConfigLoader`."""
-        _check_searched(overrides or [])
-        return self.hydras.get_group_options(group_name, results_filter, config_name, overrides)
+        return self.hydras.get_group_options(group_name, results_filter, config_name, _in_folders(overrides or []))
 
     def compute_defaults_list(self, config_name: str | None, overrides: list[str], run_mode: RunMode) -> Any:
         """See :class:`hydra.core.config_loader.ConfigLoader`."""
-        _check_searched(overrides)
-        return self.hydras.compute_defaults_list(config_name, overrides, run_mode)
+        return self.hydras.compute_defaults_list(config_name, _in_folders(overrides), run_mode)
 
     def get_search_path(self) -> Any:
         """See :class:`hydra.core.config_loader.ConfigLoader`."""
@@ -96,15 +113,24 @@ def check_what_is_composed() -> None:
         GlobalHydra.set_instance(checked)
 
 
-def _check_searched(overrides: Sequence[str]) -> None:
-    searched = [override for override in overrides if "searchpath" in override]
-    for override in OverridesParser.create().parse_overrides(searched):
-        if override.get_key_element().lstrip("+~") == "hydra.searchpath":
-            check_search_path(override.value())
+def _in_folders(overrides: Sequence[str]) -> list[str]:
+    """The same overrides, the folders that they have searched as :class:`ConfigFolder`; others are refused."""
+    return [_searched(override) if "searchpath" in override else override for override in overrides]
+
+
+def _searched(override: str) -> str:
+    (parsed,) = OverridesParser.create().parse_overrides([override])
+    if parsed.key_or_group != "hydra.searchpath" or parsed.is_delete():
+        return override
+    places: Any = parsed.value()
+    check_search_path(places)
+    name, _, _ = override.partition("=")
+    return f"{name}=[{','.join(quoted(as_folder(place)) for place in places)}]"
 
 
 def _checked(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
     check_hydra(config, overrides)
+    check_used(config, overrides)
     task = OmegaConf.to_container(config, resolve=False)
     check_classes({name: node for name, node in task.items() if name != "hydra"})  # type: ignore[union-attr]
     return config

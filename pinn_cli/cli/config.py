@@ -54,6 +54,8 @@ NODES = (
     "tracking",
 )
 
+SIMULATED = "pinn_cli.record.simulated.Simulated"
+
 # Where the file of a training, a user's own perhaps, does not say.
 CHECKPOINT_EVERY_S = 30.0
 
@@ -215,7 +217,8 @@ def _check_names(config: DictConfig) -> None:
 
 
 def _case(config: DictConfig) -> str:
-    if not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
+    is_name = isinstance(config.case, str | int | float) and not isinstance(config.case, bool)
+    if not is_name or not re.fullmatch(r"[\w+-][\w.+-]*", str(config.case)):
         raise InputError("case", config.case, "a folder's name: letters, digits, and any of . _ + -")
     return str(config.case)
 
@@ -287,7 +290,10 @@ def _structure(config: DictConfig) -> Structure:
 
 
 def _is_simulated(config: DictConfig) -> bool:
-    return bool(config.data.get("kind") == "simulated")
+    simulated, kind = config.data.get("_target_") == SIMULATED, config.data.get("kind")
+    if simulated != (kind == "simulated"):
+        raise InputError("data.kind", kind, "left as the file of the option has it", "choose by data=...")
+    return simulated
 
 
 def _source(config: DictConfig, structure: Structure, model_error: ModelError, seed: int, base: Path | None) -> Source:

@@ -18,6 +18,11 @@ from pinn_cli.settings.suggestion import suggestion
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+# What no word of Hydra's grammar may have unless it is quoted.
+_NEEDS_QUOTES = re.compile(r"[^\w/\-\\+.$%*@?|:=,\[\]{}() ]|[^\x00-\x7f]")
+# More brackets in brackets than any setting has.
+DEEPEST = 50
+
 
 def explain(
     error: BaseException, overrides: Sequence[str], config_dir: str | None, composing: bool
@@ -45,6 +50,8 @@ def explain(
             return _unknown_setting(str(key), overrides, config_dir)
         if key and isinstance(cause, OmegaConfBaseException):
             return _unresolved(str(key), cause, overrides)
+    if composing and isinstance(error, RecursionError):
+        return _too_deep(overrides, config_dir)
     meant = isinstance(error, HydraException | OmegaConfBaseException | YAMLError)
     return _in_its_words(error, overrides) if meant or (composing and type(error) is ValueError) else None
 
@@ -65,6 +72,8 @@ def _unknown_option(error: MissingConfigException, config_dir: str | None) -> In
     root, _, folder = group.partition("/")
     options = sorted(option_names(root, config_dir))
     given = f"{folder}/{option}" if folder else option
+    if given in options:
+        return InputError(root, given, "such that a configuration follows", _first_line(error))
     return InputError(root, given, f"one of {', '.join(options)}", suggestion(given, options))
 
 
@@ -75,8 +84,32 @@ def _bad_syntax(error: OverrideParseException, overrides: Sequence[str]) -> Inpu
         spaced = error.override in overrides[1:]
         hint = "a value with spaces needs quotes inside quotes: 'data.path=\"my rig.csv\"'" if spaced else ""
         return InputError("override", error.override, "of the form setting=value", hint)
-    hint = f"brackets, braces and commas need quotes for the shell; {_first_line(error)}"
-    return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", hint)
+    return InputError(name, value, "a number, a word, a list [1,2] or a mapping {a:1}", _how_to_write(name, value))
+
+
+def _how_to_write(name: str, value: str) -> str:
+    """What to do about a value that Hydra's grammar does not take."""
+    depth = sum(value.count(bracket) for bracket in "[{(") - sum(value.count(bracket) for bracket in "]})")
+    if depth:
+        told = f"{abs(depth)} closing bracket(s) too {'few' if depth > 0 else 'many'}"
+        return f"{told}; brackets, braces and commas need quotes for the shell"
+    quotes = {mark for mark in "'\"" if mark in value}
+    strange = [] if quotes else _NEEDS_QUOTES.findall(value)
+    if strange:
+        return f"the character {strange[0]} needs quotes inside quotes: '{name}=\"{value}\"'"
+    if quotes:
+        return f"quotes go around the whole value, within others for the shell: '{name}=\"...\"'"
+    return "brackets, braces and commas need quotes for the shell"
+
+
+def _too_deep(overrides: Sequence[str], config_dir: str | None) -> InputError:
+    """Composing that never ends, or a value of brackets in brackets."""
+    deepest = max(overrides, key=lambda override: override.count("[") + override.count("{"), default="")
+    if deepest.count("[") + deepest.count("{") > DEEPEST:
+        name, _, value = deepest.partition("=")
+        return InputError(name, f"{value[:20]}...", f"nested in at most {DEEPEST} levels")
+    hint = f"the defaults lists of files in {config_dir} include each other in a circle" if config_dir else ""
+    return InputError("overrides", " ".join(overrides) or "(none)", "such that a configuration follows", hint)
 
 
 def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None) -> InputError:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.system.structure import Structure
 
-# Each takes some 50 us: ten minutes.
-MOST_STEPS = 10**7
+# Each takes some 50 us at 6 DOFs: two minutes.
+MOST_STEPS = 2 * 10**6
 # Bytes per DOF: of a step of the simulation (states, forces), at least of a sample of the record and what is estimated
 # from it, and of each repeat of a sample.
 _STEP, _SAMPLE, _REPEAT = 40, 400, 32

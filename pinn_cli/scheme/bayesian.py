@@ -19,7 +19,7 @@ from pinn_cli.scheme.prior_settings import checked_priors, read_priors, with_def
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import Start, parameter_starts
-from pinn_cli.scheme.unknowns import POSITIVE, at_starts, checked_positive, unknown_parameters
+from pinn_cli.scheme.unknowns import POSITIVE, at_starts, check_used, checked_positive, unknown_parameters
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.parameters import MASS, Parameter
@@ -81,6 +81,7 @@ class Bayesian(Scheme):
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
         chosen = unknown_parameters(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
         check_given(prescribed, chosen)
+        check_used(prescribed, chosen, None, self.positive)
         starts = parameter_starts(prescribed, record, chosen, _given(record, chosen), most=1)[0]
         scales = {parameter: start.scale for parameter, start in starts.items()}
         own = read_priors(self.priors, prescribed)

@@ -16,7 +16,14 @@ from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import observed_through, sensor_quantities
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
-from pinn_cli.scheme.unknowns import POSITIVE, at_starts, checked_positive, initial_values, unknown_parameters
+from pinn_cli.scheme.unknowns import (
+    POSITIVE,
+    at_starts,
+    check_used,
+    checked_positive,
+    initial_values,
+    unknown_parameters,
+)
 from pinn_cli.settings.legal_values import one_of, positive_number
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
@@ -82,6 +89,7 @@ class StateParameter(Scheme):
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         chosen = unknown_parameters(prescribed, record, self.unknown)
         check_given(prescribed, chosen)
+        check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         problems: list[Problem] = []

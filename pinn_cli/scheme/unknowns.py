@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -176,6 +176,35 @@ def checked_positive(positive: Any) -> tuple[str, ...]:
     if not is_list or not all(isinstance(kind, str) for kind in kinds):
         raise InputError("scheme.positive", positive, "a list of kinds of parameters, such as [m, c, k]")
     return tuple(kinds)
+
+
+def check_used(
+    structure: Structure,
+    unknown: Collection[Parameter],
+    given: Mapping[str, float | None] | None,
+    positive: Sequence[str],
+) -> None:
+    """Refuse what a user says about parameters and that would not be used.
+
+    Args:
+        structure: The prescribed model.
+        unknown: Its unknown parameters.
+        given: ``scheme.initial``; None: nothing said.
+        positive: ``scheme.positive``; other laws' kinds are there by default.
+
+    Raises:
+        InputError: A kind that no law has, or a start of parameters that are not unknown.
+    """
+    kinds = (*LINEAR_UNITS, *structure.parameters, *POSITIVE)
+    for kind in positive:
+        if kind not in kinds:
+            allowed = f"a list of kinds of parameters: {', '.join(dict.fromkeys(kinds))}"
+            raise InputError("scheme.positive", f"[{', '.join(positive)}]", allowed, f"no connection has {kind}")
+    for key, value in (given or {}).items():
+        called = [] if value is None else parameters_called(key, structure, f"scheme.initial.{key}")
+        if called and not set(called) & set(unknown):
+            hint = f"{called[0].name} is prescribed; add it to scheme.unknown to have it estimated"
+            raise InputError(f"scheme.initial.{key}", value, "of an unknown parameter", hint)
 
 
 def at_starts(prescribed: Structure, unknown: Iterable[Parameter]) -> Structure:

@@ -52,9 +52,10 @@ def check_hydra(config: DictConfig, given: Sequence[str]) -> None:
     typed = [*hydra["overrides"]["hydra"], *hydra["overrides"]["task"]]
     if sorted(typed) != sorted(given):
         raise InputError("hydra.overrides", typed, "left out of files", "it is the command line that has overrides")
-    for name in ("hydra_logging", "job_logging"):
+    starts_jobs = hydra["job"]["config_name"] is not None  # --hydra-help has no file of ours, and starts none
+    for name in ("hydra_logging", "job_logging") if starts_jobs else ("hydra_logging",):
         check_logging(f"hydra.{name}", hydra[name])
-    _check_callbacks(hydra["callbacks"], complete=hydra["job"]["config_name"] is not None)
+    _check_callbacks(hydra["callbacks"], complete=starts_jobs)
     for name in ("launcher", "sweeper"):
         _check_plugin(name, hydra[name], typed)
     _check_environment(hydra["job"])
@@ -72,13 +73,13 @@ def check_search_path(places: object) -> None:
     Raises:
         InputError: One is no folder.
     """
-    for place in places if isinstance(places, list) else [places]:
-        if not isinstance(place, str) or not re.match(r"file://|(?!.*://)", place):
+    for place in places if isinstance(places, list) else [(places,)]:
+        if not isinstance(place, str) or not re.match(r"(file|folder)://|(?!.*://)", place):
             raise InputError("hydra.searchpath", place, "a list of folders, file://FOLDER", "or --config-dir FOLDER")
 
 
 def _check_callbacks(callbacks: object, complete: bool) -> None:
-    """`complete`: with the main configuration, which `--hydra-help` has not."""
+    """`complete`: with the main configuration, which has ours."""
     if not isinstance(callbacks, dict):
         raise InputError(CALLBACKS, callbacks, "a mapping of names to callbacks")
     for name, callback in callbacks.items():

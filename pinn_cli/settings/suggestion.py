@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 def suggestion(given: str, known: Iterable[str]) -> str:
     """`did you mean ...?` with the closest of the known names, or nothing if none is close."""
-    known = list(known)
+    known = [name for name in known if name != given]
     close = difflib.get_close_matches(given, known, n=1, cutoff=0.6)
     if not close:  # the last part of a dotted or slashed name may be right where the rest is missing: ndof
         last = re.split(r"[./]", given)[-1]

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from pinn_cli.system.connection.base import Nonlinearity
 
-# The list of a parameter's values takes memory before anything else does.
-MOST_DOFS = 10**5
+# What an estimator holds grows with the square of this number; `pinn_cli.training.band.layout` counts it for a record.
+MOST_DOFS = 2000
 
 
 def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float]) -> Structure:

@@ -125,6 +125,19 @@ COMPOSITION_ERRORS = {
     "setting of another option": (["data.path=rig.csv"], ["data.path=rig.csv:", "it belongs to data=csv"]),
     "setting below a value": (["seed.x=3"], ["seed.x=3:", "did you mean seed?"]),
     "open bracket": (["system.k=[1,2"], ["system.k=[1,2:", "quotes"]),
+    "letter that needs quotes": (["case=ä"], ["case=ä:", "the character ä", "'case=\"ä\"'"]),
+    "home that needs quotes": (["data=csv", "data.path=~/x.csv"], ["character ~", "'data.path=\"~/x.csv\"'"]),
+    "quote within a word": (['case=a"b'], ['case=a"b:', "around the whole value"]),
+    "brackets without end": ([f"system.k={'[' * 2000}{']' * 2000}"], ["system.k=[[[", "at most 50 levels"]),
+    "options laid over each other": (
+        ["network=[mlp,spline]"],
+        ["network=[mlp,spline]:", "--multirun network=mlp,spline"],
+    ),
+    "systems laid over each other": (["system=[linear,duffing]"], ["system=[linear,duffing]:", "one option"]),
+    "noise of a measured record": (["data=csv", "noise.snr_db=20"], ["noise.snr_db=20:", "left out with data=csv"]),
+    "sensors of a measured record": (["data=csv", "scheme.unobserved=[2]"], ["scheme.unobserved=[2]:", "data.holdout"]),
+    "excitation of a measured record": (["data=csv", "excitation=impulse"], ["excitation=impulse:", "data=csv"]),
+    "variable that is not set": (["hydra.job.env_copy=[NOT_SET]"], ["hydra.job.env_copy=NOT_SET:"]),
     "no equals sign": (["system.ndof"], ["override=system.ndof:", "setting=value"]),
     "unquoted space": (["data=csv", "data.path=my", "rig.csv"], ["override=rig.csv:", "quotes"]),
     "no name": (["=3"], ["=3"]),
@@ -166,6 +179,17 @@ def test_a_mapping_may_have_keys_of_its_own(pinn_run: PinnRun) -> None:
 
 def test_version(pinn_run: PinnRun) -> None:
     assert pinn_run("--version").out.startswith("pinn-run ")
+
+
+def test_a_name_is_not_suggested_for_itself(pinn_run: PinnRun, tmp_path: Path) -> None:
+    folder = tmp_path / "own" / "experiment"
+    folder.mkdir(parents=True)
+    (folder / "e.yaml").write_text("# @package _global_\ndefaults:\n  - /system: dufing\n")
+    for arguments in (["e"], ["e=1"], ["experiment=e"]):
+        outcome = pinn_run("--config-dir", "own", *arguments, task=judge)
+        assert outcome.status == 2
+        assert "did you mean e?" not in outcome.err
+    assert "dufing" in outcome.err
 
 
 def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:

@@ -8,7 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.runs.memory import of_this_machine
+from pinn_cli.settings.errors import InputError
 from pinn_cli.training.band.equation_rows import RowPattern
+
+# Held at the same time: the normal matrix, its scaled copy that becomes the factor, and the band of the inverse.
+BANDS = 3
 
 
 class BandLayout:
@@ -23,6 +28,9 @@ class BandLayout:
         count: Features of one DOF in all.
         pattern: Which DOFs are coupled.
         feature_first: Which order; None: the narrower.
+
+    Raises:
+        InputError: This machine cannot hold the band, counted before it is made.
     """
 
     def __init__(self, feature: Tensor, count: int, pattern: RowPattern, feature_first: bool | None = None) -> None:
@@ -33,8 +41,17 @@ class BandLayout:
         self.feature_first = by_feature <= by_dof if feature_first is None else feature_first
         self.half_width = by_feature if self.feature_first else by_dof
         self.count, self.ndof, self.size = count, ndof, count * ndof
+        self._check_memory()
         self.local = self.columns(feature)
         self.device = feature.device
+
+    def _check_memory(self) -> None:
+        needed, memory = 8 * BANDS * (self.half_width + 1) * self.size, of_this_machine()
+        if needed > memory:
+            allowed = f"such that a run fits into the memory of this machine, {memory / 2**30:.3g} GiB"
+            rows = f"{self.count} features x {self.ndof} DOFs in a band of {self.half_width + 1}"
+            hint = f"{rows} take {needed / 2**30:.3g} GiB; a shorter record has fewer features"
+            raise InputError("system.ndof", self.ndof, allowed, hint)
 
     def columns(self, feature: Tensor, coupled: bool = True) -> np.ndarray:
         """(I, n, D B): position of each unknown that a residual touches, -1 in unused slots.

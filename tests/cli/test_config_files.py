@@ -1,0 +1,93 @@
+"""Files of settings of somebody's own that no run can use: the file, the line and what to do, in one line and soon."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from calls import PinnRun
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.yaml_file import MOST_BYTES, MOST_ENTRIES, MOST_LEVELS, read_yaml
+
+BOMB = "a0: &a0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)
+)
+FILES = {
+    "alias bomb": (BOMB, ["line 6", f"at most {MOST_ENTRIES} entries", "aliases written out"]),
+    "bomb of merged keys": (
+        "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{','.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 12)),
+        [f"at most {MOST_ENTRIES} entries"],
+    ),
+    "name within itself": ("depth: &a\n  b: *a\n", ["line 1", "alias"]),
+    "a number": ("5\n", ["mine.yaml=5", "settings"]),
+    "a text": ("depth\n", ["mine.yaml=depth", "settings"]),
+    "a list": ("- depth\n", ["mine.yaml=- depth", "settings"]),
+    "tab": ("depth: 3\nweights:\n\tphysics: 2\n", ["line 3=physics: 2", "spaces, not with tabs"]),
+    "open bracket": ("depth: [1,\nwidth: 2\n", ["line 3", "YAML", "flow sequence of line 1"]),
+    "twice": ("depth: 1\nwidth: 2\ndepth: 3\n", ["line 3=depth: 3", "duplicate key depth"]),
+    "Python object": ("depth: !!python/object/apply:os.system [ls]\n", ["line 1", "YAML"]),
+    "control character": ("depth: 1\n# \x01\n", ["line 2", "'\\x01'"]),
+    "half an interpolation": ("depth: ${\n", ["mine.yaml", "settings"]),
+    "deeply nested": (f"depth: {'[' * 60}{']' * 60}\n", [f"at most {MOST_LEVELS} levels"]),
+    "very deeply nested": (f"depth: {'[' * 9000}{']' * 9000}\n", [f"at most {MOST_LEVELS} levels"]),
+    "itself included": ("defaults: [mine]\n", ["mine.yaml, defaults=mine", "another file"]),
+    "circle of files": ("defaults: [theirs]\n", ["network=mine", "include each other in a circle"]),
+    "defaults that are none": ("defaults: 5\n", ["network=mine", "must be a list"]),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "own" / "network"
+    folder.mkdir(parents=True)
+    (folder / "theirs.yaml").write_text("defaults: [mine]\n")
+    return folder
+
+
+@pytest.mark.parametrize(("text", "told"), FILES.values(), ids=FILES.keys())
+def test_a_file_that_is_none(pinn_run: PinnRun, folder: Path, text: str, told: list[str]) -> None:
+    (folder / "mine.yaml").write_text(text, encoding="utf-8")
+    begun = time.monotonic()
+    outcome = pinn_run("--config-dir", "own", "network=mine")
+    assert time.monotonic() - begun < 20
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    for part in told:
+        assert part in outcome.err
+    assert not (folder.parents[1] / "outputs").exists()
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_another_encoding(pinn_run: PinnRun, folder: Path, encoding: str) -> None:
+    (folder / "mine.yaml").write_bytes("depth: 1\nwidth: 2  # Körper\n".encode(encoding))
+    for place in ("--config-dir", "own"), ("hydra.searchpath=[own]",), (f"hydra.searchpath=[file://{folder.parent}]",):
+        outcome = pinn_run(*place, "network=mine")
+        assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+        assert "UTF-8" in outcome.err
+        assert f"mine.yaml, line {2 if encoding == 'latin-1' else 1}=byte 0x" in outcome.err
+
+
+def test_a_file_of_another_kind(tmp_path: Path) -> None:
+    file = tmp_path / "large.yaml"
+    file.write_bytes(b"#" * (MOST_BYTES + 1))
+    with pytest.raises(InputError, match=f"at most {MOST_BYTES} bytes"):
+        read_yaml(file)
+    with pytest.raises(InputError, match="a file that can be read"):
+        read_yaml(tmp_path)
+    file.write_text("")
+    assert read_yaml(file) == ("", {})
+
+
+def test_folders_of_one_s_own_work_in_every_way(pinn_run: PinnRun, folder: Path) -> None:
+    (folder / "mine.yaml").write_text("# @package network\n_target_: pinn_cli.network.spline.Spline\ndegree: 4\n")
+    (folder / "longer.yaml").write_text("defaults: [mine, _self_]\nintervals: 9\n")
+    for place in (
+        ("--config-dir", "own"),
+        ("hydra.searchpath=[own]",),
+        (f"hydra.searchpath=['file://{folder.parent}']",),
+    ):
+        outcome = pinn_run(*place, "network=longer", "--cfg", "job", "--package", "network")
+        assert outcome.out.split("\n")[1:4] == ["_target_: pinn_cli.network.spline.Spline", "degree: 4", "intervals: 9"]
+    outcome = pinn_run("--config-dir", "own", "--multirun", "network=longer,mine", "seed=0,1", task=lambda config: None)
+    assert "4 jobs" in outcome.out, outcome.err
