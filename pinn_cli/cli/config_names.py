@@ -29,16 +29,13 @@ def group_names(config_dir: str | None = None) -> list[str]:
     return sorted(name for name in folders if name != "hydra" and next(option_names(name, config_dir), None))
 
 
-def options_with(setting: str, config_dir: str | None = None) -> list[str]:
+def options_with(setting: str) -> list[str]:
     """The choices that have a setting: `data.path` is a setting of `data=csv`."""
     group, _, key = setting.partition(".")
-    found = []
-    for place in _places(config_dir):
-        for option in option_names(group) if key and group != "experiment" else ():
-            file = place / group / f"{option}.yaml"
-            if file.is_file() and key in _names(_plain(OmegaConf.load(file))):
-                found.append(f"{group}={option}")
-    return found
+    (shipped,) = _places(None)
+    options = option_names(group) if key and group != "experiment" else ()
+    return [f"{group}={option}" for option in options
+            if key in _names(_plain(OmegaConf.load(shipped / group / f"{option}.yaml")))]  # fmt: skip
 
 
 def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:

@@ -19,12 +19,12 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError, NotSoundError
 from pinn_cli.settings.override_syntax import quoted, setting_of
+from pinn_cli.settings.yaml_file import read_yaml
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
 ALLOWED = "null, auto, never, or the directory of a run"
@@ -83,13 +83,11 @@ class StoredRun:
             hint = "it is a sweep's: name one of its jobs" if sweep else "it holds no .hydra/config.yaml"
             raise InputError("resume", given, ALLOWED, hint)
         try:
-            stored, runtime = OmegaConf.load(config), OmegaConf.load(hydra) if hydra.is_file() else None
+            stored, runtime = read_yaml(config), read_yaml(hydra) if hydra.is_file() else None
             cwd = OmegaConf.select(runtime, "hydra.runtime.cwd") if runtime is not None else None
-        except (OSError, UnicodeError, YAMLError, OmegaConfBaseException) as error:
+        except (InputError, OmegaConfBaseException) as error:
             hint = f"its .hydra/ cannot be read: {error}"
             raise InputError("resume", given, ALLOWED, hint) from error
-        if not isinstance(stored, DictConfig):
-            raise InputError("resume", given, ALLOWED, "its .hydra/config.yaml holds no settings")
         return cls(directory, stored, Path(str(cwd)) if cwd else Path.cwd(), others)
 
     @property

@@ -9,7 +9,7 @@ from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSou
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.yaml_file import read_yaml
+from pinn_cli.settings.yaml_file import read_yaml_and_text
 
 SCHEME, HYDRAS = "folder", "file"
 
@@ -34,12 +34,12 @@ class ConfigFolder(ConfigSource):
         """Read a file.
 
         Raises:
-            InputError: See :func:`pinn_cli.settings.yaml_file.read_yaml`; or its defaults name the file itself.
+            InputError: See :func:`pinn_cli.settings.yaml_file.read_yaml_and_text`; or its defaults name itself.
         """
         file = self._file(config_path)
         if not file.is_file():
             raise ConfigLoadError(f"Config not found : {file}")
-        text, config = read_yaml(file)
+        text, config = read_yaml_and_text(file)
         _check_defaults(file, config)
         place = f"{SCHEME}://{self.path}"
         return ConfigResult(self.provider, place, config, self._get_header_dict(text[:512]))

@@ -19,7 +19,12 @@ from pinn_cli.settings.errors import InputError
 MOST_BYTES, MOST_ENTRIES, MOST_LEVELS = 2**20, 100_000, 50
 
 
-def read_yaml(file: Path) -> tuple[str, DictConfig]:
+def read_yaml(file: Path) -> DictConfig:
+    """The settings that a file holds; see :func:`read_yaml_and_text`."""
+    return read_yaml_and_text(file)[1]
+
+
+def read_yaml_and_text(file: Path) -> tuple[str, DictConfig]:
     """The text of a file, and the settings that it holds.
 
     Args:

@@ -19,6 +19,7 @@ from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import WriteError, write_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.settings.yaml_file import read_yaml
 from pinn_cli.sweep.directories import combinations, job_name, parse, swept_settings
 from pinn_cli.sweep.failure import Failure
 
@@ -113,8 +114,8 @@ class Sweep:
             hint = "this is a run's: its tables lie there already" if (directory / RESULT).is_file() else ""
             raise InputError("collect", directory, allowed, hint or f"it holds no {STORED}")
         try:
-            return cls.of(OmegaConf.load(stored), directory)
-        except (OSError, UnicodeError, yaml.YAMLError, OmegaConfBaseException, AttributeError) as error:
+            return cls.of(read_yaml(stored), directory)
+        except (InputError, OmegaConfBaseException, AttributeError) as error:
             raise InputError("collect", directory, allowed, f"its {STORED} cannot be read: {error}") from error
 
     @cached_property

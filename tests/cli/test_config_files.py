@@ -76,7 +76,22 @@ def test_a_file_of_another_kind(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a file that can be read"):
         read_yaml(tmp_path)
     file.write_text("")
-    assert read_yaml(file) == ("", {})
+    assert read_yaml(file) == {}
+
+
+@pytest.mark.parametrize("stored", [".hydra/config.yaml", ".hydra/hydra.yaml", "multirun.yaml"])
+def test_stored_files_of_somebody_else(pinn_run: PinnRun, tmp_path: Path, stored: str) -> None:
+    for name in (".hydra/config.yaml", stored):
+        (tmp_path / "theirs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "theirs" / name).write_text("case: theirs\n")
+    (tmp_path / "theirs" / stored).write_text(BOMB)
+    asked = "collect" if stored == "multirun.yaml" else "resume"
+    begun = time.monotonic()
+    outcome = pinn_run(f"{asked}=theirs")
+    assert time.monotonic() - begun < 20
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1), outcome.err
+    assert outcome.err.startswith(f"pinn-run: {asked}=")
+    assert f"{Path(stored).name}, line 6" in outcome.err
 
 
 def test_folders_of_one_s_own_work_in_every_way(pinn_run: PinnRun, folder: Path) -> None:
