@@ -116,7 +116,7 @@ COMPOSITION_ERRORS = {
     "unknown option in a sweep": (["-m", "system=linear,dufing"], ["system=dufing:", "did you mean duffing?"]),
     "unknown experiment": (
         ["experiment=paper/sr_6dof_snr5"],
-        ["one of paper/pe_2dof_duffing,", "did you mean paper/sr_6dof_snr50?"],
+        ["one of examples/", " paper/pe_2dof_duffing,", "did you mean paper/sr_6dof_snr50?"],
     ),
     "experiment without its folder": (["experiment=sr_6dof_linear"], ["did you mean paper/sr_6dof_linear?"]),
     "unknown group": (["sytem=linear"], ["sytem=linear:", "did you mean system?"]),
