@@ -51,9 +51,9 @@ class Drifts:
             estimate: Its displacements tell the drifts.
             truth: NaN where unknown: a connection is known where all that it joins are.
         """
-        found = structure.elongation(estimate.response.displacement)
+        found, known = structure.elongation(estimate.response.displacement), estimate.connections
         numbers = tuple(str(i + 1) for i in range(found.shape[1]))
-        std = np.full(found.shape, np.nan)
+        std = np.full(found.shape, np.nan) if known is None else known.elongation_std
         return cls(
             estimate.response.time,
             structure.labels.connections or numbers,

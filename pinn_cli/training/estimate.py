@@ -83,6 +83,19 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class ConnectionHistories:
+    """What the connections do, in the order of the structure's.
+
+    Attributes:
+        elongation: (N, C), m.
+        elongation_std: (N, C), m, its posterior standard deviation.
+    """
+
+    elongation: np.ndarray
+    elongation_std: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """The estimated motion of every DOF, its uncertainty, the parameters, and how they were found.
 
@@ -95,6 +108,7 @@ class Estimate:
         summary: Iterations, stop reason, noise levels and the like, for run.json.
         correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
         likelihoods: Of the parameters, for a sampler; None where no posterior distribution was asked for.
+        connections: Their elongations; None where the training gives no standard deviations of them.
     """
 
     response: Response
@@ -104,6 +118,7 @@ class Estimate:
     summary: dict[str, Any]
     correlation: np.ndarray | None = None
     likelihoods: ParameterLikelihoods | None = None
+    connections: ConnectionHistories | None = None
 
 
 @dataclass(frozen=True, eq=False)

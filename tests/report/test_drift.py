@@ -19,6 +19,7 @@ from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import ConnectionHistories
 
 RUN = dict.fromkeys(LABELS, "x")
 TIME = np.linspace(0.0, 10.0, 1001)
@@ -66,6 +67,16 @@ def test_the_interval_is_that_of_the_drift_at_its_peak(make_case):
     np.testing.assert_allclose(table["lower_90"], table["peak"] - 1.6448536 * table["std"], atol=1e-12)
     wide = drift_table(replace(found, std=10.0 * spread), RUN)
     assert wide["lower_90"].iloc[1] == 0.0
+
+
+def test_standard_deviations_are_those_of_the_estimate(make_case):
+    still, spread = np.zeros((len(TIME), 3)), np.full((len(TIME), 3), 2e-4)
+    response = Response(TIME, motion(), still, still, still)
+    connections = ConnectionHistories(chain().elongation(motion()), spread)
+    estimate = replace(make_case().estimate, response=response, connections=connections)
+    found = Drifts.of(chain(), estimate, Response.unknown(TIME, 3))
+    np.testing.assert_array_equal(found.std, spread)
+    np.testing.assert_allclose(drift_table(found, RUN)["std"], 2e-4)
 
 
 def test_the_truth_of_a_drift_takes_both_ends(make_case):

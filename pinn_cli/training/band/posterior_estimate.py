@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
@@ -13,7 +14,7 @@ from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.parameter_posterior import parameter_posterior
 from pinn_cli.training.band.posterior import ReadoutPosterior
-from pinn_cli.training.estimate import Estimate
+from pinn_cli.training.estimate import ConnectionHistories, Estimate
 from pinn_cli.training.history import History
 
 
@@ -37,7 +38,17 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
     parameters, correlation = parameter_posterior(equations, trained)
-    return Estimate(response, std, parameters, history.table(), summary, correlation)
+    connections = _connections(posterior, response)
+    return Estimate(response, std, parameters, history.table(), summary, correlation, connections=connections)
+
+
+def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:
+    """Their elongations, sums of functions whose errors are not independent."""
+    dynamics, segments = posterior.equations.dynamics, posterior.equations.observation
+    stretch = dynamics.structure.incidence.matrix
+    by_function = csr_matrix((stretch.data, stretch.indices, stretch.indptr), (stretch.shape[0], dynamics.size))
+    std = posterior.combined(segments, [(0, by_function)])
+    return ConnectionHistories(dynamics.structure.elongation(response.displacement), std.numpy())
 
 
 def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:

@@ -94,8 +94,15 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
         motion = equations.flat_states(equations.physics, point)[:3]
         return equations.dynamics.structure.external_force(*motion, equations.parameters(point))
 
+    structure = equations.dynamics.structure
+
+    def elongation(x):
+        return structure.elongation(states(x)[0])
+
     moved = torch.stack(posterior.functions(equations.observation))
-    for given, function in ((moved, states), (posterior.force(equations.physics), force)):
+    stretched = posterior.combined(equations.observation, [(0, structure.incidence.matrix)])
+    given_and_function = ((moved, states), (posterior.force(equations.physics), force), (stretched, elongation))
+    for given, function in given_and_function:
         rows = jacobian(function, z)
         expected = ((rows @ covariance) * rows).sum(-1).sqrt().reshape(given.shape)
         torch.testing.assert_close(given, expected, rtol=1e-5, atol=1e-9)
