@@ -18,6 +18,7 @@ from pinn_cli.settings.config_folder import HYDRAS, ConfigFolder, as_folder
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.hydra_node import check_hydra, check_search_path
 from pinn_cli.settings.instantiation import check_classes
+from pinn_cli.settings.interpolations import check_interpolations
 from pinn_cli.settings.override_syntax import quoted
 
 
@@ -131,6 +132,7 @@ def _searched(override: str) -> str:
 def _checked(config: DictConfig, overrides: Sequence[str]) -> DictConfig:
     check_hydra(config, overrides)
     check_used(config, overrides)
-    task = OmegaConf.to_container(config, resolve=False)
-    check_classes({name: node for name, node in task.items() if name != "hydra"})  # type: ignore[union-attr]
+    plain: Any = OmegaConf.to_container(config, resolve=False)
+    check_interpolations(plain)
+    check_classes({name: node for name, node in plain.items() if name != "hydra"})
     return config

@@ -20,6 +20,15 @@ FILES = {
         "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{','.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 12)),
         [f"at most {MOST_ENTRIES} entries"],
     ),
+    "bomb of interpolations": (
+        "a0: x\n" + "".join(f"a{i}: ${{.a{i - 1}}}${{network.a{i - 1}}}\n" for i in range(1, 40)),
+        ["network.a", "at most 100000 values", "unfold"],
+    ),
+    "bomb of interpolated lists": (
+        "a0: [x, y]\n" + "".join(f"a{i}: ['${{..a{i - 1}}}', '${{..a{i - 1}}}']\n" for i in range(1, 40)),
+        ["network.a", "at most 100000 values", "unfold"],
+    ),
+    "interpolated circle": ("depth: ${.width}\nwidth: ${.depth}\n", ["network.depth=${.width}", "names itself"]),
     "name within itself": ("depth: &a\n  b: *a\n", ["line 1", "alias"]),
     "a number": ("5\n", ["mine.yaml=5", "settings"]),
     "a text": ("depth\n", ["mine.yaml=depth", "settings"]),
