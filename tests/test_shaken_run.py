@@ -1,0 +1,38 @@
+"""A frame in an earthquake, from the command to the files: sensors on the ground and on the roof."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from calls import PinnRun
+
+EARTHQUAKE = (
+    "excitation=ground_motion", "excitation.highest=10", "excitation.rise=1", "excitation.strong=4",
+    "excitation.decay=2", "simulation.duration=8", "simulation.samples=401", "system=linear", "system.ndof=2",
+    "system.m=2000", "system.c=8e3", "system.k=2e6", "noise.snr_db=30", "scheme.unobserved=[1]",
+)  # fmt: skip
+
+
+def test_a_frame_in_an_earthquake(pinn_run: PinnRun) -> None:
+    outcome = pinn_run(*EARTHQUAKE, "figures=false")
+    assert outcome.status == 0, outcome.err
+    drift = pd.read_csv(outcome.directory / "drift.csv")
+    assert (drift["error_percent"] < 5.0).all()
+    assert (drift["lower_90"] < drift["peak"]).all()
+    assert (drift["peak"] < drift["upper_90"]).all()
+    residuals = pd.read_csv(outcome.directory / "residuals.csv")
+    assert residuals["quantity"].tolist() == ["acceleration", "ground_acceleration"]
+    assert residuals["dof"].tolist() == [2, 0]
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        assert response.attrs["frame"] == "absolute"
+        ground = response["ground_acceleration"] - response["ground_acceleration_true"]
+        measured = response["ground_acceleration_observed"] - response["ground_acceleration_true"]
+        assert float((ground**2).mean()) < float((measured**2).mean())
+        assert np.isfinite(response["ground_acceleration_std"]).all()
+        left = response["drift"] - response["drift_true"]
+        assert float(np.mean(np.abs(left) < 1.96 * response["drift_std"])) > 0.7
+    verdict = json.loads((outcome.directory / "run.json").read_text())["verdict"]
+    assert verdict == "sound", outcome.out
