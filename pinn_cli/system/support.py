@@ -20,7 +20,7 @@ _TETHER, _HELD = 1e-10, 100.0
 def loose_dofs(structure: Structure) -> list[int]:
     """Coordinates, counted from 0, that can move together without stretching any spring; none where all are held.
 
-    A connection holds if it has a force at rest and stretched, or may have: where a value is unknown.
+    A connection holds if it has a force where it is stretched, or may have: where a value is unknown.
     """
     p = structure.parameters_like(np.empty(0))
     count, _ = structure.incidence.shape

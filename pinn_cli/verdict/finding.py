@@ -35,7 +35,7 @@ class Verdict:
 
     Attributes:
         word: ``sound``, ``questionable`` or ``failed``.
-        reasons: Likely causes first, then what else the numbers say; none of a sound run.
+        reasons: Likely causes first, then what else the numbers say; of a sound run only what is to be told.
     """
 
     word: Word

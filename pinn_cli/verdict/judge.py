@@ -58,7 +58,7 @@ def judge(
         # A gain that believed parameters have made up for shows against the prescribed ones.
         prescribed = predicted(problem.structure, record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
-    if findings and not causes:
+    if any(finding.word != "sound" for finding in findings) and not causes:
         causes = _causes(problem, structure, excused)
     return Verdict.of(own + causes + findings)
 

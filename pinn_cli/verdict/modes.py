@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
 
+# Of the highest natural frequency's square: below it is a rigid body's motion, but for rounding.
+RIGID = 1e-12
+
+
 @dataclass(frozen=True, eq=False)
 class Modes:
     """Complex modes of M u'' + C u' + K u = f.
@@ -54,9 +58,10 @@ class Modes:
 
     @property
     def natural_frequencies(self) -> np.ndarray:
-        """(n,) undamped, Hz, ascending; NaN where the stiffness is negative."""
+        """(n,) undamped, Hz, ascending; 0 of a rigid body's motion, NaN where the stiffness is negative."""
         root = np.sqrt(self.m)
         squares = np.linalg.eigvalsh(self.K / np.outer(root, root))
+        squares[np.abs(squares) <= RIGID * np.abs(squares).max()] = 0.0
         return np.sqrt(np.where(squares >= 0, squares, np.nan)) / (2 * np.pi)
 
     def response(self, record: Record) -> Response:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.modes import modes_of
 
@@ -47,7 +48,12 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     unknown = [p for p in estimate.parameters if p.unknown]
     believed = [p for p in estimate.parameters if not p.unknown]
     found = [f for p in unknown for f in (_far_from_start(p), _undetermined(p, kinds.get(p.name, ""))) if f is not None]
-    return found + _moved(believed) + _spread(estimate) + _frequencies(structure, problem.record)
+    return (
+        found
+        + _moved(believed)
+        + _spread(estimate)
+        + _frequencies(structure, problem.record, loose_dofs(problem.structure))
+    )
 
 
 def _far_from_start(p: ParameterEstimate) -> Finding | None:
@@ -104,10 +110,14 @@ def _spread(estimate: Estimate) -> list[Finding]:
     return [Finding("spread", "parameters", f"{text}; check them, the masses and the units")]
 
 
-def _frequencies(structure: Structure, record: Record) -> list[Finding]:
+def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> list[Finding]:
+    """Of the estimated structure; frequencies of zero are as they should be where DOFs are loose, from 0."""
     frequencies = modes_of(structure).natural_frequencies
     nyquist, least = 0.5 / record.step, 1.0 / record.duration
-    above, below = int(np.sum(frequencies > nyquist)), int(np.sum(frequencies < least))
+    above, below = (
+        int(np.sum(frequencies > nyquist)),
+        int(np.sum(frequencies[frequencies > 0 if loose else ...] < least)),
+    )
     of_structure, suspect = "natural frequencies of the estimated structure are", "natural frequencies"
     found = []
     if above:
@@ -117,6 +127,9 @@ def _frequencies(structure: Structure, record: Record) -> list[Finding]:
     if below:
         text = f"{below} {of_structure} below one period per record, {least:.4g} Hz; check the time axis and the units"
         found.append(Finding("frequencies", suspect, text, failed_if(below == len(frequencies))))
+    if loose:
+        text = f"the structure is not held: {record.dof_names(loose)} can move as a rigid body; without a displacement"
+        found.append(Finding("held", suspect, f"{text} sensor there, displacements are known up to a drift", "sound"))
     if np.isnan(frequencies).any():
         text = "the estimated structure is unstable: it has a negative stiffness"
         found.append(Finding("frequencies", suspect, text, "failed"))

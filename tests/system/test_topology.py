@@ -225,6 +225,8 @@ def test_springs_of_any_kind_hold(caplog):
     cubic = {"between": ["ground", "x1"], "law": "duffing", "c": 1.0, "k": 0.0, "kappa": 3.0}
     build_structure(["x1"], 1.0, {"a": cubic})
     build_structure(**FRAME)
+    loops = {"law": "bouc_wen", "c": 0, "k": 0, "A": 4e5, "beta": 30, "gamma": 20, "n": 1}
+    build_structure(["x1"], 1.0, {"a": {"between": ["ground", "x1"], **loops}})
     build_partial_structure(["x1"], 1.0, {"a": {"between": ["ground", "x1"], "law": "linear"}})
     names = [f"x{i}" for i in range(2000)]
     ends = zip(["ground", *names], names, strict=False)
