@@ -26,6 +26,7 @@ _NAMES, _LETTER = 0.12, 0.056  # inch: below the axis, and of each letter of the
 # A start that lies further from all else in a panel than this many times its height would squash it: an arrow at the
 # edge points there instead.
 REACH = 1.0
+NAMED = 20  # names below a panel, at most
 TICKS_IN_FULL = 8  # of values in a panel: up to these, exactly their connections are marked
 
 
@@ -194,7 +195,8 @@ def _name_connections(axes: Axes, group: Sequence[ParameterEstimate]) -> None:
     """Names instead of numbers, upright so that long ones do not meet."""
     names = [given.parameter.label for given in group]
     if names[0]:
-        axes.set_xticks(_connections(group), names, rotation=90)
+        every = -(-len(names) // NAMED)
+        axes.set_xticks(_connections(group)[::every], names[::every], rotation=90)
         axes.set_xlabel("")
 
 
