@@ -13,6 +13,9 @@ from pinn_cli.training.noise_model import NoiseModel
 
 # Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
 FIRST_DAMPING, LARGEST_DAMPING = 1e-9, 1e6
+# Decrease of the loss, twice the negative logarithm of a probability, that nothing is lost by leaving out. Functions
+# beside the motion are known in parts by their priors alone, along which steps creep.
+NEGLIGIBLE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +84,7 @@ def minimise(
         point, loss = moved, sum(terms.values())
         damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
         watch(terms)
-        if decrease <= tolerance * loss and damping == 0.0:
+        enough = max(tolerance * loss, 0.0 if equations.dynamics.is_plain else NEGLIGIBLE)
+        if decrease <= enough and damping == 0.0:
             return Solution(point, loss, iteration + 1, True, factor if undamped else None)
     return Solution(point, loss, iterations, False)
