@@ -20,11 +20,14 @@ BEYOND_BAND = 1.0
 
 @dataclass(frozen=True, eq=False)
 class CrossSpectra:
-    """Averaged products of the spectra of measured forces and sensors, over groups of neighbouring frequencies.
+    """Averaged products of the spectra of what acts and of sensors, over groups of neighbouring frequencies.
+
+    What acts, F of it, are the measured forces and last, where it moves, the ground's acceleration.
 
     Attributes:
         omega: (B,), rad/s.
-        forced: (F,), DOFs of the load cells, from 0.
+        forced: DOFs of the load cells, from 0.
+        felt: (S,) bool, the sensors that feel the ground's acceleration; None where it is at rest.
         sensors: (S,), DOFs of the response sensors, from 0.
         orders: (S,), 0, 1, 2 for displacement, velocity, acceleration.
         of_forces: (B, F, F), force times conjugate force.
@@ -42,16 +45,18 @@ class CrossSpectra:
     of_sensors: np.ndarray
     force_floor: np.ndarray
     sensor_floor: np.ndarray
+    felt: np.ndarray | None = None
 
     @classmethod
     def of(cls, record: Record) -> CrossSpectra | None:
         """Of a record whose forces are all measured or known to be zero; None of another."""
-        forced = np.flatnonzero(record.sensors("force"))
-        if not len(forced) or not np.isfinite(record.force).all():
+        forced, ground = np.flatnonzero(record.sensors("force")), record.ground_acceleration
+        if (not len(forced) and ground is None) or not np.isfinite(record.force).all():
             return None
+        acting = record.force[:, forced] if ground is None else np.column_stack((record.force[:, forced], ground))
         channels = [(q, dof) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         measured = np.stack([getattr(record, q)[:, dof] for q, dof in channels], axis=1)
-        forces, responses = _spectrum(record.force[:, forced]), _spectrum(measured)
+        forces, responses = _spectrum(acting), _spectrum(measured)
         frequency = np.fft.rfftfreq(len(record.time), record.step)
         last = int(np.searchsorted(frequency, BEYOND_BAND * record_band(record), side="right"))
         most = MOST_FREQUENCIES if record.ndof <= MANY_DOFS else MOST_FOR_MANY
@@ -72,8 +77,11 @@ class CrossSpectra:
             averaged(np.einsum("bi,bj->bij", forces, forces.conj())),
             averaged(np.einsum("bs,bj->bsj", responses, forces.conj())),
             averaged(np.abs(responses) ** 2),
-            _floor(record.force[:, forced], record.step),
+            _floor(acting, record.step),
             _floor(measured, record.step),
+            None
+            if ground is None
+            else np.array([q == "acceleration" and record.frame == "absolute" for q, _ in channels]),
         )
 
     @cached_property

@@ -54,7 +54,11 @@ class Candidate:
 
 
 def screened(
-    record: Record, stretch: np.ndarray, known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]
+    record: Record,
+    stretch: np.ndarray,
+    known: Mapping[str, np.ndarray],
+    guess: Mapping[str, np.ndarray],
+    influence: np.ndarray | None = None,
 ) -> list[Candidate]:
     """Candidates, the best first; none where a force is unknown or nothing is.
 
@@ -63,11 +67,12 @@ def screened(
         stretch: (C, n), row i: which displacements stretch connection i.
         known: ``m`` to (n,), ``c`` and ``k`` to (C,), NaN where unknown.
         guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
+        influence: (n,), how far each coordinate moves with the ground; None: by one.
     """
     spectra = CrossSpectra.of(record)
     if spectra is None or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
         return []
-    model = LinearFit(spectra, stretch, known, guess["k"])
+    model = LinearFit(spectra, stretch, known, guess["k"], influence)
     starts = _starts(model, record, guess)
     found: list[tuple[float, np.ndarray]] = []
     for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
@@ -87,11 +92,18 @@ class LinearFit:
         spectra: Of the record.
         stretch, known: See :func:`screened`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
+        influence: See :func:`screened`.
     """
 
     def __init__(
-        self, spectra: CrossSpectra, stretch: np.ndarray, known: Mapping[str, np.ndarray], typical: np.ndarray
+        self,
+        spectra: CrossSpectra,
+        stretch: np.ndarray,
+        known: Mapping[str, np.ndarray],
+        typical: np.ndarray,
+        influence: np.ndarray | None = None,
     ) -> None:
+        self.influence = np.ones(stretch.shape[1]) if influence is None else influence
         self.spectra, self.known = spectra, known
         self.end, self.typical = last_ends(stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
@@ -162,7 +174,12 @@ class LinearFit:
         stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
         flexibility = np.linalg.inv(stiffness)
         moved = flexibility[:, :, s.forced]  # (B, n, F)
+        if s.felt is not None:
+            shaken = -flexibility @ (p["m"] * self.influence)
+            moved = np.concatenate((moved, shaken[:, :, None]), axis=2)
         response = s.differentiation[:, :, None] * moved[:, s.sensors]
+        if s.felt is not None:
+            response[:, :, -1] += s.felt * self.influence[s.sensors]
         residual = self.scale * self._smoothed(response @ s.of_forces) - self.common
         if not slopes:
             return residual, np.empty(0)
@@ -172,6 +189,8 @@ class LinearFit:
         pull, stretched = seen @ self.stretch.T, self.stretch @ driven
         for dof in self.free["m"]:
             slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
+            if s.felt is not None:  # a heavier mass also feels more of the ground
+                slope = slope - p["m"][dof] * self.influence[dof] * seen[:, :, [dof]] * s.of_forces[:, [-1]]
             # Critical damping grows with the mass.
             for i in self.free["c"][self.end[self.free["c"]] == dof]:
                 slope = slope - 0.5j * s.omega[:, None, None] * p["c"][i] * pull[:, :, [i]] * stretched[:, [i]]

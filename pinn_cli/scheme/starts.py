@@ -68,11 +68,8 @@ def parameter_starts(
         most: Starts at most; None: those that compete; 0: one, at what was given, whatever the record says.
     """
     known, guess = _known(prescribed, unknown), _guess(prescribed, record, unknown, given)
-    candidates = (
-        [c for c in screened(record, prescribed.incidence.matrix.toarray(), known, guess) if c.misfit < HOPELESS]
-        if most != 0
-        else []
-    )
+    stretch, moved = prescribed.incidence.matrix.toarray(), prescribed.with_ground
+    candidates = [] if most == 0 else [c for c in screened(record, stretch, known, guess, moved) if c.misfit < HOPELESS]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     linear = [candidate.parameters for candidate in candidates[:most]]

@@ -6,10 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from independent_records import IndependentRecord, frame_record
 
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.record import Record
+from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.screening import LinearFit, screened
+from pinn_cli.system.chain import chain_of
+from pinn_cli.system.connection import Linear
 
 # Row i: which displacements stretch connection i of a chain of three.
 STRETCH = np.eye(3) - np.eye(3, k=-1)
@@ -115,3 +121,26 @@ def test_spectra_hold_what_force_and_response_have_in_common():
     inside = (spectra.omega > 2 * np.pi * 0.7) & (spectra.omega < 2 * np.pi * 19.0)
     error = np.abs(given - expected)[inside]
     assert np.median(error / np.abs(expected)[inside]) < 0.1
+
+
+@pytest.mark.parametrize("frame", ["absolute", "relative"])
+def test_an_earthquake_tells_stiffnesses_as_a_force_does(frame):
+    masses, springs = np.array([2000.0, 2000.0, 1500.0]), np.array([8.0e6, 7.2e6, 5.6e6])
+    values = {"m": masses, "c": 0.04 * np.sqrt(masses * springs), "k": springs}
+    structure = chain_of({kind: torch.as_tensor(value) for kind, value in values.items()}, Linear())
+    time, phases = np.linspace(0.0, 20.0, 2001), np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, 400)
+    lines = 2.0 * np.pi * np.linspace(0.5, 20.0, 400)
+    shake = lambda t: np.cos(np.outer(t, lines) + phases).sum(1) / 20.0  # noqa: E731
+    truth = simulate(structure, lambda t: np.zeros((len(t), 3)), time, substeps=4, ground=shake, frame=frame)
+    record = Record(**Noise(30.0).added_to(truth).measurable, unforced=np.ones(3, bool), frame=frame)
+    free = {"m": masses, "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
+    guess = {"m": masses, "k": np.full(3, 1.0e5)}
+    best = screened(record.keep({"acceleration": [3]}), np.eye(3) - np.eye(3, k=-1), free, guess)[0]
+    np.testing.assert_allclose(best.parameters["k"], springs, rtol=0.05)
+    fit = LinearFit(CrossSpectra.of(record), np.eye(3) - np.eye(3, k=-1), {**free, "m": np.full(3, np.nan)}, guess["k"])
+    x = fit.start(1.2 * masses, 0.9 * springs)
+    residual, slopes = fit._residual(x, slopes=True)
+    for i, step in enumerate(1e-6 * np.eye(len(x))):
+        numerical = (fit._residual(x + step, False)[0] - fit._residual(x - step, False)[0]) / 2e-6
+        np.testing.assert_allclose(slopes[..., i], numerical, atol=1e-6 * np.abs(numerical).max())
+    assert residual.shape[-1] == 1
