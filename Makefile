@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all lint format fuzz audit bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all kills lint format fuzz audit bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
 	against-smoother clean
 
 help: ## list the targets
@@ -54,6 +54,9 @@ fuzz: venv ## bad inputs of every family, 90 each, counted: each is told in one 
 
 audit: ## known holes of the versions in constraints.txt; needs a network
 	VENV=$(VENV) PYTHON=$(PYTHON) .ci/audit
+
+kills: venv ## kill 100 runs and 30 sweeps and fill 10 disks: the same command ends with the same numbers (long)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -s -m slow tests/test_kills.py
 
 calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
 	$(BIN)/python -m benchmarks.calibration $(ARGS)

@@ -37,7 +37,7 @@ from pinn_cli.runs.claim import Claim, entered
 from pinn_cli.runs.interruption import Interruption, watched
 from pinn_cli.runs.memory import is_out_of_memory, of_this_machine
 from pinn_cli.runs.resume import StoredRun, check_sound, going_on, how_to_go_on
-from pinn_cli.runs.writing import WriteError, refused_by_disk
+from pinn_cli.runs.writing import OUTPUT, WriteError, refused_by_disk
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 from pinn_cli.sweep import collect, failure
 from pinn_cli.sweep.callback import ended_sweep
@@ -91,10 +91,8 @@ class Jobs:
                     overrides = HydraConfig.get().overrides.task
                     note_failure(self.directory, overrides, failure.Failure.of(error))
                 elif isinstance(error, Reported) and not in_sweep:
-                    self.report(error)
+                    self.report(error, how_to_go_on(self.directory) if isinstance(error, WriteError) else "")
                     self.refused = isinstance(error, InputError)
-                    if isinstance(error, WriteError):
-                        self.print_line(how_to_go_on(self.directory))
                 elif error is raised:
                     raise
                 else:
@@ -114,12 +112,12 @@ class Jobs:
             failure.clear(claim.directory)
         return score
 
-    def report(self, error: Reported) -> None:
+    def report(self, error: Reported, hint: str = "") -> None:
         """Print the error's one line and note the exit status that it asks for."""
         if self.full_error:
             traceback.print_exception(error)
         else:
-            self.print_line(str(error))
+            self.print_line(f"{error}; {hint}" if hint else str(error))
         self.status = max(self.status, failure.status_of(error))
 
     def print_line(self, text: str) -> None:
@@ -181,9 +179,11 @@ def execute(task: Task) -> int:
 def _told(error: Exception, jobs: Jobs, options: Namespace) -> Reported | None:
     """What to tell of an error that no job reported; None of a defect."""
     told = error if isinstance(error, WriteError) else refused_by_disk(error)
+    if told is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
+        told = WriteError(error.filename, error.strerror)
     if told is None:
         return explain(error, options.overrides, options.config_dir, composing=not jobs.started)
-    if jobs.started:
+    if jobs.started or told.path == OUTPUT:
         return told
     setting = "hydra.sweep.dir" if options.multirun else "hydra.run.dir"
     return InputError(setting, told.path, "a directory that can be made", told.reason)

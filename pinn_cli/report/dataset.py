@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from pinn_cli.record.record import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
-from pinn_cli.runs.writing import replacing
+from pinn_cli.runs.writing import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -118,9 +118,8 @@ def _of_the_connections(drifts: Drifts | None) -> dict[str, tuple[tuple[str, ...
 
 def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
     """Write ``dataset`` as netCDF 4 through h5netcdf."""
-    with replacing(path) as beside:
-        dataset.to_netcdf(beside, engine="h5netcdf", format="NETCDF4")
-    return Path(path)
+    # HDF5 ends the process where its disk is full; in memory it has no disk.
+    return write_bytes(dataset.to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
 
 
 def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:

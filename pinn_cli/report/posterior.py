@@ -18,7 +18,7 @@ from pinn_cli.record.record import UNITS
 from pinn_cli.report.dataset import netcdf_attributes
 from pinn_cli.report.results import with_labels
 from pinn_cli.runs.identity import package_version
-from pinn_cli.runs.writing import replacing
+from pinn_cli.runs.writing import write_bytes
 from pinn_cli.system.parameters import LINEAR_TITLES
 from pinn_cli.training.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
@@ -70,10 +70,8 @@ def posterior_groups(
 
 def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> Path:
     """Write the groups as netCDF 4 through h5netcdf."""
-    with replacing(path) as beside:
-        for position, (name, dataset) in enumerate(groups.items()):
-            dataset.to_netcdf(beside, mode="a" if position else "w", group=name, engine="h5netcdf", format="NETCDF4")
-    return Path(path)
+    # In memory, as :func:`pinn_cli.report.dataset.write_dataset`.
+    return write_bytes(xr.DataTree.from_dict(dict(groups)).to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
 
 
 def _posterior(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> xr.Dataset:

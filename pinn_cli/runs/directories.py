@@ -45,5 +45,5 @@ def _note(config: DictConfig, mode: str) -> None:
 def discard() -> None:
     """Remove what unusable input left: directories that are new and in which no run was begun."""
     for directory in _fresh:
-        if directory.is_dir() and all(map(is_prepared, directory.iterdir())):
+        if os.path.isdir(directory) and all(map(is_prepared, directory.iterdir())):
             shutil.rmtree(directory)

@@ -61,7 +61,8 @@ def locked(file: Path, waiting: str = "", every_s: float = 0.1) -> Iterator[None
         log.warning("%s is on a file system without locks: have no two processes write there", file.parent)
     try:
         if lock.is_locked:
-            file.write_text(json.dumps(_this_process()), encoding="utf-8")
+            with suppress(OSError):  # on a full disk nobody learns who is in there
+                file.write_text(json.dumps(_this_process()), encoding="utf-8")
         yield
     finally:
         if lock.is_locked:

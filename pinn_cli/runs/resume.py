@@ -142,7 +142,8 @@ def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
 def read_record(directory: Path) -> dict[str, Any]:
     """What `run.json` says of the run in a directory; empty where there is none, or it is damaged."""
     try:
-        content = json.loads((directory / RESULT).read_text(encoding="utf-8"))
+        file = directory / RESULT
+        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}  # and no FIFO, which waits
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

@@ -30,6 +30,9 @@ _DISK = {
     errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ELOOP, errno.EMFILE, errno.ENFILE, errno.ESTALE,
 }  # fmt: skip
 
+# What an error of the system's is about that names no file: standard output, as a rule.
+OUTPUT = "the output"
+
 
 class WriteError(RuntimeError):
     """A file that the disk does not take: it is full, or its folder is gone or forbidden.
@@ -51,7 +54,7 @@ class WriteError(RuntimeError):
 def refused_by_disk(error: BaseException) -> WriteError | None:
     """What to tell of an error of the system's that is about the disk; None of any other."""
     if isinstance(error, OSError) and error.errno in _DISK:
-        return WriteError(error.filename or "the output", error.strerror or str(error))
+        return WriteError(error.filename or OUTPUT, error.strerror or str(error))
     return None
 
 
@@ -92,6 +95,13 @@ def write_text(text: str, path: Path | str) -> Path:
     """Write ``text`` as UTF-8 with one newline at its end."""
     with replacing(path) as beside:
         beside.write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+    return Path(path)
+
+
+def write_bytes(content: bytes | memoryview, path: Path | str) -> Path:
+    """Write a file whose bytes are in memory already, as those of libraries that do not outlive a full disk."""
+    with replacing(path) as beside:
+        beside.write_bytes(content)
     return Path(path)
 
 

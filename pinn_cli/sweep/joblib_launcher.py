@@ -14,6 +14,7 @@ from joblib import Parallel, delayed, effective_n_jobs
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from pinn_cli.sweep.affinity import jobs_at_once, pin
+from pinn_cli.sweep.orphans import end_with_launcher
 from pinn_cli.sweep.pending import PendingJob, Work, take_over
 
 _REASON = "its worker was killed, again when it ran alone: by the system for want of memory, perhaps"
@@ -83,6 +84,7 @@ class JoblibLauncher:
 def _run_job(work: Work, overrides: Sequence[str], number: int, processes: int, state: Any, sweep: str) -> JobReturn:
     """In a worker. It takes over Hydra's state once, and not before each job: Hydra then looks for all its plugins."""
     global _of_sweep  # noqa: PLW0603
+    end_with_launcher()
     if _of_sweep != sweep:
         take_over(state)
         _of_sweep = sweep
