@@ -48,7 +48,7 @@ def start(folder: Path, *arguments: str, hook: Hook = lambda: None) -> int:
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
             os.dup2(null, 2)
-            sys.stdout = sys.stderr = open(os.devnull, "w")
+            sys.stdout = sys.stderr = os.fdopen(null, "w")
             hook()
             os._exit(execute(run))
         finally:
@@ -174,10 +174,10 @@ def test_killed_sweeps(whole: tuple[Path, float], tmp_path: Path) -> None:
         workers += len(children)
         victim.kill()
         victim.communicate()
-        gone, alive = psutil.wait_procs(children, timeout=10)
+        _, alive = psutil.wait_procs(children, timeout=10)
         assert not alive, alive
         again = start_process(tmp_path, *command)
-        out, err = again.communicate(timeout=600)
+        _, err = again.communicate(timeout=600)
         assert again.returncode == 0, err
         assert_same_sweep(tmp_path / "whole", tmp_path / f"workers{number}")
     print(f"{kills} sweeps in one process and {SWEEPS_OF_WORKERS} with {workers} workers were killed")

@@ -138,7 +138,7 @@ def execute(task: Task) -> int:
     options = Namespace(overrides=[], config_dir=None)
     try:
         options = read_options(sys.argv)
-        with watched():
+        with watched(in_time=True):
             if options.help:
                 print(help_text(options.config_dir))
             elif not _has_collected(options) and not _has_finished(jobs, options):
@@ -180,7 +180,7 @@ def _told(error: Exception, jobs: Jobs, options: Namespace) -> Reported | None:
     """What to tell of an error that no job reported; None of a defect."""
     told = error if isinstance(error, WriteError) else refused_by_disk(error)
     if told is None and isinstance(error, FileNotFoundError) and not jobs.started:  # as below /proc
-        told = WriteError(error.filename, error.strerror)
+        told = WriteError(error.filename, error.strerror or "")
     if told is None:
         return explain(error, options.overrides, options.config_dir, composing=not jobs.started)
     if jobs.started or told.path == OUTPUT:

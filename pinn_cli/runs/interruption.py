@@ -1,14 +1,23 @@
-"""Signals that stop a run, SIGINT (Ctrl-C) and SIGTERM, or warn it; how a training puts them off to a step's end."""
+"""Signals that stop a run, SIGINT (Ctrl-C) and SIGTERM, or warn it; how a training puts them off to a step's end.
+
+A step that takes longer than `PATIENCE_S` is broken off, and a call of a library that takes longer than `GRACE_S` ends
+with the process: Python hears of a signal only between two calls. What is on the disk is whole whenever that happens.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
+import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# Seconds that a signal is put off at most, and from a signal to the process's end at the latest.
+PATIENCE_S, GRACE_S = 2.5, 4.5
 
 # Handlers belong to the process, and so does what they note: how many blocks put signals off, the one that came, and
 # whether one came that only warns.
@@ -30,8 +39,10 @@ class Interruption(KeyboardInterrupt):
 
 
 @contextmanager
-def watched(signals: Sequence[int] = SIGNALS) -> Iterator[None]:
+def watched(signals: Sequence[int] = SIGNALS, in_time: bool = False) -> Iterator[None]:
     """Have these signals raise `Interruption` in the block; a second Ctrl-C ends the process at once.
+
+    With ``in_time`` nothing holds them up for longer than `GRACE_S` seconds.
 
     A signal that the process was started to ignore, as under `nohup`, stays ignored. Elsewhere than in the main thread
     Python has no signals and the block runs as it is.
@@ -43,11 +54,51 @@ def watched(signals: Sequence[int] = SIGNALS) -> Iterator[None]:
     heeded = [number for number in signals if signal.getsignal(number) != signal.SIG_IGN]
     before = {number: signal.signal(number, _receive) for number in heeded}
     try:
-        yield
+        with _ended_in_time(heeded) if in_time else nullcontext():
+            yield
     finally:
         _asked = None
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _ended_in_time(signals: Sequence[int]) -> Iterator[None]:
+    """Have steps broken off, and at last the process ended, where one of these signals is not answered in time."""
+    mine, systems = socket.socketpair()
+    systems.setblocking(False)
+    over = threading.Event()
+    before = signal.set_wakeup_fd(systems.fileno(), warn_on_full_buffer=False)
+    alarm = signal.signal(signal.SIGALRM, _break_off)
+    threading.Thread(target=_await_signal, args=(mine, signals, over), name="signals", daemon=True).start()
+    try:
+        yield
+    finally:
+        over.set()
+        signal.set_wakeup_fd(before)
+        signal.signal(signal.SIGALRM, alarm)
+        systems.close()
+
+
+def _await_signal(numbers: socket.socket, signals: Sequence[int], over: threading.Event) -> None:
+    """In a thread of its own, which runs on while a library computes: the system itself writes the signal's number."""
+    with numbers:
+        while received := numbers.recv(1):
+            if received[0] in signals:
+                if over.wait(PATIENCE_S):
+                    return
+                signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGALRM)
+                if over.wait(GRACE_S - PATIENCE_S):
+                    return
+                with suppress(OSError, ValueError):
+                    print("pinn-run: interrupted in a long computation; the same command goes on", file=sys.stderr)
+                os._exit(128 + received[0])
+
+
+def _break_off(number: int, frame: FrameType | None) -> None:
+    """A signal has been put off for long enough."""
+    if _asked is not None and _deferring:
+        raise Interruption(_asked)
 
 
 @contextmanager

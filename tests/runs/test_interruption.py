@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -50,3 +51,29 @@ with watched(), deferred():
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (-signal.SIGINT, "still here\n")
+
+
+LONG = {
+    "a step that is put off": """
+with deferred():
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        sum(range(1000))
+""",
+    "one call of a library": "hashlib.pbkdf2_hmac('sha512', b'', b'', 2**31 - 1)\n",
+}
+
+
+@pytest.mark.parametrize("block", LONG.values(), ids=LONG.keys())
+def test_nothing_holds_a_signal_up_for_long(block: str) -> None:
+    code = "import hashlib, sys, time\nfrom pinn_cli.runs.interruption import Interruption, deferred, watched\n"
+    code += "def run():\n  with watched(in_time=True):\n    print('in', flush=True)\n"
+    code += "".join(f"    {line}\n" for line in block.strip().splitlines())
+    code += "try:\n  run()\nexcept Interruption as stop:\n  sys.exit(stop.status)\n"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "in\n"
+    began = time.monotonic()
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=60) == 143
+    assert time.monotonic() - began < 5.0
