@@ -257,7 +257,7 @@ def test_a_measured_record_with_displacement_or_velocity_on_every_dof(measuremen
 
 def test_a_measured_record_that_leaves_dofs_out_is_told_why_it_cannot_be(measurements, tmp_path):
     record = from_csv(tmp_path, measurements.record, displacement=(2,), velocity=(2,))
-    with pytest.raises(InputError, match=r"^scheme=bayesian: .*none on DOF 1, 3") as error:
+    with pytest.raises(InputError, match=r"^scheme=bayesian: .*none on DOFs 1, 3") as error:
         Bayesian().problem(small_chain(), record)
     assert "\n" not in str(error.value)
 
@@ -266,4 +266,4 @@ def test_a_measured_record_of_accelerations_is_warned_of_where_nothing_else_is(m
     record = from_csv(tmp_path, measurements.record, acceleration=ALL, displacement=(1,))
     with caplog.at_level(logging.WARNING, "pinn_cli"):
         Bayesian().problem(small_chain(), record)
-    assert [entry.args[0] for entry in caplog.records] == [2, 3]
+    assert [entry.args[0] for entry in caplog.records] == ["2", "3"]
