@@ -15,7 +15,6 @@ EXAMPLES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
     outcome = pinn_run(f"experiment=examples/{example}", "figures=false")
