@@ -41,7 +41,8 @@ def check_destination(directory: Path, setting: str) -> None:
             named = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
             hint = f"files of yours might be replaced there ({named}): name another directory"
             raise InputError(setting, directory, ALLOWED, hint)
-    _check_kinds(entries, setting)
+    settings = directory / SETTINGS
+    _check_kinds([*entries, *(sorted(settings.iterdir()) if settings.is_dir() else ())], setting)
 
 
 def made(directory: Path, setting: str) -> Path:

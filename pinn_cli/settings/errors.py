@@ -7,6 +7,14 @@ Everything else is a defect of the program and keeps its traceback.
 
 from __future__ import annotations
 
+# Of a value that is told, characters.
+LONGEST = 500
+
+
+def _shortened(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)"
+
 
 class InputError(ValueError):
     """A setting or a file that no run can use.
@@ -21,7 +29,7 @@ class InputError(ValueError):
 
     def __init__(self, setting: str, value: object, allowed: str, hint: str = "") -> None:
         self.setting, self.value, self.allowed, self.hint = setting, value, allowed, hint
-        text = f"{setting}={value}: must be {allowed}" + (f"; {hint}" if hint else "")
+        text = f"{setting}={_shortened(value)}: must be {allowed}" + (f"; {_shortened(hint)}" if hint else "")
         super().__init__(" ".join(text.split()))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:

@@ -87,3 +87,9 @@ def test_input_errors_cross_processes() -> None:
     error = InputError("system.ndof", 0, ">= 1", "a chain has a mass")
     copy = pickle.loads(pickle.dumps(error))
     assert str(copy) == str(error) == "system.ndof=0: must be >= 1; a chain has a mass"
+
+
+def test_a_long_value_is_cut() -> None:
+    told = str(InputError("case", "a" * 6000, "a name", "b" * 6000))
+    assert told.startswith(f"case={'a' * 500}... (6000 characters): must be a name; bbb")
+    assert len(told) < 1100
