@@ -6,6 +6,7 @@ takes a second or two; workers of joblib are processes of their own.
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -88,6 +89,12 @@ def dying_at(is_it: Callable[[Path], bool], number: int, after: bool) -> Hook:
     return hook
 
 
+def await_file(file: Path) -> None:
+    until = time.monotonic() + 60.0
+    while time.monotonic() < until and not file.exists():
+        time.sleep(0.002)
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
     """The run undisturbed, and how long it takes, s."""
@@ -108,13 +115,15 @@ def assert_ends_the_same(folder: Path, whole: Path, command: tuple[str, ...] = C
 
 def test_a_hundred_kills_of_runs(whole: tuple[Path, float], tmp_path: Path) -> None:
     directory, seconds = whole
+    stages = json.loads((directory / "run.json").read_text())["seconds"]
+    lasting = stages["total"] - sum(stages[name] for name in ("config", "imports", "record", "problem"))
     moments, counted = random.Random(16), Counter[str]()
 
     def check(kind: str, number: int, victim: int, after: float = 0.0) -> None:
         folder = tmp_path / f"{kind}{number}"
         was_killed = killed_after(victim, after) if after else ended(victim) == -signal.SIGKILL
         counted[f"{kind}, killed"] += was_killed
-        counted["with a checkpoint on the disk"] += was_killed and (folder / "run" / "checkpoint.pt").is_file()
+        counted["with a checkpoint on the disk"] += was_killed and bool(list(folder.glob("run/checkpoint*.pt")))
         if number % 4 == 0 and was_killed:
             counted["killed twice"] += killed_after(start(folder, *COMMAND), moments.uniform(0.0, seconds))
         by_directory = number % 2 and (folder / "run" / ".hydra" / "config.yaml").is_file()
@@ -124,7 +133,11 @@ def test_a_hundred_kills_of_runs(whole: tuple[Path, float], tmp_path: Path) -> N
     while counted["any moment, killed"] < AT_ANY_MOMENT:
         (tmp_path / f"any moment{number}").mkdir()
         victim = start(tmp_path / f"any moment{number}", *COMMAND)
-        check("any moment", number, victim, moments.uniform(0.1, 0.98) * seconds)
+        if number % 5:  # in its training or its report; else in anything
+            await_file(tmp_path / f"any moment{number}" / "run" / "checkpoint.pt")
+            check("any moment", number, victim, moments.uniform(0.0, 0.95) * lasting)
+        else:
+            check("any moment", number, victim, moments.uniform(0.05, 0.98) * seconds)
         number += 1
     for number in range(IN_CHECKPOINTS):
         (tmp_path / f"checkpoints{number}").mkdir()
