@@ -15,6 +15,7 @@ from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation, simulate
+from pinn_cli.report.connection_forces import ConnectionForces
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
@@ -45,6 +46,14 @@ def test_a_hidden_force():
     assert np.all(fitness_percent(found.displacement, truth.displacement) > 97.0)
     assert np.all(fitness_percent(found.hidden, truth.hidden) > 95.0)
     assert inside(found.hidden, std.hidden, truth.hidden) > 0.8
+    forces = ConnectionForces.of(structure, estimate, measurements.truth)
+    assert np.all(fitness_percent(forces.estimate, forces.true) > 95.0)
+    assert inside(forces.estimate, forces.std, forces.true) > 0.85
+    loops = [
+        np.trapezoid(r[:, 1:], e[:, 1:], axis=0)
+        for r, e in ((forces.estimate, forces.elongation), (forces.true, forces.true_elongation))
+    ]
+    np.testing.assert_allclose(*loops, rtol=0.05)
 
 
 @pytest.mark.parametrize("frame", ["absolute", "relative"])

@@ -228,6 +228,10 @@ class Record:
             acceleration=blanked("acceleration"),
         )
 
+    def without_load_cells(self) -> Record:
+        """The record in which the force on every forced DOF is unknown."""
+        return replace(self, force=np.where(self.unforced, self.force, np.nan))
+
     def until(self, samples: int) -> Record:
         """The record's first samples; the scatter of repeats, which is known of the whole, is shared out evenly."""
         histories = {name: getattr(self, name)[:samples] for name in ("time", *QUANTITIES)}

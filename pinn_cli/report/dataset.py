@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pinn_cli.record.record import Record, Response
+    from pinn_cli.report.connection_forces import ConnectionForces
     from pinn_cli.report.drift import Drifts
     from pinn_cli.training.estimate import Estimate
 
@@ -28,6 +29,7 @@ def response_dataset(
     free_run: Response | None = None,
     baseline: tuple[str, Estimate] | None = None,
     drifts: Drifts | None = None,
+    forces: ConnectionForces | None = None,
 ) -> xr.Dataset:
     """Everything that a figure of the response needs, labelled.
 
@@ -40,6 +42,7 @@ def response_dataset(
         free_run: The motion of the estimated system by itself; None where there is none.
         baseline: Name and estimate of another estimator; None where there is none.
         drifts: Of the connections; None: they are left out.
+        forces: Of the connections; None: they are left out.
 
     Returns:
         For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
@@ -73,6 +76,7 @@ def response_dataset(
             described = {"long_name": f"{words}{quantity} estimated by {name}", "units": UNITS[quantity]}
             variables[f"{quantity}_{name}{suffix}"] = (("time", "dof"), getattr(response, quantity), described)
     variables |= _of_the_ground(estimate, record, truth) | _of_the_connections(drifts)
+    variables |= _internal_forces(forces)
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a structure",
@@ -131,6 +135,22 @@ def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:
 def _observed(record: Record, quantity: str) -> np.ndarray:
     # A force that is known to be zero is 0 in the record; nobody has measured it.
     return np.where(record.sensors(quantity), getattr(record, quantity), np.nan)
+
+
+def _internal_forces(forces: ConnectionForces | None) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """``connection_force``, ``connection_force_std`` and, where known, ``connection_force_true``."""
+    if forces is None:
+        return {}
+    sources = {
+        "connection_force": (forces.estimate, "estimated internal force"),
+        "connection_force_std": (forces.std, "standard deviation of the estimated internal force"),
+        "connection_force_true": (forces.true, "true internal force"),
+    }
+    return {
+        name: (("time", "connection"), values, {"long_name": long_name, "units": UNITS["force"]})
+        for name, (values, long_name) in sources.items()
+        if name != "connection_force_true" or np.isfinite(values).any()
+    }
 
 
 def _coordinates(record: Record, drifts: Drifts | None) -> dict[str, tuple[str, np.ndarray, dict[str, str]]]:

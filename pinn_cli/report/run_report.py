@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pinn_cli.report.connection_forces import ConnectionForces
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.drift import Drifts, drift_table
 from pinn_cli.report.free_run import free_run, free_run_table
@@ -58,7 +59,8 @@ def write_report(results: Results, directory: Path, stages: Stages, figures: boo
         labels, named = run.labels_of(estimator="pinn"), (run.baseline, other) if other else None
         drifts = Drifts.of(results.prescribed, estimate, truth.response)
         write_table(drift_table(drifts, labels), directory / "drift.csv")
-        dataset = response_dataset(estimate, record, truth.response, labels, free.response, named, drifts)
+        forces = ConnectionForces.of(results.prescribed, estimate, truth)
+        dataset = response_dataset(estimate, record, truth.response, labels, free.response, named, drifts, forces)
         write_dataset(dataset, directory / "response.nc")
     if figures:
         with stages("figures"):

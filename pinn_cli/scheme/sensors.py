@@ -11,6 +11,7 @@ from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, is_whole_number
 
+FORCE = "force"
 PATTERN = re.compile(r"every_(\d+)(?:st|nd|rd|th)")
 
 
@@ -59,7 +60,8 @@ def observed_through(
     """A simulated record with sensors for the given quantities on the observed DOFs; see :func:`unobserved_dofs`."""
     hidden = unobserved_dofs(record.ndof, fraction, unobserved)
     observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
-    return record.keep(dict.fromkeys(quantities, observed))
+    kept = record.keep(dict.fromkeys((q for q in quantities if q != FORCE), observed))
+    return kept if FORCE in quantities else kept.without_load_cells()
 
 
 def _pattern(text: str, ndof: int) -> list[int]:
@@ -70,17 +72,21 @@ def _pattern(text: str, ndof: int) -> list[int]:
 
 
 def sensor_quantities(sensors: Mapping[str, bool]) -> tuple[str, ...]:
-    """The response quantities that observed DOFs have sensors for.
+    """The response quantities that observed DOFs have sensors for; ``force`` where forced DOFs have load cells.
+
+    They have unless ``force`` is false.
 
     Raises:
-        InputError: An unknown quantity, or none chosen.
+        InputError: An unknown quantity, or no response quantity chosen.
     """
     for name, chosen in sensors.items():
-        if name not in RESPONSE_QUANTITIES or not isinstance(chosen, (bool, np.bool_)):
-            allowed = f"true or false for each of {', '.join(RESPONSE_QUANTITIES)}"
+        if name not in (*RESPONSE_QUANTITIES, FORCE) or not isinstance(chosen, (bool, np.bool_)):
+            allowed = f"true or false for each of {', '.join((*RESPONSE_QUANTITIES, FORCE))}"
             raise InputError(f"scheme.sensors.{name}", chosen, allowed)
     quantities = tuple(q for q in RESPONSE_QUANTITIES if sensors.get(q, False))
-    if not quantities:
+    if sensors.get(FORCE, True):
+        quantities = (*quantities, FORCE)
+    if not set(quantities) - {FORCE}:
         raise InputError(
             "scheme.sensors", dict(sensors), "at least one of displacement, velocity, acceleration set to true"
         )

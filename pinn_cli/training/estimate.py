@@ -89,10 +89,14 @@ class ConnectionHistories:
     Attributes:
         elongation: (N, C), m.
         elongation_std: (N, C), m, its posterior standard deviation.
+        force: (N, C), N, internal forces, those of memory included.
+        force_std: (N, C), N.
     """
 
     elongation: np.ndarray
     elongation_std: np.ndarray
+    force: np.ndarray
+    force_std: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

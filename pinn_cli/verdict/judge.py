@@ -13,6 +13,7 @@ from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import mass_fault, time_unit_fault
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.finding import Finding, Verdict
+from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.modes import modes_of
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
@@ -53,6 +54,7 @@ def judge(
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
+    findings += input_findings(problem, structure)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies:
         # A gain that believed parameters have made up for shows against the prescribed ones.

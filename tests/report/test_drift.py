@@ -72,7 +72,7 @@ def test_the_interval_is_that_of_the_drift_at_its_peak(make_case):
 def test_standard_deviations_are_those_of_the_estimate(make_case):
     still, spread = np.zeros((len(TIME), 3)), np.full((len(TIME), 3), 2e-4)
     response = Response(TIME, motion(), still, still, still)
-    connections = ConnectionHistories(chain().elongation(motion()), spread)
+    connections = ConnectionHistories(chain().elongation(motion()), spread, spread, spread)
     estimate = replace(make_case().estimate, response=response, connections=connections)
     found = Drifts.of(chain(), estimate, Response.unknown(TIME, 3))
     np.testing.assert_array_equal(found.std, spread)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pinn_cli.report.connection_forces import ConnectionForces
 from pinn_cli.report.drift import Drifts
 from pinn_cli.report.figures.correlation import correlation_figure
 from pinn_cli.report.figures.drift import drift_figure
 from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.force_predictive import force_predictive_figure
 from pinn_cli.report.figures.history import history_figure
+from pinn_cli.report.figures.hysteresis import hysteresis_figure
 from pinn_cli.report.figures.parameters import parameters_figure
 from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure, rank_figure, trace_figure
 from pinn_cli.report.figures.residuals import residuals_figure
@@ -44,6 +46,9 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
         "error_map": error_map_figure(estimate, record, truth.response),
         "drift": drift_figure(Drifts.of(results.prescribed, estimate, truth.response), run.truth_label),
     }
+    forces = ConnectionForces.of(results.prescribed, estimate, truth)
+    if forces is not None and forces.memory.size:
+        figures["hysteresis"] = hysteresis_figure(forces, run.truth_label)
     if results.prescribed.labels.connections:
         figures["structure"] = structure_figure(results.prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):

@@ -103,6 +103,10 @@ class Hysteresis(Nonlinearity):
         """
 
     @abstractmethod
+    def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(connections,) bool: whose parameters allow a cycle that gives more energy than it takes."""
+
+    @abstractmethod
     def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
         """Kind to where an unknown parameter starts, and its order of magnitude: k's too.
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pinn_cli.system.array_namespace import namespace
 from pinn_cli.system.connection.base import Hysteresis
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import numpy as np
 
     from pinn_cli.system.array_namespace import Array
 
@@ -56,6 +56,11 @@ class BoucWen(Hysteresis):
         sign = where(z == 0, 0.0, z / size)
         slowed: Array = (beta * abs(de) * sign + gamma * de) * power
         return a * de - slowed
+
+    def creates_energy(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """See :meth:`Hysteresis.creates_energy`: all but beta >= 0 and -beta <= gamma <= beta."""
+        creates: np.ndarray = np.abs(parameters["gamma"]) > parameters["beta"]
+        return creates
 
     def starts(self, stiffness: float, elongation: float) -> dict[str, tuple[float, float]]:
         """See :meth:`Hysteresis.starts`: half of the spring is hidden, and it yields at the elongation that there is.

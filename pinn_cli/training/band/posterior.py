@@ -100,7 +100,16 @@ class ReadoutPosterior:
         return segments.scatter(torch.stack(every, 2).to(segments.mask.device)).cpu()
 
     def _force_of_dof(self, rows: LocalRows, dof: int) -> Tensor:
-        position, jacobian, held = rows.of_dof(dof)
+        return self.deviation(*rows.of_dof(dof))
+
+    def deviation(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
+        """Standard deviation of linear rows, (I, S).
+
+        Args:
+            position: (I, C), of the readout weights that they take.
+            jacobian: (I, S, C), the rows by those.
+            held: (I, S, p), the rows by the parameters, in prior standard deviations.
+        """
         variance = ((jacobian @ self._window(position)) * jacobian).sum(-1)
         by_parameter = self._by_parameter(position, jacobian, held)
         return (variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt()

@@ -10,6 +10,7 @@ from scipy.sparse import csr_matrix
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.training.acting_force import acting_force, sensor_share
+from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.parameter_posterior import parameter_posterior
@@ -43,12 +44,13 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
 
 
 def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:
-    """Their elongations, sums of functions whose errors are not independent."""
+    """Their elongations, sums of functions whose errors are not independent, and their forces."""
     dynamics, segments = posterior.equations.dynamics, posterior.equations.observation
     stretch = dynamics.structure.incidence.matrix
     by_function = csr_matrix((stretch.data, stretch.indices, stretch.indptr), (stretch.shape[0], dynamics.size))
     std = posterior.combined(segments, [(0, by_function)])
-    return ConnectionHistories(dynamics.structure.elongation(response.displacement), std.numpy())
+    elongation = dynamics.structure.elongation(response.displacement)
+    return ConnectionHistories(elongation, std.numpy(), *connection_forces(posterior))
 
 
 def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:

@@ -1,0 +1,55 @@
+"""Internal forces of the connections over time, estimated and true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Truth
+    from pinn_cli.system.structure import Structure
+    from pinn_cli.training.estimate import Estimate
+
+
+@dataclass(frozen=True, eq=False)
+class ConnectionForces:
+    """Of C connections.
+
+    Attributes:
+        names: Of the connections; their numbers from 1 where they have none.
+        memory: (h,), those that have memory.
+        elongation: (N, C), m.
+        estimate: (N, C), N.
+        std: (N, C), N.
+        true_elongation, true: (N, C); NaN where unknown.
+    """
+
+    names: tuple[str, ...]
+    memory: np.ndarray
+    elongation: np.ndarray
+    estimate: np.ndarray
+    std: np.ndarray
+    true_elongation: np.ndarray
+    true: np.ndarray
+
+    @classmethod
+    def of(cls, structure: Structure, estimate: Estimate, truth: Truth) -> ConnectionForces | None:
+        """Of an estimate whose training tells them; None of another."""
+        found = estimate.connections
+        if found is None:
+            return None
+        names = structure.labels.connections or tuple(str(i + 1) for i in range(found.force.shape[1]))
+        true_elongation, true = _true(structure, truth, found.force.shape)
+        return cls(names, structure.memory, found.elongation, found.force, found.force_std, true_elongation, true)
+
+
+def _true(structure: Structure, truth: Truth, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """True elongations and forces, NaN where the truth is not known as a whole."""
+    response, unknown = truth.response, np.full(shape, np.nan)
+    known = truth.parameters is not None and np.isfinite(response.velocity).all()
+    if not known or set(truth.parameters or ()) != set(structure.parameters):
+        return unknown, unknown
+    e, de = structure.elongation(response.displacement), structure.elongation(response.velocity)
+    return e, structure.connection_force(e, de, truth.parameters, response.hidden)

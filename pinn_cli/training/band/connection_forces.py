@@ -1,0 +1,57 @@
+"""The internal forces of connections at a trained solution, with their standard deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.training.band.posterior import ReadoutPosterior
+
+
+def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarray]:
+    """R = c de + k e + r_n(e, de) + z of every connection at the record's samples and its deviation, each (N, C), N."""
+    equations, point = posterior.equations, posterior.point
+    segments, dynamics = equations.observation, equations.dynamics
+    jet, parameters = equations.jet(segments, point), equations.parameters(point)
+    slope, structure = dynamics.linearise(jet, parameters), dynamics.structure
+    u, v = (x[..., : dynamics.ndof] for x in (jet.value, jet.rate))
+    z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
+    force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)
+    deviations = [_deviation(posterior, segments, slope, c) for c in range(structure.incidence.shape[0])]
+    std = torch.stack(deviations, -1).to(segments.mask.device)
+    return segments.scatter(force).cpu().numpy(), segments.scatter(std).cpu().numpy()
+
+
+def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisation, connection: int) -> Tensor:
+    """(I, S), by the linear terms that a connection's force consists of."""
+    equations = posterior.equations
+    dynamics = equations.dynamics
+    local = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
+    value, rate = segments.displacement.cpu(), segments.velocity.cpu()
+    stretch = dynamics.structure.incidence.matrix[connection]
+    stiffness, damping = (x[..., connection, None].cpu() for x in (slope.stiffness, slope.damping))
+    rows = [float(weight) * (stiffness * value + damping * rate) for weight in stretch.data]
+    functions = stretch.indices.tolist()
+    if connection in dynamics.structure.memory:
+        functions.append(dynamics.hidden.start + int(np.searchsorted(dynamics.structure.memory, connection)))
+        rows.append(value)
+    position = torch.cat([local[:, function] for function in functions], -1)
+    held = _by_parameter(posterior, slope, connection)
+    return posterior.deviation(position, torch.cat(rows, -1), held)
+
+
+def _by_parameter(posterior: ReadoutPosterior, slope: Linearisation, connection: int) -> Tensor:
+    """(I, S, p), the force by each uncertain parameter, per prior standard deviation; by its own, not by its memory."""
+    equations = posterior.equations
+    structure, columns = equations.dynamics.structure, []
+    none = torch.zeros(slope.stiffness.shape[:2], dtype=slope.stiffness.dtype)
+    for parameter, scale in zip(equations.problem.uncertain, equations.scale.cpu().tolist(), strict=True):
+        members = structure.members.get(parameter.kind, np.array([], dtype=np.int64))
+        own = parameter.kind in slope.by_parameter and members[parameter.index] == connection
+        branch = equations.dynamics.branch(parameter.kind)[parameter.index] if own else -1
+        by = slope.by_parameter[parameter.kind][..., parameter.index].cpu() if branch == connection else none
+        columns.append(scale * by)
+    return torch.stack(columns, -1) if columns else none.new_zeros((*none.shape, 0))

@@ -1,0 +1,55 @@
+"""What is to be told of forces that nobody measured and of connections with memory: no fault, but good to know."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.verdict.finding import Finding
+
+if TYPE_CHECKING:
+    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.structure import Structure
+
+
+def input_findings(problem: Problem, structure: Structure) -> list[Finding]:
+    """Every finding of this page.
+
+    Args:
+        problem: For the record.
+        structure: With the estimated parameters.
+    """
+    return _output_only(problem) + _energy(structure)
+
+
+def _output_only(problem: Problem) -> list[Finding]:
+    """Nothing that acts was measured: all that a record tells is relative."""
+    record = problem.record
+    measured = record.sensors("force").any() or record.ground_acceleration is not None
+    if measured or record.unforced.all():
+        return []
+    text = (
+        "no force was measured: the record tells frequencies, damping and shapes, but no absolute mass or stiffness;"
+        " forces, and every stiffness, are as right as the prescribed masses"
+    )
+    return [Finding("output_only", "force", text, "sound")]
+
+
+def _energy(structure: Structure) -> list[Finding]:
+    """Connections with memory whose parameters allow them to create energy."""
+    parameters, found = structure.parameters_like(np.empty(0)), []
+    for group, part in zip(structure.groups, structure.parts, strict=True):
+        if not isinstance(group.nonlinearity, Hysteresis):
+            continue
+        own = {kind: parameters[kind][places] for kind, places in part.parameters.items()}
+        creates = group.nonlinearity.creates_energy(own)
+        for connection in np.arange(part.connections.start, part.connections.stop)[creates]:
+            name = structure.labels.connections[connection] if structure.labels.connections else str(connection + 1)
+            text = (
+                f"the hysteresis of connection {name} ({group.nonlinearity.name}) can create energy with its parameters"
+            )
+            text += "; where the record's amplitudes do not go, do not trust it"
+            found.append(Finding("energy", f"connection {name}", text, "sound"))
+    return found
