@@ -12,10 +12,18 @@ from calls import PinnRun
 EXAMPLES = {
     "frame_with_brace": {"k_storey_1": 0.7, "k_brace": 0.7, "kappa_storey_1": 1.7},
     "tuned_mass_damper": {"k_spring": 0.3, "c_damper": 1.6},
+    "shear_building_earthquake": {"k_storey_1": 1.6, "k_storey_2": 2.1, "k_storey_3": 0.7},
+    "frame_with_hysteretic_brace": {},
+    "ambient_vibration": {},
 }
+# Where forces are not measured, slow drift is not told.
+DISPLACEMENT = {"ambient_vibration": 90.0}
+SLOW = ("ambient_vibration", "shear_building_earthquake", "frame_with_hysteretic_brace")
 
 
-@pytest.mark.parametrize("example", EXAMPLES)
+@pytest.mark.parametrize(
+    "example", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in EXAMPLES]
+)
 def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> None:
     outcome = pinn_run(f"experiment=examples/{example}", "figures=false")
     assert outcome.status == 0, outcome.err
@@ -23,5 +31,5 @@ def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> N
     for name, percent in EXAMPLES[example].items():
         assert parameters.loc[name, "error_percent"] < percent
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
-    assert fitness["unobserved", "displacement"] > 97.0
+    assert fitness["unobserved", "displacement"] > DISPLACEMENT.get(example, 97.0)
     assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound"

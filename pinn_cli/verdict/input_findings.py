@@ -12,16 +12,38 @@ from pinn_cli.verdict.finding import Finding
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
+    from pinn_cli.training.estimate import Estimate
 
 
-def input_findings(problem: Problem, structure: Structure) -> list[Finding]:
+# Rms of a displacement's standard deviation over that of the displacement: from here on nobody knows it.
+UNTOLD = 0.5
+
+
+def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
     """Every finding of this page.
 
     Args:
         problem: For the record.
+        estimate: Of the motion.
         structure: With the estimated parameters.
     """
-    return _output_only(problem) + _energy(structure)
+    return _output_only(problem) + _untold(problem, estimate) + _energy(structure)
+
+
+def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """DOFs whose displacement the forces that nobody measured leave open."""
+    if not problem.inputs.forces:
+        return []
+    std, motion = (np.sqrt(np.mean(x.displacement**2, axis=0)) for x in (estimate.std, estimate.response))
+    left = np.flatnonzero(std > UNTOLD * motion)
+    if not left.size:
+        return []
+    worst = 100.0 * float(np.max(std[left] / np.maximum(motion[left], np.finfo(float).tiny)))
+    names = problem.record.dof_names(left.tolist())
+    text = (
+        f"unmeasured forces leave the displacement of {names} open: its standard deviation is up to {worst:.0f} % of it"
+    )
+    return [Finding("untold", names, f"{text}; put sensors there, or measure the forces")]
 
 
 def _output_only(problem: Problem) -> list[Finding]:

@@ -54,7 +54,7 @@ def judge(
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
-    findings += input_findings(problem, structure)
+    findings += input_findings(problem, estimate, structure)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies:
         # A gain that believed parameters have made up for shows against the prescribed ones.

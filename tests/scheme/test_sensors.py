@@ -68,12 +68,14 @@ def test_quantities_come_in_the_records_order():
     assert sensor_quantities({"acceleration": True, "velocity": False, "displacement": True}) == (
         "displacement",
         "acceleration",
+        "force",
     )
-    assert sensor_quantities({"velocity": True}) == ("velocity",)
+    assert sensor_quantities({"velocity": True}) == ("velocity", "force")
+    assert sensor_quantities({"velocity": True, "force": False}) == ("velocity",)
 
 
 @pytest.mark.parametrize(
-    "sensors", [{"jerk": True}, {"force": True}, {"velocity": "yes"}, {"velocity": 1}, {"velocity": None}]
+    "sensors", [{"jerk": True}, {"force": 1}, {"velocity": "yes"}, {"velocity": 1}, {"velocity": None}]
 )
 def test_an_impossible_sensor(sensors):
     with pytest.raises(InputError, match=rf"scheme\.sensors\.{next(iter(sensors))}="):

@@ -12,6 +12,9 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
+# Prior standard deviation of an unknown force at the first sample, over the force that the record is about.
+FIRST_FORCE = 3.0
+
 
 class InitialMotion:
     """Displacement and velocity of every DOF at the first sample, and hidden forces, over prior standard deviations.
@@ -21,7 +24,7 @@ class InitialMotion:
 
     Args:
         network: Fixed features, linear readout.
-        deviation: (F, 2), prior standard deviations of the first F functions and of their derivatives; infinite where
+        deviation: (functions, 2), prior standard deviations of the functions and of their derivatives; infinite where
             nothing is known.
         layout: Of the readout weights.
         time: (N,), s, the record's, on the device wanted.
@@ -56,11 +59,18 @@ class InitialMotion:
 
 
 def initial_motion(network: LinearReadout, problem: Problem, layout: BandLayout, time: Tensor) -> InitialMotion | None:
-    """Of a problem whose motion begins at rest; None where it begins anyhow."""
-    deviation = problem.initial_deviation
-    if deviation is None:
+    """Of a problem whose motion begins at rest, or that has unknown forces; None where all begins anyhow.
+
+    A process that white noise drives begins somewhere, too: without a word on that, a force that nobody measured and
+    the motion of a DOF without a sensor balance each other at the first samples, however large they are.
+    """
+    deviation, dynamics = problem.initial_deviation, problem.dynamics
+    if deviation is None and not problem.inputs.forces:
         return None
-    hidden = RESIDUAL_MOTION * force_and_velocity_scale(problem)[0]
-    dynamics = problem.dynamics
-    every = [deviation] * dynamics.ndof + [(hidden, np.inf)] * (dynamics.hidden.stop - dynamics.hidden.start)
-    return InitialMotion(network, np.array(every), layout, time)
+    force, _ = force_and_velocity_scale(problem)
+    every = np.full((dynamics.size, 2), np.inf)
+    if deviation is not None:
+        every[: dynamics.ndof] = deviation
+        every[dynamics.hidden, 0] = RESIDUAL_MOTION * force
+    every[dynamics.forces, 0] = FIRST_FORCE * force
+    return InitialMotion(network, every, layout, time)

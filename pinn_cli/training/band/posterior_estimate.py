@@ -13,6 +13,7 @@ from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import values_taken
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import parameter_posterior
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.estimate import ConnectionHistories, Estimate
@@ -38,9 +39,23 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "sigma_force": _listed(trained.noise.force[: equations.dynamics.ndof]),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
+    summary |= _of_unknown_forces(equations, trained)
     parameters, correlation = parameter_posterior(equations, trained)
     connections = _connections(posterior, response)
     return Estimate(response, std, parameters, history.table(), summary, correlation, connections=connections)
+
+
+def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str, float]:
+    """Correlation time (s) and standard deviation (N) of forces that nobody measured, where there are any.
+
+    An Ornstein-Uhlenbeck process with the increments that were found has this standard deviation.
+    """
+    inputs, driving = equations.problem.inputs, trained.noise.innovation
+    if not inputs.forces or driving is None:
+        return {}
+    step = equations.problem.record.step / equations.refinement
+    level = float(driving[equations.dynamics.forces][0]) * inputs.rate * (step * inputs.correlation_time / 2.0) ** 0.5
+    return {"correlation_time_unknown_force": inputs.correlation_time, "std_unknown_force": level}
 
 
 def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:
