@@ -142,7 +142,8 @@ def _scores(
     for c in seen:
         measured = c.measured[:samples]
         power = max(float(np.mean(measured**2)), np.finfo(float).tiny)
-        misfit = np.mean((motion[:, c.order, :, c.dof] - measured[:, None]) ** 2, axis=0) / power
+        with np.errstate(over="ignore"):  # of masses with which the motion grows without bound
+            misfit = np.mean((motion[:, c.order, :, c.dof] - measured[:, None]) ** 2, axis=0) / power
         total += np.log(misfit + FLOOR)
     return np.where(np.isfinite(total), total / len(seen), np.inf)
 

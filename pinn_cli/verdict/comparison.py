@@ -131,6 +131,8 @@ class Comparison:
     def offset(self) -> Reading:
         """Constant that the channel has and its prediction has not, in the channel's unit."""
         residual = self.measured - self.predicted
+        if not self.constant.any():  # what is predicted is blind to a constant
+            return Reading(0.0, np.inf, self._nmse(residual))
         value = float(self.constant @ residual / (self.constant @ self.constant))
         residual = residual - value * self.constant
         low = np.mean(np.abs(rfft(residual)[1 : LOW_LINES + 1]) ** 2)
