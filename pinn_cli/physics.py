@@ -19,7 +19,8 @@ from pinn_cli.network.base import States
 from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
 from pinn_cli.record.spectrum import noise_level
-from pinn_cli.system.dynamics import Dynamics, Jet
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import Jet
 
 # Noise over the rms of a force that its interpolation allows for at most: more would smooth the force.
 NOISIEST = 0.1
@@ -103,8 +104,10 @@ def targets(
     def tensor(values: np.ndarray) -> Tensor:
         return torch.as_tensor(values, device=device, dtype=torch.bool if values.dtype == bool else dtype)
 
-    response = {quantity: np.nan_to_num(record.histories(quantity)) for quantity in record.response_quantities}
-    force = np.nan_to_num(record.force)
+    response = {quantity: np.nan_to_num(record.histories(quantity)) for quantity in dynamics.observed}
+    measured, force = record.sensors("force"), np.nan_to_num(record.force)
+    if dynamics.structure.shapes is not None:  # forces are functions there, with sensors of their own
+        measured, force = np.zeros(dynamics.ndof, bool), np.zeros((len(record.time), dynamics.ndof))
     jump = np.zeros_like(force)
     if record.intersample == "zero_order_hold":
         jump = np.diff(force, axis=0, prepend=2 * force[:1] - force[1:2])
@@ -121,7 +124,7 @@ def targets(
         {quantity: tensor(record.sensors(quantity)) for quantity in response},
         dynamics.padded(tensor(points)),
         dynamics.padded(tensor(force - jump / 2.0)),
-        dynamics.padded(tensor(record.sensors("force"))),
+        dynamics.padded(tensor(measured)),
         _known_rest(record, dynamics).to(device),
         None if between is None else dynamics.padded(tensor(between)),
         refinement,
@@ -131,8 +134,9 @@ def targets(
 def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
     """(functions,) bool: those on whose equation no force acts that was measured, and none that is left open."""
     known = np.ones(dynamics.size, dtype=bool)
-    known[: dynamics.ndof] = record.unforced
-    known[list(dynamics.inputs.forces)] = True
+    if dynamics.structure.shapes is None:
+        known[: dynamics.ndof] = record.unforced
+        known[list(dynamics.inputs.forces)] = True
     return torch.as_tensor(known)
 
 
@@ -152,11 +156,11 @@ def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:
     through the derivative.
     """
     masks = dict(target.sensors)
-    accelerometers = target.sensors["acceleration"]
-    observer = accelerometers & target.equation[: len(accelerometers)] & (through != "derivative")
-    if through == "observer":
-        masks["acceleration"] = masks["acceleration"] & ~observer
-    masks["observer"] = observer
+    if through != "derivative":
+        accelerometers = target.sensors["acceleration"]
+        masks["observer"] = accelerometers & target.equation[: len(accelerometers)]
+        if through == "observer":
+            masks["acceleration"] = accelerometers & ~masks["observer"]
     return {name: mask for name, mask in masks.items() if bool(mask.any())}
 
 
@@ -215,4 +219,13 @@ def estimated_response(
         force.numpy(),
         ground[:, 0] if ground.size else None,
         hidden if hidden.size else None,
+        _coordinates(dynamics, seen),
     )
+
+
+def _coordinates(dynamics: Dynamics, jet: Jet) -> np.ndarray | None:
+    """(N, 2, n), displacement and velocity of the coordinates where they are not the DOFs."""
+    if dynamics.structure.shapes is None:
+        return None
+    motion = torch.stack((jet.value, jet.rate), 1)[..., : dynamics.ndof]
+    return motion.detach().cpu().double().numpy()

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 
 from pinn_cli.system.connection import BoucWen, Duffing, Linear, VanDerPol
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.labels import Labels
+from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 
 
@@ -61,3 +65,23 @@ def hysteretic() -> Structure:
         "n": _numbers(1.0, 1.3),
     }
     return Structure(parameters, groups)
+
+
+def modal() -> Structure:
+    """Three modes of a structure of four DOFs, with a cubic spring between two of them and a damper to the ground."""
+    shapes = np.array([[0.3, 0.5, -0.2], [0.6, 0.1, 0.4], [0.8, -0.7, 0.1], [0.2, 0.3, 0.9]])
+    groups = (
+        ConnectionGroup(Linear(), Incidence(csr_matrix(np.eye(3)))),
+        ConnectionGroup(Duffing(), Incidence(csr_matrix([shapes[2] - shapes[0]]))),
+        ConnectionGroup(Linear(), Incidence(csr_matrix([shapes[3]]))),
+    )
+    parameters = {
+        "m": _numbers(1.0, 1.0, 1.0),
+        "c": _numbers(0.1, 0.2, 0.3, 0.1, 0.4),
+        "k": _numbers(2.0, 9.0, 20.0, 0.5, 0.0),
+        "kappa": _numbers(30.0),
+    }
+    carried = np.array([1.0, 0.0, 1.0, 1.0])
+    return Structure(
+        parameters, groups, Labels(("a", "b", "c", "d")), np.array([0.9, -0.3, 0.5]), Shapes(shapes, carried)
+    )

@@ -22,6 +22,7 @@ from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 
 ROOT = Path(__file__).parents[1]
+MY_STRUCTURE = ROOT / "docs" / "how-to" / "my-structure.md"
 OWN_RECORD = ROOT / "docs" / "how-to" / "own-record.md"
 # What extending.md shows runs in test_extending.py.
 PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "extending.md"})]
@@ -51,7 +52,7 @@ class TrainingBeginsError(Exception):
 
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A folder with the file and the configuration that docs/how-to/own-record.md speaks of."""
+    """A folder with the files and the configuration that own-record.md and my-structure.md speak of."""
     time = 0.01 * np.arange(400)
     columns = {name: np.sin((3 + i) * time) + np.cos(11 * time) for i, name in enumerate(("f1", "a1", "a3"))}
     pd.DataFrame({"t": np.round(time, 2), **columns}).to_csv(tmp_path / "rig.csv", index=False)
@@ -59,6 +60,8 @@ def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     (tmp_path / "my_configs" / "experiment").mkdir(parents=True)
     (tmp_path / "my_configs" / "experiment" / "my_rig.yaml").write_text(experiment)
     monkeypatch.chdir(tmp_path)
+    (script,) = re.findall(r"^```python\n(.*?)^```", MY_STRUCTURE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    exec(script, {})
     return tmp_path
 
 

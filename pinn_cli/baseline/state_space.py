@@ -21,8 +21,8 @@ import torch
 from pinn_cli.baseline.discretisation import flow, interpolated_force, propagators
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.record import RESPONSE_QUANTITIES
-from pinn_cli.record.simulation import substeps_needed
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.record.steps import substeps_needed
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import ParameterVector

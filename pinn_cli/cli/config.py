@@ -148,7 +148,7 @@ class RunConfig:
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        structure = _structure(config)
+        structure = _structure(config, base)
         config = numbered(config, structure.labels)
         source = _source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
@@ -279,14 +279,27 @@ def _check_available(device: str) -> None:
         raise InputError("device", device, "cpu or a CUDA device that is there", hint)
 
 
-def _structure(config: DictConfig) -> Structure:
+def _structure(config: DictConfig, base: Path | None) -> Structure:
     """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
     from pinn_cli.system.building import build_chain, build_partial_chain
     from pinn_cli.system.topology import build_partial_structure, build_structure
 
+    if config.system.get("kind") == "matrices":
+        return _finite_elements(config, base)
     named = config.system.get("kind") == "structure"
     whole, partial = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
     return construct(whole if _is_simulated(config) else partial, config.system, "system")
+
+
+def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
+    """A reduced model, with the static responses of the DOFs that carry a force."""
+    from pinn_cli.system.finite_elements import build_finite_elements
+    from pinn_cli.system.topology import whole
+
+    forces = config.excitation.get("dofs") if _is_simulated(config) else config.data.get("force")
+    loaded = list(forces) if OmegaConf.is_config(forces) else []
+    structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
+    return whole(structure) if _is_simulated(config) else structure
 
 
 def _is_simulated(config: DictConfig) -> bool:

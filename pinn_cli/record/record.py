@@ -45,6 +45,8 @@ class Response:
         force: (N, n), external, N; what the ground's motion does to the masses is no external force.
         ground_acceleration: (N,), m/s^2; None where the ground is at rest.
         hidden: (N, h), N, the forces of connections with memory; None where there are none.
+        coordinates: (N, 2, c), displacement and velocity of a structure's coordinates, where these are modes and not
+            the DOFs; None where they are the DOFs.
     """
 
     time: np.ndarray
@@ -54,6 +56,7 @@ class Response:
     force: np.ndarray
     ground_acceleration: np.ndarray | None = None
     hidden: np.ndarray | None = None
+    coordinates: np.ndarray | None = None
 
     @property
     def measurable(self) -> dict[str, Any]:
@@ -61,8 +64,11 @@ class Response:
         return {name: getattr(self, name) for name in ("time", *MEASURED_QUANTITIES)}
 
     def state(self, sample: int) -> list[np.ndarray]:
-        """Displacement and velocity (n,) at a sample, and hidden forces (h,) where there are any."""
-        return [x[sample] for x in (self.displacement, self.velocity, self.hidden) if x is not None]
+        """Displacement and velocity of the coordinates at a sample, and hidden forces (h,) where there are any."""
+        motion = (self.displacement[sample], self.velocity[sample])
+        if self.coordinates is not None:
+            motion = self.coordinates[sample, 0], self.coordinates[sample, 1]
+        return [*motion] if self.hidden is None else [*motion, self.hidden[sample]]
 
     @classmethod
     def unknown(cls, time: np.ndarray, ndof: int) -> Response:

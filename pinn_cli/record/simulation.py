@@ -6,28 +6,26 @@ for one time step is four times faster than with tensors (20 DOFs, 4096 steps of
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Response
 from pinn_cli.record.state_equation import StateEquation
+from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from pinn_cli.system.shapes import Shapes
     from pinn_cli.system.structure import Structure
 
 HOLDS = ("exact", "zero_order")
 METHODS = ("rk4", "dop853")
-
-# Runge-Kutta is stable up to 2.8 and accurate to 1e-5 per radian at 0.2 (its phase error is (step * rate)^4 / 120).
-STEP_TIMES_RATE = 0.2
 
 # Beyond this a response counts as overflowing: its square, its cube and a sum of them are still numbers.
 LARGEST_STATE = 1e80
@@ -98,7 +96,7 @@ class Simulation:
     def steps_per_sample(self, structure: Structure) -> int:
         """Steps of rk4 per sample: those that were chosen, or those that the structure needs."""
         step = self.duration / (self.samples - 1)
-        return self.substeps or substeps_needed(structure, step * STEP_TIMES_RATE / self.step_times_rate)
+        return self.substeps or substeps_needed(structure, step, self.step_times_rate)
 
     @property
     def step_times_rate(self) -> float:
@@ -134,8 +132,8 @@ def simulate(
         hold: See :class:`Simulation`.
         method: See :class:`Simulation`.
         substeps: See :class:`Simulation`.
-        initial: Displacement (m) and velocity (m/s) at ``time[0]``: (2, ndof) or a pair of (ndof,), and where
-            connections have memory their hidden forces (h,), N; None: rest.
+        initial: Displacement (m) and velocity (m/s) of the coordinates at ``time[0]``: (2, n) or a pair of (n,), and
+            where connections have memory their hidden forces (h,), N; None: rest.
         ground: (M,) s to (M,) m/s^2, the ground's acceleration for any times; None: it is at rest.
         frame: Of the acceleration that is returned: ``absolute``, or ``relative`` to the ground.
 
@@ -151,9 +149,12 @@ def simulate(
     if ground is not None and hold != "exact":
         why = "nothing holds the ground's acceleration between samples"
         raise InputError("simulation.hold", hold, "exact where the ground moves", why)
+    if structure.shapes is not None:
+        _check_modal(structure.shapes, hold, ground)
     equation = StateEquation(structure, ground is not None)
     start, slope = equation.start(initial), equation.slope
-    load = excitation_force if ground is None else _loads(excitation_force, ground)
+    acting = _in_coordinates(excitation_force, structure)
+    load = acting if ground is None else _loads(acting, ground)
     sampled = load(time)
     with np.errstate(over="ignore", invalid="ignore"):
         if method == "rk4":
@@ -165,9 +166,36 @@ def simulate(
     u, v, hidden = equation.split(states)
     force, moved = (sampled, None) if ground is None else (sampled[:, 0], sampled[:, 1, 0])
     acceleration = structure.acceleration(u, v, force, structure.parameters_like(u), hidden)
+    if structure.shapes is not None:
+        acceleration = acceleration if moved is None else acceleration - moved[:, None] * structure.with_ground
+        return _of_dofs(
+            structure.shapes, Response(time, u, v, acceleration, excitation_force(time), moved, hidden), frame
+        )
     if moved is not None and frame == "relative":
         acceleration = acceleration - moved[:, None] * structure.with_ground
     return Response(time, u, v, acceleration, force, moved, hidden)
+
+
+def _check_modal(shapes: Shapes, hold: str, ground: Ground | None) -> None:
+    if hold != "exact":
+        raise InputError("simulation.hold", hold, "exact with system=matrices", "a held force is no force of a mode")
+    if ground is not None:
+        shapes.check_ground()
+
+
+def _in_coordinates(force: Force, structure: Structure) -> Force:
+    """Forces of DOFs as forces in the equations of the coordinates."""
+    shapes = structure.shapes
+    return force if shapes is None else lambda time: shapes.onto_coordinates(force(time))
+
+
+def _of_dofs(shapes: Shapes, motion: Response, frame: Frame) -> Response:
+    """The response of the DOFs, from that of the coordinates relative to the ground."""
+    u, v, a = (shapes.of_dofs(x) for x in (motion.displacement, motion.velocity, motion.acceleration))
+    if motion.ground_acceleration is not None and frame == "absolute":
+        a = a + motion.ground_acceleration[:, None] * shapes.with_ground
+    coordinates = np.stack((motion.displacement, motion.velocity), axis=1)
+    return replace(motion, displacement=u, velocity=v, acceleration=a, coordinates=coordinates)
 
 
 def _loads(force: Force, ground: Ground) -> Force:
@@ -178,46 +206,6 @@ def _loads(force: Force, ground: Ground) -> Force:
         return np.stack((acting, np.broadcast_to(ground(time)[:, None], acting.shape)), axis=1)
 
     return loads
-
-
-def substeps_needed(structure: Structure, step: float) -> int:
-    """Steps of Runge-Kutta per sample that resolve the linear chain's highest natural frequency and strongest damping.
-
-    No number of steps is enough where a mass is zero: see :func:`has_equation_of_motion`.
-    """
-    return max(1, math.ceil(step * max(fastest_rates(structure)) / STEP_TIMES_RATE))
-
-
-def fastest_rates(structure: Structure) -> tuple[float, float]:
-    """Bounds of the structure's highest natural frequency, rad/s, and strongest damping, 1/s, at rest.
-
-    Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by the sums over the connections at a mass, of a
-    chain by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated one may have negative ones.
-    """
-    pull = abs(structure.incidence.matrix)
-    weight = np.maximum(2.0, np.asarray(pull.sum(axis=1)).reshape(-1))
-    mass = np.abs(structure.parameters_like(np.empty(0))["m"])
-    stiffness, damping = (np.max(pull.T @ (weight * value) / mass) for value in at_rest(structure))
-    return math.sqrt(stiffness), float(damping)
-
-
-def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Size of stiffness (N/m) and of damping (N s/m) of every connection (C,), those of its law at rest included."""
-    p = structure.parameters_like(np.empty(0))
-    k, c = np.abs(p["k"]), np.abs(p["c"])
-    first = 0
-    for group in structure.groups:
-        here = slice(first, first + group.incidence.shape[0])
-        own = {kind: p[kind][(at >= here.start) & (at < here.stop)] for kind, at in structure.members.items()}
-        k[here] += np.abs(group.nonlinearity.stiffness_at_rest(own))
-        c[here] += np.abs(group.nonlinearity.damping_at_rest(own))
-        first = here.stop
-    return k, c
-
-
-def has_equation_of_motion(structure: Structure) -> bool:
-    """Whether every DOF has a mass; an estimated one may be at its bound, zero."""
-    return bool(structure.parameters["m"].all())
 
 
 def runge_kutta_step(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.record import MINIMUM_SAMPLES
-from pinn_cli.record.simulation import at_rest, fastest_rates
+from pinn_cli.record.steps import at_rest, fastest_rates
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 

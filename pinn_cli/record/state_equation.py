@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 class StateEquation:
     """Of a structure under a load: the force (n,), or, where the ground moves, force and ground acceleration (2, n).
 
+    All of it is in the structure's coordinates.
+
     Its state is {u, v}, (2, n); with hidden forces z it is {u, v, z} in a row, (2 n + h,).
 
     Attributes:
@@ -38,7 +40,7 @@ class StateEquation:
         Raises:
             ValueError: It has another shape, or is not finite.
         """
-        n, hidden = self.structure.ndof, len(self.structure.memory)
+        n, hidden = self.structure.coordinates, len(self.structure.memory)
         if initial is None:
             return np.zeros(2 * n + hidden) if hidden else np.zeros((2, n))
         parts = [np.array(part, dtype=np.float64) for part in initial]  # type: ignore[union-attr]
@@ -54,7 +56,7 @@ class StateEquation:
         """d(state)/dt."""
         structure, p = self.structure, self._parameters
         force = load[0] if self.shaken else load
-        n, hidden = structure.ndof, len(structure.memory)
+        n, hidden = structure.coordinates, len(structure.memory)
         u, v, z = (state[:n], state[n : 2 * n], state[2 * n :]) if hidden else (*state, None)
         acceleration = structure.acceleration(u, v, force, p, z)
         if self.shaken:
@@ -66,7 +68,7 @@ class StateEquation:
 
     def split(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Displacement and velocity (N, n), and hidden forces (N, h) where there are any, of states (N, ...)."""
-        n = self.structure.ndof
+        n = self.structure.coordinates
         if len(self.structure.memory):
             return states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
         return states[:, 0], states[:, 1], None

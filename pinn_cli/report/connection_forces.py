@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ConnectionForces:
-    """Of C connections.
+    """Of C connections, `Structure.added`.
 
     Attributes:
         names: Of the connections; their numbers from 1 where they have none.
@@ -40,9 +40,11 @@ class ConnectionForces:
         found = estimate.connections
         if found is None:
             return None
-        names = structure.labels.connections or tuple(str(i + 1) for i in range(found.force.shape[1]))
+        numbers = tuple(str(i + 1) for i in range(found.force.shape[1]))
+        names = structure.labels.connections[-len(numbers) :] if structure.labels.connections and numbers else numbers
+        memory = np.searchsorted(structure.added, structure.memory)
         true_elongation, true = _true(structure, truth, found.force.shape)
-        return cls(names, structure.memory, found.elongation, found.force, found.force_std, true_elongation, true)
+        return cls(names, memory, found.elongation, found.force, found.force_std, true_elongation, true)
 
 
 def _true(structure: Structure, truth: Truth, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -51,5 +53,9 @@ def _true(structure: Structure, truth: Truth, shape: tuple[int, ...]) -> tuple[n
     known = truth.parameters is not None and np.isfinite(response.velocity).all()
     if not known or set(truth.parameters or ()) != set(structure.parameters):
         return unknown, unknown
-    e, de = structure.elongation(response.displacement), structure.elongation(response.velocity)
-    return e, structure.connection_force(e, de, truth.parameters, response.hidden)
+    motion = [response.displacement, response.velocity]
+    if response.coordinates is not None:
+        motion = [response.coordinates[:, 0], response.coordinates[:, 1]]
+    e, de = (structure.elongation(x) for x in motion)
+    force = structure.connection_force(e, de, truth.parameters, response.hidden)
+    return e[:, structure.added], force[:, structure.added]

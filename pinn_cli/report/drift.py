@@ -14,6 +14,8 @@ from pinn_cli.training.central_interval import HALF_WIDTH_90
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from scipy.sparse import csr_matrix
+
     from pinn_cli.record.record import Response
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
@@ -51,15 +53,17 @@ class Drifts:
             estimate: Its displacements tell the drifts.
             truth: NaN where unknown: a connection is known where all that it joins are.
         """
-        found, known = structure.elongation(estimate.response.displacement), estimate.connections
+        stretch, known = stretched_by_dofs(structure), estimate.connections
+        found = estimate.response.displacement @ stretch.T
         numbers = tuple(str(i + 1) for i in range(found.shape[1]))
+        names = structure.labels.connections or numbers
         std = np.full(found.shape, np.nan) if known is None else known.elongation_std
         return cls(
             estimate.response.time,
-            structure.labels.connections or numbers,
+            names[len(names) - len(numbers) :],
             found,
             std,
-            _elongation(structure, truth.displacement),
+            _elongation(stretch, truth.displacement),
         )
 
     def peak(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,9 +106,15 @@ def drift_table(drifts: Drifts, labels: Mapping[str, object]) -> pd.DataFrame:
     return with_labels(table, labels)
 
 
-def _elongation(structure: Structure, displacement: np.ndarray) -> np.ndarray:
+def stretched_by_dofs(structure: Structure) -> csr_matrix:
+    """(C, n), how the DOFs stretch the connections; of a finite-element model those that were added to it."""
+    shapes = structure.shapes
+    return structure.incidence.matrix if shapes is None or shapes.stretch is None else shapes.stretch
+
+
+def _elongation(stretch: csr_matrix, displacement: np.ndarray) -> np.ndarray:
     """(N, C) of displacements (N, n) that may be NaN."""
     unknown = np.isnan(displacement).any(axis=0)
-    joins = abs(structure.incidence.matrix) @ unknown.astype(float) > 0.0
-    known = np.asarray(structure.elongation(np.nan_to_num(displacement)))
+    joins = abs(stretch) @ unknown.astype(float) > 0.0
+    known = np.nan_to_num(displacement) @ stretch.T
     return np.where(joins, np.nan, known)

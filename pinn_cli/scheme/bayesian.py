@@ -78,6 +78,9 @@ class Bayesian(Scheme):
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         _check_sensors(record)
+        if prescribed.shapes is not None:
+            allowed = "state_parameter with system=matrices"
+            raise InputError("scheme", "bayesian", allowed, "sensors on DOFs do not show the motion of every mode")
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
         chosen = unknown_parameters(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
         check_given(prescribed, chosen)

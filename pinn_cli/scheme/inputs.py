@@ -8,7 +8,9 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
-from pinn_cli.system.dynamics import Inputs
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.functions import Inputs
+from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 
 GAUSSIAN_PROCESS, FREE = "gaussian_process", "free"
@@ -25,10 +27,17 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         structure: Prescribed.
         record: What was measured.
         unknown_force: One of :data:`UNKNOWN_FORCES`.
+
+    Raises:
+        InputError: A record that a structure in modal coordinates cannot be asked about.
     """
+    modal = structure.shapes is not None
+    if structure.shapes is not None:
+        _check_modal(structure.shapes, record, unknown_force)
     left_open = ~record.unforced & ~record.sensors("force")
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
-    if not forces and record.ground_acceleration is None and not len(structure.memory):
+    loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors("force"))) if modal else ()
+    if not forces and not loads and record.ground_acceleration is None and not len(structure.memory):
         return Inputs()
     band = record_band(record)
     return Inputs(
@@ -38,4 +47,18 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         FIRST_CORRELATION / band,
         math.pi * band,
         2.0 * math.pi * band,
+        loads,
     )
+
+
+def _check_modal(shapes: Shapes, record: Record, unknown_force: str) -> None:
+    """What cannot be said of modes: forces on them are the same ones as on the DOFs."""
+    if record.intersample != "band_limited":
+        allowed, hint = "band_limited with system=matrices", "a held force is no force of a mode"
+        raise InputError("data.intersample", record.intersample, allowed, hint)
+    left_open = ~record.unforced & ~record.sensors("force")
+    if unknown_force == FREE and left_open.any():
+        hint = "the motion of a few modes leaves no force open"
+        raise InputError("scheme.unknown_force", FREE, f"{GAUSSIAN_PROCESS} with system=matrices", hint)
+    if record.ground_acceleration is not None:
+        shapes.check_ground()

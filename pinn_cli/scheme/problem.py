@@ -7,7 +7,8 @@ from functools import cached_property
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
-from pinn_cli.system.dynamics import Dynamics, Inputs
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
 from pinn_cli.system.structure import Structure

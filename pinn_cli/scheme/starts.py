@@ -67,6 +67,8 @@ def parameter_starts(
             damper or a nonlinear parameter starts there.
         most: Starts at most; None: those that compete; 0: one, at what was given, whatever the record says.
     """
+    if prescribed.shapes is not None:
+        return [_starts(prescribed, record, unknown, given, _of_modes(prescribed, unknown, given))]
     known, guess = _known(prescribed, unknown), _guess(prescribed, record, unknown, given)
     stretch, moved = prescribed.incidence.matrix.toarray(), prescribed.with_ground
     candidates = [] if most == 0 else [c for c in screened(record, stretch, known, guess, moved) if c.misfit < HOPELESS]
@@ -107,6 +109,29 @@ def _unscreened(known: Mapping[str, np.ndarray], guess: Mapping[str, np.ndarray]
     return {"m": m, "k": k, "c": np.where(np.isnan(known["c"]), 0.0, known["c"])}
 
 
+def _of_modes(
+    prescribed: Structure, unknown: Collection[Parameter], given: Mapping[Parameter, float]
+) -> dict[str, np.ndarray]:
+    """The linear part of a structure in modal coordinates: its modes are those of its matrices."""
+    linear = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
+    modes, felt = prescribed.groups[0].incidence.shape[0], _stiffness_felt(prescribed)
+    for parameter in unknown:
+        if parameter.kind == "k" and parameter.index >= modes:
+            linear["k"][parameter.index] = given.get(parameter, felt[parameter.index])
+        elif parameter.kind == "c":
+            linear["c"][parameter.index] = 0.0
+    return linear
+
+
+def _stiffness_felt(prescribed: Structure) -> np.ndarray:
+    """(C,), what every connection of modes feels between its ends, N/m: one over the modes' flexibility."""
+    stretch = prescribed.incidence.matrix.toarray()
+    k = prescribed.parameters["k"].detach().cpu().double().numpy()[: prescribed.coordinates]
+    held = np.where(k > 0, k, np.median(k[k > 0]) if (k > 0).any() else 1.0)
+    felt: np.ndarray = 1.0 / (stretch**2 @ (1.0 / held))
+    return felt
+
+
 def _starts(
     prescribed: Structure,
     record: Record,
@@ -118,8 +143,11 @@ def _starts(
     out, springs = {}, unit_forces(prescribed, size, 0.0)
     # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
     typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
+    usual = np.full(len(linear["k"]), typical["k"])
+    if prescribed.shapes is not None:
+        usual = _stiffness_felt(prescribed)
     mass = linear["m"][last_ends(prescribed.incidence.matrix.toarray())]
-    damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), typical["k"]))
+    damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
     for parameter in unknown:
         kind, index = parameter.kind, parameter.index
         remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
@@ -128,14 +156,15 @@ def _starts(
             out[parameter] = Start(given.get(parameter, value), scale)
         elif kind in (MASS, "k"):
             value = float(linear[kind][index])
-            out[parameter] = Start(value, max(abs(value), typical[kind]))
+            out[parameter] = Start(value, max(abs(value), float(usual[index]) if kind == "k" else typical[MASS]))
         elif kind == "c":
             value = given.get(parameter, float(linear["c"][index]))
             out[parameter] = Start(value, max(abs(value), float(damping[index])))
         else:
             value = given.get(parameter, starting_value(kind, scales[kind]))
             # A spring as strong as the linear one beside it, at the motion that there is.
-            stiffness = max(float(abs(linear["k"][prescribed.members[kind][index]])), typical["k"])
+            connection = prescribed.members[kind][index]
+            stiffness = max(float(abs(linear["k"][connection])), float(usual[connection]))
             per_unit = springs[kind][index]
             scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
             out[parameter] = Start(value, max(abs(value), scale))

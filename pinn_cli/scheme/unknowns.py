@@ -35,7 +35,7 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
         record: What the estimator sees.
         unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
             the nonlinear parameters of every connection that ends at a DOF without a sensor. Of a chain: connection i
-            if DOF i has none (paper, section 4.2).
+            if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it.
 
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
@@ -64,6 +64,8 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
 def _hidden_connections(structure: Structure, record: Record) -> np.ndarray:
     """(C,) bool: those that end at a DOF without a sensor; of a chain DOF i counts as the end of connection i alone."""
     stretch = structure.incidence.matrix
+    if structure.shapes is not None:  # the modes come first, and no sensor measures them
+        return np.isin(np.arange(stretch.shape[0]), structure.added)
     if stretch.shape[0] == stretch.shape[1] and (stretch != Incidence.chain(structure.ndof).matrix).nnz == 0:
         return ~record.observed
     hidden: np.ndarray = abs(stretch) @ ~record.observed > 0
@@ -100,6 +102,11 @@ def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter])
 
 def _check_touched(parameter: Parameter, structure: Structure, record: Record) -> None:
     """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
+    if structure.shapes is not None:
+        if parameter.kind == MASS:
+            allowed, hint = "parameters of connections", "the mass of a mode is one: its shape holds its size"
+            raise InputError("scheme.unknown", parameter.name, allowed, hint)
+        return
     enforced = record.unforced | record.sensors("force")
     if not enforced[structure.ends(parameter)].any():
         raise InputError(

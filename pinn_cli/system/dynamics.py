@@ -9,6 +9,9 @@ same number:
     a_g'' / edge^2 + 2 a_g' / edge + a_g = white noise    the ground as a Gaussian process, m/s^2
     (w' + w / tau) / rate = white noise                   an unknown force as a Gaussian process, N
 
+Where the coordinates are modes, a force on a DOF is in all their equations. A measured one is then a function as well,
+with a sensor of its own and a process like the ground's: its errors are common to all modes.
+
 Rows of first order are divided by a rate of the record, so that all of them are forces. The ground's process is flat up
 to the edge of the record's band and falls off above it: between samples it does what a band-limited signal does.
 """
@@ -16,104 +19,31 @@ to the edge of the record's band and falls off above it: between samples it does
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, eye, hstack, vstack
+from scipy.sparse import csr_matrix, hstack, vstack
 from torch import Tensor
 
 from pinn_cli.system.coupling import Coupling
+from pinn_cli.system.functions import Functions, Jet
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS
-from pinn_cli.system.structure import Structure
-
-GROUND = "ground_acceleration"
-
-
-class Jet(NamedTuple):
-    """All functions at some times and their derivatives, each (..., N)."""
-
-    value: Tensor
-    rate: Tensor
-    curvature: Tensor
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What acts on a structure beside measured forces.
-
-    Attributes:
-        ground: Whether the ground's acceleration is measured, and so a function to be found.
-        absolute: Whether accelerometers feel the ground's acceleration as well.
-        forces: DOFs, counted from 0, with a force that nobody measured, a Gaussian process.
-        correlation_time: Of those forces, s.
-        rate: Of the record, 1/s, that rows of first order are divided by.
-        edge: Of the ground's band, rad/s.
-    """
-
-    ground: bool = False
-    absolute: bool = True
-    forces: tuple[int, ...] = ()
-    correlation_time: float = 1.0
-    rate: float = 1.0
-    edge: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Dynamics:
-    """Equations of a structure under its inputs, in all unknown functions of time.
-
-    Attributes:
-        structure: Whose motion it is.
-        inputs: Beside the measured forces.
-    """
-
-    structure: Structure
-    inputs: Inputs = field(default_factory=Inputs)
-
-    @property
-    def ndof(self) -> int:
-        """n, coordinates of the structure: the first functions."""
-        return self.structure.ndof
+class Dynamics(Functions):
+    """Equations of a structure under its inputs, in all unknown functions of time."""
 
     @cached_property
-    def hidden(self) -> slice:
-        """The hidden forces among the functions."""
-        return slice(self.ndof, self.ndof + len(self.structure.memory))
-
-    @cached_property
-    def ground(self) -> slice:
-        """The ground's acceleration among the functions; empty where it is not measured."""
-        return slice(self.hidden.stop, self.hidden.stop + int(self.inputs.ground))
-
-    @cached_property
-    def forces(self) -> slice:
-        """The unknown forces among the functions."""
-        return slice(self.ground.stop, self.ground.stop + len(self.inputs.forces))
-
-    @property
-    def size(self) -> int:
-        """N, functions in all."""
-        return self.forces.stop
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether the motion is all that is unknown."""
-        return self.size == self.ndof
-
-    @property
-    def beside_motion(self) -> str:
-        """What is unknown beside the motion, in words."""
-        parts = {
-            "a hidden force": self.hidden,
-            "the ground's acceleration": self.ground,
-            "an unmeasured force": self.forces,
-        }
-        return " and ".join(name for name, at in parts.items() if at.stop > at.start)
+    def _pushed(self) -> csr_matrix:
+        """(forces, n), how those enter the equations of the coordinates."""
+        shapes = self.structure.shapes
+        matrix = np.eye(self.ndof)[self.loaded] if shapes is None else shapes.matrix[self.loaded]
+        return csr_matrix(matrix.reshape(-1, self.ndof))
 
     @cached_property
     def has_mass(self) -> Tensor:
@@ -123,9 +53,8 @@ class Dynamics:
     def mass(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """(N,), of every function's second derivative in its own equation."""
         mass = self.padded(parameters[MASS])
-        if self.inputs.ground:
-            mass = mass.index_fill(0, torch.tensor(self.ground.start, device=mass.device), self.inputs.edge**-2)
-        return mass
+        places = torch.arange(self.smooth.start, self.smooth.stop, device=mass.device)
+        return mass.index_fill(0, places, self.inputs.edge**-2) if len(places) else mass
 
     def padded(self, values: Tensor) -> Tensor:
         """(..., n) of the coordinates as (..., N), 0 of the other functions; (..., N) as they are."""
@@ -151,19 +80,25 @@ class Dynamics:
         if z.shape[-1]:
             e, de = structure.elongation(u), structure.elongation(v)
             rows.append((jet.rate[..., self.hidden] - structure.hidden_rate(e, de, z, parameters)) / self.inputs.rate)
-        if self.inputs.ground:
-            value, rate, curvature = (x[..., self.ground] for x in jet)
+        if self.smooth.stop > self.smooth.start:
+            value, rate, curvature = (x[..., self.smooth] for x in jet)
             rows.append(curvature / self.inputs.edge**2 + 2.0 * rate / self.inputs.edge + value)
+        if self.loaded:
+            rows[0] = motion - jet.value[..., self.acting] @ torch.as_tensor(self._pushed.toarray()).to(motion)
         if self.inputs.forces:
-            force, at = jet.value[..., self.forces], list(self.inputs.forces)
-            rows[0] = motion.index_add(-1, torch.tensor(at, device=motion.device), -force)
+            force = jet.value[..., self.forces]
             rows.append((jet.rate[..., self.forces] + force / self.inputs.correlation_time) / self.inputs.rate)
         return torch.cat(rows, -1)
 
     def external_force(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
-        """(..., n), N: the force on every DOF, of one that nobody measured what its function says."""
+        """(..., dofs), N: the force on every DOF, of one that nobody measured what its function says.
+
+        Where the coordinates are modes, the forces of DOFs are what their functions say, and the others are 0.
+        """
         if self.is_plain:
             return self.structure.external_force(*jet, parameters)
+        if self.structure.shapes is not None:
+            return self.on_dofs(jet)
         force = self.residual(jet, parameters)[..., : self.ndof].clone()
         force[..., list(self.inputs.forces)] = jet.value[..., self.forces]
         return force
@@ -184,14 +119,19 @@ class Dynamics:
             by_parameter |= {kind: memory[kind] for kind in self._remembered}
         if self.inputs.ground:
             pushed = (parameters[MASS] * self._influence(parameters[MASS]))[self._moved_by_ground]
-            ground = torch.ones_like(jet.value[..., self.ground])
-            stiffness += [pushed.expand(*u.shape[:-1], -1), ground]
-            damping += [torch.zeros_like(stiffness[-2]), 2.0 / self.inputs.edge * ground]
+            stiffness.append(pushed.expand(*u.shape[:-1], -1))
+            damping.append(torch.zeros_like(stiffness[-1]))
+        if self.smooth.stop > self.smooth.start:
+            smooth = torch.ones_like(jet.value[..., self.smooth])
+            stiffness.append(smooth)
+            damping.append(2.0 / self.inputs.edge * smooth)
+        if self.loaded:
+            stiffness.append(torch.as_tensor(-self._pushed.data).to(u).expand(*u.shape[:-1], -1))
+            damping.append(torch.zeros_like(stiffness[-1]))
         if self.inputs.forces:
-            force = jet.value[..., self.forces]
-            one, slow = torch.ones_like(force), 1.0 / (self.inputs.correlation_time * self.inputs.rate)
-            stiffness += [-one, slow * one]
-            damping += [0.0 * one, one / self.inputs.rate]
+            one = torch.ones_like(jet.value[..., self.forces])
+            stiffness.append(one / (self.inputs.correlation_time * self.inputs.rate))
+            damping.append(one / self.inputs.rate)
         return Linearisation(own.force, torch.cat(stiffness, -1), torch.cat(damping, -1), by_parameter)
 
     def _linearised_memory(
@@ -231,7 +171,7 @@ class Dynamics:
         if self.is_plain:
             return self.structure.incidence
         connections = hstack([self.structure.incidence.matrix, csr_matrix((self._connections, self.size - self.ndof))])
-        return Incidence(vstack([connections, self._picked(self.hidden)], format="csr"))
+        return Incidence(vstack([connections, self.picked(self.hidden)], format="csr"))
 
     def branch(self, kind: str) -> np.ndarray:
         """The branches that the members of a kind of the connections' parameters belong to."""
@@ -244,10 +184,6 @@ class Dynamics:
     def _connections(self) -> int:
         return self.structure.incidence.shape[0]
 
-    def _picked(self, functions: slice | np.ndarray) -> csr_matrix:
-        """One row for each of some functions."""
-        return csr_matrix(eye(self.size, format="csr")[functions])
-
     @cached_property
     def coupling(self) -> Coupling:
         """Which function stands in which equation, term by term."""
@@ -258,33 +194,10 @@ class Dynamics:
         into, by = [branches, stretched, hidden], [branches, hidden, stretched]
         if self.inputs.ground:
             moved = self._moved_by_ground
-            into += [self._picked(moved), self._picked(self.ground)]
-            by += [self._picked(np.full(len(moved), self.ground.start)), self._picked(self.ground)]
-        if self.inputs.forces:
-            forces = self._picked(self.forces)
-            into += [self._picked(np.array(self.inputs.forces)), forces]
-            by += [forces, forces]
+            into.append(self.picked(moved))
+            by.append(self.picked(np.full(len(moved), self.ground.start)))
+        force, coordinate = self._pushed.nonzero()
+        acting = self.picked(self.acting.start + force)
+        into += [self.picked(self.smooth), self.picked(coordinate), self.picked(self.forces)]
+        by += [self.picked(self.smooth), acting, self.picked(self.forces)]
         return Coupling(vstack(into, format="csr"), vstack(by, format="csr"), together=True)
-
-    def sensing(self, quantity: str) -> tuple[tuple[int, csr_matrix], ...]:
-        """What sensors of a quantity feel: derivatives' orders, and weights (channels, N) of the functions."""
-        if quantity == GROUND:
-            return ((0, self._picked(self.ground)),)
-        order = ("displacement", "velocity", "acceleration").index(quantity)
-        own = (order, self._picked(slice(0, self.ndof)))
-        if order < 2 or not self.inputs.ground or not self.inputs.absolute:
-            return (own,)
-        influence = csr_matrix(self.structure.with_ground[:, None])
-        return own, (0, csr_matrix(influence @ self._picked(self.ground)))
-
-    def feels_own(self, quantity: str) -> bool:
-        """Whether every sensor of a quantity feels one coordinate alone, its own."""
-        return quantity != GROUND and len(self.sensing(quantity)) == 1
-
-    def sensed(self, quantity: str, jet: Jet) -> Tensor:
-        """What noise-free sensors of a quantity on every DOF show, (..., channels)."""
-        if quantity == GROUND:
-            return jet.value[..., self.ground]
-        order = ("displacement", "velocity", "acceleration").index(quantity)
-        motion = jet[order] if self.is_plain else jet[order][..., : self.ndof]
-        return motion if self.feels_own(quantity) else self.inertial_acceleration(jet)

@@ -18,10 +18,12 @@ class Labels:
     Attributes:
         dofs: Of the coordinates, n; empty: they go by their numbers, from 1.
         connections: Of all connections, in the order of the groups; empty: they go by their numbers.
+        modes: Of the masses and of their springs, where the coordinates are modes and not the DOFs.
     """
 
     dofs: tuple[str, ...] = ()
     connections: tuple[str, ...] = ()
+    modes: tuple[str, ...] = ()
 
     def dof(self, index: int) -> str:
         """What people call a coordinate, counted from 0: its name, or its number from 1."""
@@ -29,13 +31,15 @@ class Labels:
 
     def owner(self, kind: str, index: int) -> str:
         """Name of the mass, or of the connection counted among all, that has a parameter; "" if it has none."""
-        names = self.dofs if kind == MASS else self.connections
+        names = (self.modes or self.dofs) if kind == MASS else self.connections
         return names[index] if names else ""
 
     def setting(self, parameter: Parameter) -> str:
         """Where a user gives a parameter: ``system.k``, or of what has a name ``system.connections.brace.k``."""
         if not parameter.label:
             return f"system.{parameter.kind}"
+        if parameter.label in self.modes:
+            return "system.modes"
         return (
             f"system.mass.{parameter.label}"
             if parameter.kind == MASS

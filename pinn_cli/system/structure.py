@@ -18,6 +18,7 @@ from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.shapes import Shapes
 
 if TYPE_CHECKING:
     from pinn_cli.system.connection.base import Nonlinearity
@@ -43,6 +44,8 @@ class Structure:
             group, and a coordinate that is no displacement of a mass differs by its column of the incidence alone.
         labels: What the user calls its coordinates and connections.
         influence: (n,), how far each coordinate moves with the ground; None: all of them, by one.
+        shapes: How the DOFs move with the coordinates, where these are modes; None: the coordinates are the DOFs.
+            Records, sensors and forces belong to DOFs, everything here to coordinates.
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -52,6 +55,7 @@ class Structure:
     groups: tuple[ConnectionGroup, ...]
     labels: Labels = field(default_factory=Labels)
     influence: np.ndarray | None = None
+    shapes: Shapes | None = None
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
@@ -66,9 +70,14 @@ class Structure:
         return f"a {self.nonlinearity_name} structure"
 
     @property
-    def ndof(self) -> int:
-        """Number of degrees of freedom, n."""
+    def coordinates(self) -> int:
+        """Their number, n."""
         return self.parameters[MASS].shape[-1]
+
+    @property
+    def ndof(self) -> int:
+        """Number of degrees of freedom, of which there are records: n, unless the coordinates are modes."""
+        return self.coordinates if self.shapes is None else len(self.shapes.matrix)
 
     @cached_property
     def incidence(self) -> Incidence:
@@ -143,7 +152,7 @@ class Structure:
                 yield self.parameter(kind, index)
 
     def ends(self, parameter: Parameter) -> np.ndarray:
-        """The DOFs, counted from 0, whose equations of motion contain a parameter."""
+        """The coordinates, counted from 0, whose equations of motion contain a parameter."""
         if parameter.kind == MASS:
             return np.array([parameter.index])
         return self.incidence.matrix[self.members[parameter.kind][parameter.index]].indices
@@ -151,12 +160,12 @@ class Structure:
     def participation(self, parameters: Sequence[Parameter]) -> np.ndarray:
         """(n, p), how the force of each parameter's own connection, or its mass's inertia, enters the equations."""
         rows = [
-            np.eye(1, self.ndof, p.index)[0]
+            np.eye(1, self.coordinates, p.index)[0]
             if p.kind == MASS
             else self.incidence.matrix[self.members[p.kind][p.index]].toarray()[0]
             for p in parameters
         ]
-        return np.stack(rows, axis=-1) if rows else np.zeros((self.ndof, 0))
+        return np.stack(rows, axis=-1) if rows else np.zeros((self.coordinates, 0))
 
     def elongation(self, x: Array) -> Array:
         """B x, (..., C): of displacements, velocities or accelerations alike."""
@@ -165,7 +174,7 @@ class Structure:
     @cached_property
     def with_ground(self) -> np.ndarray:
         """(n,), iota: how far each coordinate moves with the ground."""
-        return np.ones(self.ndof) if self.influence is None else np.asarray(self.influence, dtype=np.float64)
+        return np.ones(self.coordinates) if self.influence is None else np.asarray(self.influence, dtype=np.float64)
 
     @cached_property
     def memory(self) -> np.ndarray:
@@ -173,6 +182,12 @@ class Structure:
         counts = [group.incidence.shape[0] for group in self.groups]
         remembers = np.repeat([group.nonlinearity.has_memory for group in self.groups], counts)
         return np.flatnonzero(remembers)
+
+    @cached_property
+    def added(self) -> np.ndarray:
+        """(C',), the connections that somebody wrote down: all of them, but for the springs of modes."""
+        own = 0 if self.shapes is None else self.groups[0].incidence.shape[0]
+        return np.arange(own, self.incidence.shape[0])
 
     @cached_property
     def laws(self) -> tuple[Nonlinearity, ...]:

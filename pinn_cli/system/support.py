@@ -28,7 +28,7 @@ def loose_dofs(structure: Structure) -> list[int]:
     holds = np.isnan(force) | (force != 0)
     holds[structure.memory] = True  # a hidden force holds as well
     springs, coupling = structure.incidence.matrix[holds], Coupling(*[structure.incidence.matrix] * 2)
-    rank, n = coupling.rank, structure.ndof
+    rank, n = coupling.rank, structure.coordinates
     # Springs of stiffness one, as a band; where a coordinate is loose its tether alone keeps the factor from zero.
     stiffness = (springs.T @ springs).tocoo()
     row, column = rank[stiffness.row], rank[stiffness.col]

@@ -64,7 +64,15 @@ def build_structure(
     Raises:
         InputError: Naming ``system.<setting>``.
     """
-    structure = build_partial_structure(dofs, mass, connections, kind)
+    return whole(build_partial_structure(dofs, mass, connections, kind))
+
+
+def whole(structure: Structure) -> Structure:
+    """The structure itself, of which every value has to be given.
+
+    Raises:
+        InputError: Naming ``system.<setting>`` of one that is not.
+    """
     for parameter in structure.every_parameter():
         if math.isnan(parameter.prescribed):
             setting = structure.labels.setting(parameter)
@@ -83,14 +91,26 @@ def build_partial_structure(
 
     Of an optional parameter (an order of a polynomial) null says that the connection has it.
     """
-    names = _checked_names(dofs)
-    masses = _masses(mass, names)
+    names = checked_names(dofs)
+    structure = connected(names, _masses(mass, names), connections)
+    tell_if_loose(structure)
+    return structure
+
+
+def connected(
+    names: tuple[str, ...], masses: Sequence[float], connections: Mapping[str, Mapping[str, Any]]
+) -> Structure:
+    """The same from names and masses that are checked, whether or not anything holds it.
+
+    Raises:
+        InputError: Naming ``system.connections`` and what is in it.
+    """
     read = [_connection(name, entry, names) for name, entry in _checked_connections(connections).items()]
     groups: dict[tuple[object, ...], list[_Connection]] = {}
     for one in read:
         groups.setdefault(one.group, []).append(one)
     ordered = [one for members in groups.values() for one in members]
-    parameters = {MASS: masses}
+    parameters = {MASS: list(masses)}
     for kind_of in dict.fromkeys(kind for one in ordered for kind in one.parameters):
         parameters[kind_of] = [one.parameters[kind_of] for one in ordered if kind_of in one.parameters]
     labels = Labels(names, tuple(one.name for one in ordered))
@@ -102,12 +122,16 @@ def build_partial_structure(
         ),
         labels=labels,
     )
-    _check_parameters_differ(structure)
-    _tell_if_loose(structure)
+    check_parameters_differ(structure)
     return structure
 
 
-def _checked_names(dofs: Any) -> tuple[str, ...]:
+def checked_names(dofs: Any) -> tuple[str, ...]:
+    """Names of coordinates.
+
+    Raises:
+        InputError: Naming ``system.dofs``: there are none, or they are no names, or clash.
+    """
     names = entries(dofs)
     if not names:
         raise InputError("system.dofs", dofs, "a list of names of coordinates", "e.g. system.dofs=[x1, x2]")
@@ -223,8 +247,12 @@ def _between(setting: str, ends: Any, names: tuple[str, ...]) -> dict[int, float
     return {names.index(end): sign for end, sign in zip(pair, (-1.0, 1.0), strict=True) if end != GROUND}
 
 
-def _check_parameters_differ(structure: Structure) -> None:
-    """The name of a parameter is its kind and its connection's: two may read the same."""
+def check_parameters_differ(structure: Structure) -> None:
+    """The name of a parameter is its kind and its connection's: two may read the same.
+
+    Raises:
+        InputError: Naming ``system.connections``: they do.
+    """
     seen: dict[str, str] = {}
     for parameter in structure.every_parameter():
         setting = structure.labels.setting(parameter)
@@ -234,7 +262,8 @@ def _check_parameters_differ(structure: Structure) -> None:
         seen[parameter.name] = setting
 
 
-def _tell_if_loose(structure: Structure) -> None:
+def tell_if_loose(structure: Structure) -> None:
+    """Say so where nothing holds the structure."""
     loose = loose_dofs(structure)
     if loose:
         names = ", ".join(structure.dof_name(dof) for dof in loose)

@@ -84,7 +84,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ConnectionHistories:
-    """What the connections do, in the order of the structure's.
+    """What the connections do, in the order of the structure's; of modes, those that were added to them.
 
     Attributes:
         elongation: (N, C), m.

@@ -17,10 +17,13 @@ def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     """Force (N) and velocity (m/s) that the record is about.
 
     Rms of the measured force, or of mass times measured motion. A velocity is worth its acceleration at the band's
-    middle, and so on; only orders of magnitude matter here.
+    middle, and so on; only orders of magnitude matter here. Where the coordinates are modes, both are theirs.
     """
     record = problem.record
-    mass = problem.structure.parameters["m"].detach().cpu().numpy()
+    mass, per_force = problem.structure.parameters["m"].detach().cpu().numpy(), 1.0
+    if problem.structure.shapes is not None:  # a DOF moves with modes of mass one, and a force on it acts on them
+        per_force = problem.structure.shapes.scale
+        mass = np.full(record.ndof, 1.0 / per_force)
     omega = np.pi * record_band(record)
     motion = [
         omega ** (2 - order) * mass * np.sqrt(np.mean(getattr(record, quantity) ** 2, axis=0))
@@ -28,6 +31,6 @@ def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     ]
     inertia = float(np.nanmax(motion))
     measured = record.force[:, record.sensors("force")]
-    force = float(np.sqrt(np.mean(measured**2))) if measured.size else inertia
+    force = per_force * float(np.sqrt(np.mean(measured**2))) if measured.size else inertia
     force = force if force > 0 else inertia
     return force, force / float(mass.max()) / omega

@@ -116,6 +116,6 @@ class Forecast(Validation):
 def _forecast(record: Record, found: Estimate, setup: Setup, start: int, end: int) -> Response:
     """From shortly before a block to its end."""
     first = start - max(1, round(LEAD * start))
-    state = found.response.displacement[first], found.response.velocity[first]
+    state = found.response.state(first)
     structure = estimated_structure(setup.prescribed, found.parameters)
     return resimulate(structure, record.until(end), state, first=first)

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.simulation import runge_kutta_step, substeps_needed
+from pinn_cli.record.simulation import runge_kutta_step
+from pinn_cli.record.steps import substeps_needed
 from pinn_cli.verdict.channel_faults import MENDS_BY_MOVING, REPRODUCED
 from pinn_cli.verdict.comparison import worst_misfit
 from pinn_cli.verdict.finding import Finding
@@ -83,7 +84,7 @@ def mass_fault(structure: Structure, record: Record, excused: Sequence[str] = ()
         record: What was measured.
         excused: Names of channels that have a fault of their own.
     """
-    if not np.isfinite(record.force).all():
+    if not np.isfinite(record.force).all() or structure.shapes is not None:
         return None
     before = worst_misfit(predicted(structure, record), excused)
     dofs = np.repeat(np.arange(structure.ndof), len(COARSE))

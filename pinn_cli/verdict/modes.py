@@ -28,28 +28,41 @@ class Modes:
         m: (n,), kg.
         K, C: (n, n), N/m and N s/m.
         poles: (2n,), 1/s.
-        shapes: (n, 2n), displacements of each mode.
-        inputs: (2n, n), what a unit acceleration f/m on a DOF puts into each mode.
-        with_ground: (n,), how far each DOF moves with the ground.
+        vectors: (n, 2n), displacements of the coordinates in each mode.
+        inputs: (2n, n), what a unit acceleration f/m on a coordinate puts into each mode.
+        structure: Whose modes they are.
     """
 
     m: np.ndarray
     K: np.ndarray
     C: np.ndarray
     poles: np.ndarray
-    shapes: np.ndarray
+    vectors: np.ndarray
     inputs: np.ndarray
-    with_ground: np.ndarray
+    structure: Structure
 
     @classmethod
     def of(cls, structure: Structure) -> Modes:
         """Of the linear part of a structure."""
         p, stretch = structure.parameters_like(np.empty(0)), structure.incidence.matrix.toarray()
-        m, n = p["m"], structure.ndof
+        m, n = p["m"], structure.coordinates
         K, C = (stretch.T @ (p[kind][:, None] * stretch) for kind in ("k", "c"))
         state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
         poles, vectors = np.linalg.eig(state)
-        return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:], structure.with_ground)
+        return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:], structure)
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """(dofs, 2n), displacements of the DOFs in each mode."""
+        of = self.structure.shapes
+        return self.vectors if of is None else of.matrix @ self.vectors
+
+    @property
+    def pushed(self) -> np.ndarray:
+        """(2n, dofs), what a unit force on a DOF puts into each mode."""
+        of = self.structure.shapes
+        every = self.inputs / self.m
+        return every if of is None else every @ of.matrix.T
 
     @property
     def stable(self) -> bool:
@@ -76,7 +89,8 @@ class Modes:
         """
         if not np.isfinite(record.force).all():
             raise ValueError("a response needs every force")
-        force = rfft(record.force, axis=0)
+        of = self.structure.shapes
+        force = rfft(record.force if of is None else of.onto_coordinates(record.force), axis=0)
         s = 2j * np.pi * rfftfreq(len(record.time), record.step)
         acting = force
         if record.intersample == "zero_order_hold":
@@ -84,14 +98,18 @@ class Modes:
             acting = force * (np.exp(-1j * angle) * np.sinc(angle / np.pi))[:, None]
         shaking = np.zeros((1, len(self.m)))
         if record.ground_acceleration is not None:
-            shaking = rfft(record.ground_acceleration)[:, None] * self.with_ground
+            shaking = rfft(record.ground_acceleration)[:, None] * self.structure.with_ground
         with np.errstate(divide="ignore", invalid="ignore"):  # without stiffness there is no answer to a mean force
-            u = ((acting / self.m - shaking) @ self.inputs.T / (s[:, None] - self.poles)) @ self.shapes.T
+            u = ((acting / self.m - shaking) @ self.inputs.T / (s[:, None] - self.poles)) @ self.vectors.T
         v = s[:, None] * u
         a = (force - v @ self.C.T - u @ self.K.T) / self.m
-        if record.frame == "relative":
+        if record.frame == "relative" or of is not None:
             a = a - shaking
         u, v, a = (irfft(x, len(record.time), axis=0) for x in (u, v, a))
+        if of is not None:
+            u, v, a = (of.of_dofs(x) for x in (u, v, a))
+            if record.ground_acceleration is not None and record.frame == "absolute":
+                a = a + record.ground_acceleration[:, None] * of.with_ground
         return Response(record.time, u, v, a, record.force, record.ground_acceleration)
 
     def decays(self, channel: Channel, record: Record) -> np.ndarray:

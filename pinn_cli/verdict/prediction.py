@@ -9,7 +9,8 @@ import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.interpolate import make_interp_spline
 
-from pinn_cli.record.simulation import OverflowsError, simulate, substeps_needed
+from pinn_cli.record.simulation import OverflowsError, simulate
+from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.modes import Modes, modes_of
 

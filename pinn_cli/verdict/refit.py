@@ -77,8 +77,8 @@ class Spectra:
         forced = np.flatnonzero(self.force.any(axis=0))
         power = np.zeros((modes.shapes.shape[0], len(self.s)))
         for dof in forced:
-            modal = modes.inputs[:, dof, None] / (self.s - modes.poles[:, None])
-            power += np.abs(modes.shapes @ modal * (self.force[:, dof] / modes.m[dof])) ** 2
+            modal = modes.pushed[:, dof, None] / (self.s - modes.poles[:, None])
+            power += np.abs(modes.shapes @ modal * self.force[:, dof]) ** 2
         out = []
         for c, measured, floor in zip(self.seen, self.measured, self.floor, strict=True):
             predicted = np.add.reduceat(power[c.dof] * np.abs(self.s) ** (2 * c.order), self.edges)

@@ -64,7 +64,7 @@ class _Refits:
             found.append(self.time_unit(as_given))
             if found == [None, None]:
                 found.append(self.exchanged(as_given))
-            if found[1] is None and found[-1] is None:
+            if found[1] is None and found[-1] is None and self.structure.shapes is None:
                 found += [self.mass(dof, as_given) for dof in range(self.structure.ndof)]
         causes = [cause for cause in found if cause is not None]
         return [min(causes, key=lambda cause: cause.left)] if causes else []

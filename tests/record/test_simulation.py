@@ -10,7 +10,8 @@ from scipy.linalg import expm
 
 from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.record import Response
-from pinn_cli.record.simulation import OverflowsError, Simulation, simulate, substeps_needed
+from pinn_cli.record.simulation import OverflowsError, Simulation, simulate
+from pinn_cli.record.steps import substeps_needed
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import Structure, build_chain, matrices
 from pinn_cli.system.connection import Duffing, Linear, Nonlinearity, PowerDamping, VanDerPol

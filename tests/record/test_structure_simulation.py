@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pinn_cli.record.simulation import Simulation, substeps_needed
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.topology import build_structure
 
 # A steel frame of three storeys: cubic joints below, a stiffening brace from the ground, a sliding one above.

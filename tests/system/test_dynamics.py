@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
-from structures import braced, hysteretic
+from structures import braced, hysteretic, modal
 
-from pinn_cli.system.dynamics import Dynamics, Inputs, Jet
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import Inputs, Jet
 
 GROUND_AND_FORCES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0)
+ON_MODES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0, loads=(0, 3))
 CASES = {
     "memory": (hysteretic, Inputs(rate=4.0)),
     "ground": (braced, Inputs(True, edge=11.0)),
     "forces": (braced, Inputs(forces=(0, 2), correlation_time=0.3, rate=4.0)),
     "all": (hysteretic, GROUND_AND_FORCES),
+    "modes": (modal, Inputs()),
+    "modes, ground and forces": (modal, ON_MODES),
 }
 
 
@@ -85,6 +91,39 @@ def test_parameters_enter_through_their_branches(dynamics):
         else:
             found = torch.einsum("pk,ki->pik", slope.by_parameter[kind], branches[dynamics.branch(kind)])
         torch.testing.assert_close(found, derivative, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_what_sensors_of_modes_feel(absolute):
+    dynamics = Dynamics(modal(), replace(ON_MODES, absolute=absolute))
+    jet, shapes = some_jet(dynamics), torch.as_tensor(modal().shapes.matrix)
+    ground, loads, force = jet.value[:, 3:4], jet.value[:, 4:6], jet.value[:, 6]
+    carried = torch.tensor([1.0, 0.0, 1.0, 1.0], dtype=torch.float64) if absolute else 0.0
+    expected = {
+        "displacement": jet.value[:, :3] @ shapes.T,
+        "velocity": jet.rate[:, :3] @ shapes.T,
+        "acceleration": jet.curvature[:, :3] @ shapes.T + ground * carried,
+        "ground_acceleration": ground,
+        "force": torch.stack((loads[:, 0], force, torch.zeros(4), loads[:, 1]), 1),
+    }
+    assert dynamics.observed == tuple(expected)
+    for quantity, values in expected.items():
+        torch.testing.assert_close(dynamics.sensed(quantity, jet), values)
+        sensing = sum(jet[order] @ torch.as_tensor(w.toarray()).T for order, w in dynamics.sensing(quantity))
+        torch.testing.assert_close(sensing, values)
+        assert not dynamics.feels_own(quantity)
+    torch.testing.assert_close(dynamics.external_force(jet, dynamics.structure.parameters), expected["force"])
+
+
+def test_forces_on_dofs_push_the_modes():
+    dynamics = Dynamics(modal(), ON_MODES)
+    jet, parameters, shapes = some_jet(dynamics), modal().parameters, torch.as_tensor(modal().shapes.matrix)
+    pushed = dynamics.external_force(jet, parameters) @ shapes
+    u, v, a = (x[:, :3] for x in jet)
+    moved = dynamics.inertial_acceleration(jet)
+    torch.testing.assert_close(moved, a + jet.value[:, 3:4] * torch.tensor([0.9, -0.3, 0.5], dtype=torch.float64))
+    expected = moved + modal().restoring_force(u, v, parameters) - pushed
+    torch.testing.assert_close(dynamics.residual(jet, parameters)[:, :3], expected)
 
 
 @pytest.mark.parametrize("absolute", [True, False])

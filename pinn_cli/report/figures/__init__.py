@@ -49,7 +49,7 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
     forces = ConnectionForces.of(results.prescribed, estimate, truth)
     if forces is not None and forces.memory.size:
         figures["hysteresis"] = hysteresis_figure(forces, run.truth_label)
-    if results.prescribed.labels.connections:
+    if results.prescribed.labels.connections and results.prescribed.shapes is None:
         figures["structure"] = structure_figure(results.prescribed)
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         figures["history"] = history_figure(estimate.history)

@@ -12,7 +12,7 @@ from pinn_cli.training.band.posterior import ReadoutPosterior
 
 
 def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarray]:
-    """R = c de + k e + r_n(e, de) + z of every connection at the record's samples and its deviation, each (N, C), N."""
+    """R = c de + k e + r_n(e, de) + z of `Structure.added` at the samples, and its deviation, each (N, C), N."""
     equations, point = posterior.equations, posterior.point
     segments, dynamics = equations.observation, equations.dynamics
     jet, parameters = equations.jet(segments, point), equations.parameters(point)
@@ -20,7 +20,8 @@ def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
     u, v = (x[..., : dynamics.ndof] for x in (jet.value, jet.rate))
     z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)
-    deviations = [_deviation(posterior, segments, slope, c) for c in range(structure.incidence.shape[0])]
+    force = force[..., torch.as_tensor(structure.added, device=force.device)]
+    deviations = [_deviation(posterior, segments, slope, c) for c in structure.added.tolist()]
     std = torch.stack(deviations, -1).to(segments.mask.device)
     return segments.scatter(force).cpu().numpy(), segments.scatter(std).cpu().numpy()
 

@@ -12,6 +12,7 @@ from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.functions import FORCE
 from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -89,7 +90,8 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
         found = _best_start(replace(problem, alternatives=()), Spline(), settings, device, history)
     except DivergenceError:
         return starting_levels(problem.record)
-    return found.trained.noise.response, found.trained.noise.force[: problem.dynamics.ndof]
+    noise = found.trained.noise
+    return noise.response, noise.response.get(FORCE, noise.force[: problem.dynamics.ndof])
 
 
 def _best_start(
@@ -142,10 +144,15 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     problem = evidence.equations.problem
     force, velocity = force_and_velocity_scale(problem)
     response, sensors = starting_levels(problem.record)
-    points, dynamics = evidence.equations.refinement, problem.dynamics
-    sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)
+    points, dynamics, shapes = evidence.equations.refinement, problem.dynamics, problem.structure.shapes
     driving = np.full(dynamics.size, np.nan)
-    driving[dynamics.forces] = force
+    if shapes is not None:
+        response |= {FORCE: sensors} if dynamics.inputs.loads else {}
+        sensors = np.full(dynamics.ndof, np.nan)
+    sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)
+    # A force of modes acts on a DOF the more, the less this DOF moves with them.
+    driving[dynamics.forces] = force if shapes is None else force / shapes.scale
+    driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
     if problem.record.ground_acceleration is not None:
         driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
     continuity = CONTINUITY_TOLERANCE * velocity

@@ -68,9 +68,11 @@ def initial_motion(network: LinearReadout, problem: Problem, layout: BandLayout,
     if deviation is None and not problem.inputs.forces:
         return None
     force, _ = force_and_velocity_scale(problem)
+    # Of modes a coordinate moves so much less than a DOF, and so much more force acts on it.
+    per_dof = 1.0 if problem.structure.shapes is None else problem.structure.shapes.scale
     every = np.full((dynamics.size, 2), np.inf)
     if deviation is not None:
-        every[: dynamics.ndof] = deviation
+        every[: dynamics.ndof] = np.array(deviation) / per_dof
         every[dynamics.hidden, 0] = RESIDUAL_MOTION * force
-    every[dynamics.forces, 0] = FIRST_FORCE * force
+    every[dynamics.forces, 0] = FIRST_FORCE * force / per_dof
     return InitialMotion(network, every, layout, time)

@@ -16,6 +16,7 @@ import torch
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
+from pinn_cli.system.functions import FORCE
 from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.band.normal_equations import Point
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel
@@ -165,10 +166,14 @@ def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np
 def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
     """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
 
-    Alike for all forces: few sensors tell them apart.
+    Alike for all unknown forces: few sensors tell them apart.
     """
     dynamics, level = evidence.equations.dynamics, np.full(len(seen), np.nan)
-    for group in (dynamics.ground, dynamics.forces):
+    for group in (
+        dynamics.ground,
+        *(slice(i, i + 1) for i in range(*dynamics.loads.indices(len(seen)))),
+        dynamics.forces,
+    ):
         if group.stop > group.start:
             level[group] = np.sqrt(seen[group].sum() / left[group].sum())
     return level
@@ -177,10 +182,11 @@ def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarr
 def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     """The least levels that are looked for."""
     record = evidence.equations.problem.record
-    kinds = (*record.response_quantities, "force")
-    finest = {q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in kinds}
-    finest["force"] = np.pad(finest["force"], (0, len(noise.force) - record.ndof), constant_values=np.nan)
-    force = float(np.nanmax(finest["force"])) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
+    finest = {q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in noise.response}
+    of_force = np.full(len(noise.force), np.nan)
+    if np.isfinite(noise.force).any():
+        of_force[: record.ndof] = FINEST_SENSOR * np.sqrt(np.mean(record.force**2, axis=0))
+    force = float(np.nanmax(of_force)) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
     measured = noise.force[np.isfinite(noise.force)]
     of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
     discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
@@ -189,8 +195,11 @@ def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     # do as well, and bands would be too narrow.
     for dof in np.flatnonzero(record.sensors("force")):
         shown = visible_floor(record.force[:, dof], record.step)
-        finest["force"][dof] = max(finest["force"][dof], shown or 0.0)
-    return replace(noise, response=response, force=finest["force"], discrepancy=discrepancy)
+        if FORCE in response:
+            response[FORCE][dof] = max(response[FORCE][dof], shown or 0.0)
+        else:
+            of_force[dof] = max(of_force[dof], shown or 0.0)
+    return replace(noise, response=response, force=of_force, discrepancy=discrepancy)
 
 
 def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarray:

@@ -21,8 +21,9 @@ from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, targets
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.dynamics import Jet
+from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
@@ -269,7 +270,8 @@ class NormalEquations:
         """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""
         features = self.physics.feature.shape[1]
         if isinstance(self.network, SplineNetwork):
-            return TimeMajorSums(self.network.channels, features, self.physics.count, self.pattern)
+            kind = TimeMajorSums if self.dynamics.structure.shapes is None else BlockSums
+            return kind(self.network.channels, features, self.physics.count, self.pattern)
         return DofMajorSums(self.layout, features, self.pattern, self.target.force)
 
     def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> EquationRows:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pinn_cli.system.dynamics import Jet
+from pinn_cli.system.functions import Jet
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior

@@ -14,6 +14,9 @@ from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.normal_equations import NormalEquations, Point
 from pinn_cli.training.band.subdomains import Subdomains
 
+# Intervals whose covariances of all functions are held at once.
+CHUNK = 64
+
 
 class ReadoutPosterior:
     """Gaussian posterior of readout and parameters about a solution."""
@@ -32,15 +35,41 @@ class ReadoutPosterior:
         """
         dynamics = self.equations.dynamics
         functions = dict(zip(RESPONSE_QUANTITIES, self.functions(segments), strict=True))
+        if dynamics.structure.shapes is not None:
+            found = self.of_modes(segments, [dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES])
+            return dict(zip(RESPONSE_QUANTITIES, found, strict=True)) | self._of_ground(functions["displacement"])
         out = {
             quantity: std[:, : dynamics.ndof]
             if dynamics.feels_own(quantity)
             else self.combined(segments, dynamics.sensing(quantity))
             for quantity, std in functions.items()
         }
-        if dynamics.inputs.ground:
-            out[GROUND] = functions["displacement"][:, dynamics.ground]
-        return out
+        return out | self._of_ground(functions["displacement"])
+
+    def _of_ground(self, values: Tensor) -> dict[str, Tensor]:
+        dynamics = self.equations.dynamics
+        return {GROUND: values[:, dynamics.ground]} if dynamics.inputs.ground else {}
+
+    def of_modes(self, segments: Segments, sensing: Sequence[Sequence[tuple[int, csr_matrix]]]) -> list[Tensor]:
+        """Standard deviations as of :meth:`combined`, each (N, channels), where every channel feels all functions.
+
+        The covariance of all functions is then taken from the band once for all channels.
+        """
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))  # (I, functions, B)
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
+        found: list[list[Tensor]] = [[] for _ in sensing]
+        for start in range(0, len(local), CHUNK):
+            part = slice(start, start + CHUNK)
+            position = local[part].flatten(1)
+            covariance, shift = self._window(position), self.solved[position] @ self.root
+            for out, parts in zip(found, weights, strict=True):
+                rows = sum(w[:, None, :, None] * kinds[order][part, None, :, None] for order, w in parts)
+                assert isinstance(rows, Tensor)
+                rows = rows.flatten(3).flatten(1, 2)  # (intervals, channels S, functions B)
+                variance = ((rows @ covariance) * rows).sum(-1) + (rows @ shift).square().sum(-1)
+                out.append(variance.clamp(min=0).sqrt().unflatten(1, (len(parts[0][1]), -1)).mT)
+        return [segments.scatter(torch.cat(out).to(segments.mask.device)).cpu() for out in found]
 
     def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
         """Standard deviation of weighted sums of functions and of their derivatives, (N, channels).

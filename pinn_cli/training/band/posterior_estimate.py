@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import torch
 from scipy.sparse import csr_matrix
 
 from pinn_cli.physics import estimated_response
@@ -36,7 +37,7 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         "effective_parameters": _effective_parameters(evidence, trained),
         "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
         "parameter_spread": trained.noise.spread,
-        "sigma_force": _listed(trained.noise.force[: equations.dynamics.ndof]),
+        "sigma_force": _listed(trained.noise.force[: equations.problem.record.ndof]),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
     summary |= _of_unknown_forces(equations, trained)
@@ -59,12 +60,16 @@ def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str
 
 
 def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:
-    """Their elongations, sums of functions whose errors are not independent, and their forces."""
+    """Elongations, sums of functions whose errors are not independent, and forces of :attr:`Structure.added`."""
     dynamics, segments = posterior.equations.dynamics, posterior.equations.observation
-    stretch = dynamics.structure.incidence.matrix
-    by_function = csr_matrix((stretch.data, stretch.indices, stretch.indptr), (stretch.shape[0], dynamics.size))
+    structure, added = dynamics.structure, dynamics.structure.added
+    motion = response.displacement if response.coordinates is None else response.coordinates[:, 0]
+    elongation = structure.elongation(motion)[:, added]
+    if not len(added):
+        return ConnectionHistories(*[np.zeros((len(motion), 0))] * 4)
+    stretch = structure.incidence.matrix[added]
+    by_function = csr_matrix((stretch.data, stretch.indices, stretch.indptr), (len(added), dynamics.size))
     std = posterior.combined(segments, [(0, by_function)])
-    elongation = dynamics.structure.elongation(response.displacement)
     return ConnectionHistories(elongation, std.numpy(), *connection_forces(posterior))
 
 
@@ -73,8 +78,12 @@ def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
     equations = posterior.equations
     dynamics = equations.dynamics
     sensed = posterior.sensed(equations.observation)
-    force = posterior.force(equations.forces)
     functions = None if dynamics.is_plain else posterior.functions(equations.forces)[0]
+    if dynamics.structure.shapes is None:
+        force = posterior.force(equations.forces)
+    else:
+        force = torch.zeros_like(sensed["displacement"])
+        force[:, list(dynamics.inputs.loads)] = functions[:, dynamics.loads]  # type: ignore[index]
     if functions is not None:
         force[:, list(dynamics.inputs.forces)] = functions[:, dynamics.forces]
     displacement, velocity, acceleration = (sensed[quantity].numpy() for quantity in RESPONSE_QUANTITIES)
@@ -93,7 +102,7 @@ def _share_force(evidence: Evidence, trained: Trained, response: Response, std: 
     """The force that acts, with its standard deviation."""
     equations, noise = evidence.equations, trained.noise
     forced = equations.problem.record.sensors("force")
-    if not forced.any():
+    if not forced.any() or equations.dynamics.inputs.loads:
         return response, std
     measured = equations.problem.record.force
     filtered = evidence.followed_force()
@@ -109,7 +118,7 @@ def _effective_parameters(evidence: Evidence, trained: Trained) -> dict[str, lis
     """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
     record = evidence.equations.problem.record
     taken = values_taken(evidence, trained).response
-    sensors = {quantity: record.sensors(quantity) for quantity in record.response_quantities}
+    sensors = {quantity: record.sensors(quantity) for quantity in evidence.equations.dynamics.observed}
     return {q: _listed(np.where(there, taken[q], np.nan)) for q, there in sensors.items() if there.any()}
 
 

@@ -22,7 +22,7 @@ LARGEST_FACTOR = 2.0
 
 
 def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
-    """(n,) rms of what the spline cannot follow of the accelerations, m/s^2.
+    """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2.
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
     of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
@@ -33,6 +33,8 @@ def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
         return np.zeros(equations.problem.record.ndof)
     motion = equations.flat_states(equations.physics, trained.solution.point).acceleration.cpu().numpy()
     motion = motion[:, : equations.dynamics.ndof]
+    shapes = equations.dynamics.structure.shapes
+    motion = motion if shapes is None else shapes.of_dofs(motion)
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
     errors = []
     for column in motion.T:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csr_matrix
+import torch
+from scipy.sparse import csc_matrix, csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
@@ -25,16 +26,14 @@ class SensorRows:
     """
 
     def __init__(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]], there: np.ndarray) -> None:
-        self.segments = segments
-        self.parts = [
-            [
-                (int(function), order, float(weight))
-                for order, weights in sensing
-                for function, weight in zip(weights[channel].indices, weights[channel].data, strict=True)
-            ]
-            for channel in np.flatnonzero(there)
+        self.segments, self.channels = segments, np.flatnonzero(there)
+        every = [(order, csc_matrix(weights[self.channels])) for order, weights in sensing]
+        # What the sensors feel: derivatives of functions, each with its weight in every channel.
+        self.felt = [(int(f), order) for order, weights in every for f in np.flatnonzero(np.diff(weights.indptr))]
+        columns = [
+            weights[:, f].toarray()[:, 0] for order, weights in every for f in np.flatnonzero(np.diff(weights.indptr))
         ]
-        self.channels = np.flatnonzero(there)
+        self.weights = np.stack(columns, axis=1)  # (channels there, felt)
         orders = sorted({order for order, _ in sensing})
         self.features = {order: getattr(segments, KINDS[order]) for order in orders}
         self.grams = {(a, b): self.features[a].mT @ self.features[b] for a in orders for b in orders}
@@ -47,13 +46,16 @@ class SensorRows:
             residual: (I, S, channels).
             weight: (channels,).
         """
-        moments = {order: features.mT @ residual for order, features in self.features.items()}
-        for channel, parts in zip(self.channels, self.parts, strict=True):
-            scale = weight[channel]
-            for number, (function, order, factor) in enumerate(parts):
-                sums.add_moment(self.segments, moments[order][..., channel] * (factor * scale), function)
-                for other, other_order, other_factor in parts[: number + 1]:
-                    products = self.grams[order, other_order] * (factor * other_factor * scale)
+        scaled = self.weights * weight.cpu().numpy()[self.channels, None]
+        products, pull = scaled.T @ self.weights, torch.as_tensor(scaled).to(residual)
+        moments = {
+            order: features.mT @ (residual[..., self.channels] @ pull) for order, features in self.features.items()
+        }
+        for i, (function, order) in enumerate(self.felt):
+            sums.add_moment(self.segments, moments[order][..., i], function)
+            for j, (other, other_order) in enumerate(self.felt[: i + 1]):
+                if products[i, j]:
+                    pair = self.grams[order, other_order] * products[i, j]
                     if function == other and order != other_order:  # two derivatives of one function
-                        products = products + products.mT
-                    sums.add_pair(self.segments, products, function, other)
+                        pair = pair + pair.mT
+                    sums.add_pair(self.segments, pair, function, other)

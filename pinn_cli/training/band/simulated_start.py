@@ -20,13 +20,14 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     problem = equations.problem
     if problem.identifies or equations.network.channels > 1 or not np.isfinite(problem.record.force).all():
         return None
-    rest = np.zeros(problem.record.ndof)
+    rest = np.zeros(problem.structure.coordinates)
     try:
         motion = resimulate(problem.structure, problem.record, (rest, rest))
     except (OverflowsError, TooStiffError):
         return None
-    functions = [motion.displacement, *(x for x in (motion.hidden, motion.ground_acceleration) if x is not None)]
-    every = np.column_stack(functions)
+    coordinates = motion.displacement if motion.coordinates is None else motion.coordinates[:, 0]
+    functions = [coordinates, *(x for x in (motion.hidden, motion.ground_acceleration) if x is not None)]
+    every = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
     segments, network = equations.observation, equations.network
     projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
     like = equations.target.force

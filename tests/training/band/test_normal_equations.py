@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 from small_problems import NONLINEARITIES, small_chain
-from structures import braced, hysteretic, shuffled
+from structures import braced, hysteretic, modal, shuffled
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.dynamics import Inputs
+from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
@@ -177,6 +177,7 @@ INPUTS = {
     "ground, relative sensors": (braced, Inputs(True, False, edge=5.0)),
     "forces": (braced, Inputs(forces=(0, 2), correlation_time=0.3, rate=4.0)),
     "all": (hysteretic, Inputs(True, True, (1,), 0.3, 4.0, 5.0)),
+    "modes": (modal, Inputs(True, True, edge=5.0, loads=(0, 1, 3))),
 }
 
 
@@ -193,12 +194,14 @@ def test_functions_beside_the_motion(case, design):
     problem = Problem(structure, record, uncertain, inputs=inputs)
     dynamics = problem.dynamics
     equations = NormalEquations(design.build(record, functions=dynamics.size), problem)
-    noise, more = noise_of(record), (0, dynamics.size - dynamics.ndof)
+    noise, more = noise_of(record), (0, dynamics.size - record.ndof)
     if inputs.ground:
         noise.response["ground_acceleration"] = np.array([0.8])
     driven = np.full(dynamics.size, np.nan)
-    driven[dynamics.ground], driven[dynamics.forces] = 0.6, 1.3
-    force = np.pad(noise.force, more, constant_values=np.nan)
+    driven[dynamics.ground], driven[dynamics.forces], driven[dynamics.loads] = 0.6, 1.3, 0.9
+    force = np.pad(noise.force, more, constant_values=np.nan) if more[1] > 0 else noise.force
+    if inputs.loads:
+        noise.response["force"], force = 0.5 + 0.1 * np.arange(4), np.full(dynamics.size, np.nan)
     assert_agrees(equations, replace(noise, force=force, innovation=driven))
 
 

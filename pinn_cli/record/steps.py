@@ -1,0 +1,67 @@
+"""How long the steps of a time integration may be: what is fastest in a structure."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pinn_cli.system.structure import Structure
+
+# Runge-Kutta is stable up to 2.8 and accurate to 1e-5 per radian at 0.2 (its phase error is (step * rate)^4 / 120).
+STEP_TIMES_RATE = 0.2
+# Of a mode that follows what acts on it, steps so much longer do: 1 rad with 0.2.
+STABLE_STEP_OVER_STEP = 5.0
+
+
+def substeps_needed(structure: Structure, step: float, step_times_rate: float = STEP_TIMES_RATE) -> int:
+    """Steps of Runge-Kutta per sample that resolve the linear part's highest natural frequency and strongest damping.
+
+    Of modes, those above the Nyquist frequency follow what acts on them at once: they need no more than to stay stable.
+    No number of steps is enough where a mass is zero: see :func:`has_equation_of_motion`.
+    """
+    angle = step * _rates(structure).max(axis=0)
+    beyond = (angle > math.pi) & (structure.shapes is not None)
+    steps = angle / np.where(beyond, STABLE_STEP_OVER_STEP * step_times_rate, step_times_rate)
+    return max(1, math.ceil(steps.max()))
+
+
+def fastest_rates(structure: Structure) -> tuple[float, float]:
+    """Bounds of the structure's highest natural frequency, rad/s, and strongest damping, 1/s, at rest."""
+    oscillation, decay = _rates(structure).max(axis=1)
+    return float(oscillation), float(decay)
+
+
+def _rates(structure: Structure) -> np.ndarray:
+    """(2, n), rad/s and 1/s, the same coordinate by coordinate.
+
+    Gershgorin bounds the eigenvalues of M^-1 K (and of M^-1 C alike) by the sums over the connections at a mass, of a
+    chain by 2 (|k_i| + |k_i+1|) / |m_i|; an estimated one may have negative ones.
+    """
+    pull = abs(structure.incidence.matrix)
+    # A mode's own spring is stretched by that mode alone, and its rate is no bound.
+    weight = np.maximum(2.0 if structure.shapes is None else 0.0, np.asarray(pull.sum(axis=1)).reshape(-1))
+    mass = np.abs(structure.parameters_like(np.empty(0))["m"])
+    stiffness, damping = (pull.T @ (weight * value) / mass for value in at_rest(structure))
+    return np.array((np.sqrt(stiffness), damping))
+
+
+def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Size of stiffness (N/m) and of damping (N s/m) of every connection (C,), those of its law at rest included."""
+    p = structure.parameters_like(np.empty(0))
+    k, c = np.abs(p["k"]), np.abs(p["c"])
+    first = 0
+    for group in structure.groups:
+        here = slice(first, first + group.incidence.shape[0])
+        own = {kind: p[kind][(at >= here.start) & (at < here.stop)] for kind, at in structure.members.items()}
+        k[here] += np.abs(group.nonlinearity.stiffness_at_rest(own))
+        c[here] += np.abs(group.nonlinearity.damping_at_rest(own))
+        first = here.stop
+    return k, c
+
+
+def has_equation_of_motion(structure: Structure) -> bool:
+    """Whether every DOF has a mass; an estimated one may be at its bound, zero."""
+    return bool(structure.parameters["m"].all())

@@ -1,0 +1,205 @@
+"""A finite-element model, as a user gives it (``system=matrices``), as a structure in modal coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.sparse import csc_matrix, csr_matrix
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number, is_whole_number, whole_number
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.connection_groups import ConnectionGroup
+from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.labels import Labels
+from pinn_cli.system.matrix_files import read_matrices
+from pinn_cli.system.parameters import MASS
+from pinn_cli.system.reduction import ReducedModel, reduced_model
+from pinn_cli.system.shapes import Shapes
+from pinn_cli.system.structure import Structure
+from pinn_cli.system.topology import check_parameters_differ, checked_names, connected, tell_if_loose
+
+# Modal damping that couples the coordinates by less than this part of their own is written without its coupling.
+UNCOUPLED = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class _Springs:
+    """Linear connections: weights of the coordinates (C, n), dampers and springs (C,), names."""
+
+    weights: np.ndarray
+    c: np.ndarray
+    k: np.ndarray
+    names: tuple[str, ...]
+
+
+def build_finite_elements(
+    dofs: Mapping[str, int],
+    path: str | None = None,
+    M: str | None = None,
+    K: str | None = None,
+    C: str | None = None,
+    modes: int = 12,
+    damping_ratio: float | Sequence[float] | None = None,
+    connections: Mapping[str, Mapping[str, Any]] | None = None,
+    static_correction: Sequence[str] | None = None,
+    ground: str | Sequence[int] | None = None,
+    kind: str = "matrices",
+    loaded: Sequence[str | int] = (),
+    base: Path | None = None,
+) -> Structure:
+    """A structure in the modal coordinates of M and K; records, sensors and forces belong to its named DOFs.
+
+    A value of a connection that is missing is NaN in the structure.
+
+    Args:
+        dofs: Name to the DOF of the matrices, counted from 1.
+        path: A file that holds the matrices M and K, and C if there is one.
+        M: Or a file for each, kg.
+        K: N/m.
+        C: N s/m; None: ``damping_ratio`` says it all.
+        modes: How many of the lowest ones are kept.
+        damping_ratio: Of every mode, 0.01 is one per cent; a list: mode by mode, the last one of all that follow.
+        connections: Between named DOFs and the ground, as in ``system=structure``; None: none.
+        static_correction: The named DOFs whose static response is kept beside the modes; None: those of connections
+            and those that carry a force.
+        ground: The DOFs of the matrices that move with the ground by one: numbers, or ``first:last:step``, where
+            ``1::2`` is every second one; None: nobody has said.
+        kind: The name of the config group's choice.
+        loaded: The named DOFs that carry a force, by name or by number from 1.
+        base: The folder that relative paths start from; None: the current one.
+
+    Raises:
+        InputError: Naming ``system.<setting>``.
+    """
+    matrices = read_matrices({"M": M, "K": K, "C": C}, path, base)
+    for name in ("M", "K"):
+        if name not in matrices:
+            raise InputError(f"system.{name}", "nothing", "given", "or system.path, a file that holds both")
+    size = matrices["M"].shape[0]
+    names, places = _named(dofs, size)
+    modes = whole_number("system.modes", modes, least=1)
+    own = connected(names, [1.0] * len(names), connections) if connections else None
+    static = _static(names, static_correction, own, loaded)
+    reduced = reduced_model(matrices["M"], matrices["K"], modes, np.unique(places[static]))
+    springs = _springs(reduced, matrices.get("C"), damping_ratio)
+    moved = None if ground is None else _moved_by_ground(ground, size)
+    structure = _assembled(names, reduced.vectors[places], springs, own)
+    structure = replace(
+        structure,
+        influence=np.zeros(structure.coordinates) if moved is None else reduced.vectors.T @ (matrices["M"] @ moved),
+        shapes=Shapes(
+            reduced.vectors[places],
+            None if moved is None else moved[places],
+            csr_matrix((0, len(names))) if own is None else own.incidence.matrix,
+        ),
+    )
+    check_parameters_differ(structure)
+    tell_if_loose(structure)
+    return structure
+
+
+def _named(dofs: Any, size: int) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names of DOFs and their places among those of the matrices, counted from 0."""
+    if not isinstance(dofs, Mapping) or not dofs:
+        raise InputError("system.dofs", dofs, "a map of name: DOF, such as {tip: 399}", "DOFs are counted from 1")
+    names = checked_names(list(dofs))
+    for name, dof in dofs.items():
+        if not is_whole_number(dof) or not 1 <= dof <= size:
+            raise InputError(f"system.dofs.{name}", dof, f"a DOF from 1 to {size}", f"M is {size} x {size}")
+        twin = next(other for other, at in dofs.items() if at == dof)
+        if twin != name:
+            raise InputError(f"system.dofs.{name}", dof, "another DOF", f"{twin} is DOF {dof} as well")
+    return names, np.array([int(dof) - 1 for dof in dofs.values()])
+
+
+def _static(names: tuple[str, ...], chosen: Any, own: Structure | None, loaded: Sequence[str | int]) -> np.ndarray:
+    """(s,) of the named DOFs, counted from 0, those whose static response is kept."""
+    if chosen is None:
+        found = set() if own is None else set(own.incidence.matrix.indices.tolist())
+        for dof in loaded:
+            # Of a number that is none of a DOF the force's own setting speaks.
+            found |= {names.index(dof)} if isinstance(dof, str) and dof in names else set()
+            found |= {dof - 1} if isinstance(dof, int) and 1 <= dof <= len(names) else set()
+        return np.array(sorted(found), dtype=np.int64)
+    for name in entries(chosen):
+        if name not in names:
+            hint = suggestion(str(name), names)
+            raise InputError("system.static_correction", name, f"names of {', '.join(names)}", hint)
+    return np.array([names.index(name) for name in entries(chosen)], dtype=np.int64)
+
+
+def _springs(reduced: ReducedModel, C: csc_matrix | None, damping_ratio: Any) -> _Springs:
+    """The modes' own springs and dampers, and dampers that couple them where C is not diagonal in them."""
+    n, k = len(reduced.stiffness), reduced.stiffness
+    residual = n - reduced.modes
+    names = [f"mode_{i + 1}" for i in range(reduced.modes)] + [f"residual_{i + 1}" for i in range(residual)]
+    weights = np.eye(n)
+    if C is None:
+        return _Springs(weights, 2.0 * _ratios(damping_ratio, n) * np.sqrt(k), k, tuple(names))
+    if damping_ratio is not None:
+        raise InputError("system.damping_ratio", damping_ratio, "null where there is a C", "C holds the damping")
+    damping = reduced.vectors.T @ (C @ reduced.vectors)
+    c, coupling = np.diag(damping).copy(), damping - np.diag(np.diag(damping))
+    if np.abs(coupling).max(initial=0.0) <= UNCOUPLED * np.abs(c).max(initial=0.0):
+        return _Springs(weights, c, k, tuple(names))
+    values, vectors = np.linalg.eigh(damping)
+    names += [f"damper_{i + 1}" for i in range(n)]
+    return _Springs(
+        np.vstack([weights, vectors.T]),
+        np.concatenate([np.zeros(n), values]),
+        np.concatenate([k, np.zeros(n)]),
+        tuple(names),
+    )
+
+
+def _ratios(given: Any, n: int) -> np.ndarray:
+    """(n,)."""
+    values = [given] if is_finite_number(given) else entries(given) if given is not None else []
+    if not values or len(values) > n or not all(is_finite_number(x) and 0 <= x < 1 for x in values):
+        allowed = f"a number from 0 to below 1, or a list of at most {n}"
+        raise InputError("system.damping_ratio", given, allowed, "the matrices have no C" if given is None else "")
+    return np.array([*values, *[values[-1]] * (n - len(values))], dtype=np.float64)
+
+
+def _moved_by_ground(ground: Any, size: int) -> np.ndarray:
+    """(N,), 1 for every DOF of the matrices that moves with the ground."""
+    allowed = f"DOFs from 1 to {size}: a list, or first:last:step, such as 1::2"
+    moved = np.zeros(size)
+    if isinstance(ground, str):
+        parts = ground.split(":")
+        if not 2 <= len(parts) <= 3 or not all(part == "" or part.isdecimal() for part in parts):
+            raise InputError("system.ground", ground, allowed)
+        first, last, step = (int(part) if part else None for part in (*parts, "")[:3])
+        dofs = list(range(1 if first is None else first, (size if last is None else last) + 1, step or 1))
+    else:
+        dofs = entries(ground)
+    if not dofs or not all(is_whole_number(dof) and 1 <= dof <= size for dof in dofs):
+        raise InputError("system.ground", ground, allowed)
+    moved[np.array(dofs) - 1] = 1.0
+    return moved
+
+
+def _assembled(names: tuple[str, ...], shapes: np.ndarray, springs: _Springs, own: Structure | None) -> Structure:
+    """The modes' springs first, then the user's connections, in the modes' coordinates."""
+    n = shapes.shape[1]
+    groups = [ConnectionGroup(Linear(), Incidence(csr_matrix(springs.weights)))]
+    parameters = {MASS: torch.ones(n, dtype=torch.float64), "c": torch.tensor(springs.c), "k": torch.tensor(springs.k)}
+    connections = springs.names
+    if own is not None:
+        stretched = [np.asarray(group.incidence.matrix @ shapes) for group in own.groups]
+        groups += [
+            ConnectionGroup(group.nonlinearity, Incidence(csr_matrix(weights)))
+            for group, weights in zip(own.groups, stretched, strict=True)
+        ]
+        for name, values in own.parameters.items():
+            if name != MASS:
+                parameters[name] = torch.cat([parameters[name], values]) if name in parameters else values
+        connections += own.labels.connections
+    return Structure(parameters, tuple(groups), Labels(names, connections, springs.names[:n]))

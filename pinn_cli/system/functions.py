@@ -1,0 +1,182 @@
+"""The unknown functions of time of a structure and its inputs: where each stands, and what sensors feel of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix, eye
+from torch import Tensor
+
+from pinn_cli.system.structure import Structure
+
+MOTION = ("displacement", "velocity", "acceleration")
+GROUND, FORCE = "ground_acceleration", "force"
+
+
+class Jet(NamedTuple):
+    """All functions at some times and their derivatives, each (..., N)."""
+
+    value: Tensor
+    rate: Tensor
+    curvature: Tensor
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What acts on a structure beside measured forces.
+
+    Attributes:
+        ground: Whether the ground's acceleration is measured, and so a function to be found.
+        absolute: Whether accelerometers feel the ground's acceleration as well.
+        forces: DOFs, counted from 0, with a force that nobody measured, a Gaussian process.
+        correlation_time: Of those forces, s.
+        rate: Of the record, 1/s, that rows of first order are divided by.
+        edge: Of the band of the ground's acceleration and of loads, rad/s.
+        loads: DOFs, counted from 0, whose measured force is a function to be found, where the coordinates are modes.
+    """
+
+    ground: bool = False
+    absolute: bool = True
+    forces: tuple[int, ...] = ()
+    correlation_time: float = 1.0
+    rate: float = 1.0
+    edge: float = 1.0
+    loads: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Functions:
+    """The columns of a network: coordinates, hidden forces, the ground's acceleration, measured and unknown forces.
+
+    Attributes:
+        structure: Whose motion it is.
+        inputs: Beside the measured forces.
+    """
+
+    structure: Structure
+    inputs: Inputs = field(default_factory=Inputs)
+
+    @property
+    def ndof(self) -> int:
+        """n, coordinates of the structure: the first functions."""
+        return self.structure.coordinates
+
+    @cached_property
+    def hidden(self) -> slice:
+        """The hidden forces among the functions."""
+        return slice(self.ndof, self.ndof + len(self.structure.memory))
+
+    @cached_property
+    def ground(self) -> slice:
+        """The ground's acceleration among the functions; empty where it is not measured."""
+        return slice(self.hidden.stop, self.hidden.stop + int(self.inputs.ground))
+
+    @cached_property
+    def loads(self) -> slice:
+        """The measured forces among the functions."""
+        return slice(self.ground.stop, self.ground.stop + len(self.inputs.loads))
+
+    @cached_property
+    def smooth(self) -> slice:
+        """The ground's acceleration and the measured forces: processes that are flat up to an edge."""
+        return slice(self.ground.start, self.loads.stop)
+
+    @cached_property
+    def forces(self) -> slice:
+        """The unknown forces among the functions."""
+        return slice(self.loads.stop, self.loads.stop + len(self.inputs.forces))
+
+    @cached_property
+    def acting(self) -> slice:
+        """All forces among the functions."""
+        return slice(self.loads.start, self.forces.stop)
+
+    @cached_property
+    def loaded(self) -> list[int]:
+        """The DOFs on which those act."""
+        return [*self.inputs.loads, *self.inputs.forces]
+
+    @property
+    def observed(self) -> tuple[str, ...]:
+        """The quantities that sensors measure of the functions."""
+        ground = (GROUND,) if self.inputs.ground else ()
+        return (*MOTION, *ground, *((FORCE,) if self.inputs.loads else ()))
+
+    @property
+    def size(self) -> int:
+        """N, functions in all."""
+        return self.forces.stop
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the motion of the DOFs is all that is unknown."""
+        return self.size == self.ndof and self.structure.shapes is None
+
+    @property
+    def beside_motion(self) -> str:
+        """What is unknown beside the motion, in words."""
+        parts = {
+            "a hidden force": self.hidden,
+            "the ground's acceleration": self.ground,
+            "a force on modes": self.loads,
+            "an unmeasured force": self.forces,
+        }
+        modes = [] if self.structure.shapes is None else ["the motion of modes"]
+        return " and ".join(modes + [name for name, at in parts.items() if at.stop > at.start])
+
+    def picked(self, functions: slice | np.ndarray) -> csr_matrix:
+        """One row for each of some functions."""
+        return csr_matrix(eye(self.size, format="csr")[functions])
+
+    def on_dofs(self, jet: Jet) -> Tensor:
+        """(..., dofs), N: the forces that are functions, 0 on all other DOFs."""
+        force = jet.value.new_zeros((*jet.value.shape[:-1], self.structure.ndof))
+        force[..., self.loaded] = jet.value[..., self.acting]
+        return force
+
+    def sensing(self, quantity: str) -> tuple[tuple[int, csr_matrix], ...]:
+        """What sensors of a quantity feel: derivatives' orders, and weights (channels, N) of the functions."""
+        if quantity == GROUND:
+            return ((0, self.picked(self.ground)),)
+        structure = self.structure
+        if quantity == FORCE:
+            places = self.loaded, range(len(self.loaded))
+            on_dofs = csr_matrix((np.ones(len(self.loaded)), places), shape=(structure.ndof, len(self.loaded)))
+            return ((0, csr_matrix(on_dofs @ self.picked(self.acting))),)
+        order, own = MOTION.index(quantity), self.picked(slice(0, self.ndof))
+        motion = (order, own if structure.shapes is None else csr_matrix(structure.shapes.matrix @ own))
+        if order < 2 or not self.inputs.ground or not self.inputs.absolute:
+            return (motion,)
+        return motion, (0, csr_matrix(csr_matrix(self._carried[:, None]) @ self.picked(self.ground)))
+
+    @property
+    def _carried(self) -> np.ndarray:
+        """(dofs,), how far every DOF moves with the ground."""
+        if self.structure.shapes is None:
+            return self.structure.with_ground
+        assert self.structure.shapes.with_ground is not None
+        return self.structure.shapes.with_ground
+
+    def feels_own(self, quantity: str) -> bool:
+        """Whether every sensor of a quantity feels one coordinate alone, its own."""
+        return quantity in MOTION and self.structure.shapes is None and len(self.sensing(quantity)) == 1
+
+    def sensed(self, quantity: str, jet: Jet) -> Tensor:
+        """What noise-free sensors of a quantity on every DOF show, (..., channels)."""
+        if quantity == GROUND:
+            return jet.value[..., self.ground]
+        if quantity == FORCE:
+            return self.on_dofs(jet)
+        order = MOTION.index(quantity)
+        if self.is_plain:
+            return jet[order]
+        motion = jet[order][..., : self.ndof]
+        if self.structure.shapes is not None:
+            motion = self.structure.shapes.of_dofs(motion)
+        if order < 2 or not self.inputs.ground or not self.inputs.absolute:
+            return motion
+        return motion + jet.value[..., self.ground] * torch.as_tensor(self._carried).to(motion)

@@ -1,0 +1,135 @@
+"""Matrices of a finite-element model, as other programs save them: ``.npz``, ``.mtx``, ``.mat``."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat, mmread
+from scipy.io.matlab import MatReadError
+from scipy.sparse import csc_matrix, issparse, load_npz
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.paths import located
+
+SUFFIXES = (".npz", ".mtx", ".mat")
+# What numpy and scipy raise for files that are not what their names say.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    EOFError,
+    NotImplementedError,
+    zipfile.BadZipFile,
+    MatReadError,
+)
+# A matrix counts as symmetric if it differs from its transpose by no more than this part of its largest entry.
+SYMMETRIC = 1e-8
+
+
+def read_matrices(files: Mapping[str, Any], path: Any, base: Path | None = None) -> dict[str, csc_matrix]:
+    """Square symmetric matrices of one size, by their names.
+
+    Args:
+        files: Name (``M``) to the file that holds it alone; None: it is looked for in ``path``.
+        path: One file, ``.npz`` or ``.mat``, that holds matrices by their names; None: there is none.
+        base: The folder that relative paths start from; None: the current one.
+
+    Returns:
+        Of the names that were found.
+
+    Raises:
+        InputError: Naming ``system.<name>`` or ``system.path``: a file that cannot be read, or a matrix that is not
+            square, symmetric, finite and of the size of the others.
+    """
+    found = {}
+    for name, file in files.items():
+        setting = f"system.{name}" if file is not None else "system.path"
+        given = file if file is not None else path
+        if given is None:
+            continue
+        matrix = _matrix(setting, _file(setting, given, base), name, alone=file is not None)
+        if matrix is not None:
+            found[name] = _checked(setting, name, matrix)
+    sizes = {name: matrix.shape[0] for name, matrix in found.items()}
+    for name, size in sizes.items():
+        first = next(iter(sizes))
+        if size != sizes[first]:
+            shape = f"{size} x {size}"
+            raise InputError(f"system.{name}", shape, f"as large as {first}, {sizes[first]} x {sizes[first]}")
+    return found
+
+
+def _file(setting: str, given: Any, base: Path | None) -> Path:
+    if not isinstance(given, str) or Path(given).suffix.lower() not in SUFFIXES:
+        raise InputError(setting, given, f"the name of a file that ends in {', '.join(SUFFIXES)}")
+    file = located(given, base)
+    if not file.is_file():
+        raise InputError(setting, given, "a file that exists", f"there is none at {file}")
+    return file
+
+
+def _matrix(setting: str, file: Path, name: str, alone: bool) -> Any:
+    """The matrix as it was saved; None where a file of several has none of that name."""
+    reader: dict[str, Callable[[Path, str, bool], Any]] = {".npz": _of_npz, ".mtx": _of_mtx, ".mat": _of_mat}
+    try:
+        return reader[file.suffix.lower()](file, name, alone)
+    except _UNREADABLE as error:
+        hint = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(setting, file.name, f"a readable {file.suffix} file with the matrix {name}", hint) from None
+
+
+def _of_npz(file: Path, name: str, alone: bool) -> Any:
+    """A sparse matrix as scipy saves it, or an array as numpy does."""
+    with np.load(file, allow_pickle=False) as arrays:
+        if "indptr" in arrays.files and "format" in arrays.files:
+            return load_npz(file)
+        return _chosen({key: arrays[key] for key in _wanted(arrays.files, name, alone)}, name, alone)
+
+
+def _of_mat(file: Path, name: str, alone: bool) -> Any:
+    arrays = loadmat(str(file), variable_names=None if alone else [name], spmatrix=True)
+    return _chosen({key: value for key, value in arrays.items() if not key.startswith("__")}, name, alone)
+
+
+def _of_mtx(file: Path, name: str, alone: bool) -> Any:
+    if not alone:
+        raise ValueError(f"it holds one matrix only: give it as system.{name}")
+    return mmread(str(file))
+
+
+def _wanted(names: list[str], name: str, alone: bool) -> list[str]:
+    """Only these are read: another array of the file may be no numbers."""
+    return [name] if name in names else names if alone and len(names) == 1 else []
+
+
+def _chosen(arrays: Mapping[str, Any], name: str, alone: bool) -> Any:
+    if name in arrays:
+        return arrays[name]
+    if alone and len(arrays) == 1:
+        return next(iter(arrays.values()))
+    if alone or name != "C":
+        raise ValueError(f"it has no matrix called {name}")
+    return None
+
+
+def _checked(setting: str, name: str, matrix: Any) -> csc_matrix:
+    """As a sparse matrix of numbers that is square, finite and symmetric."""
+    dense = matrix if issparse(matrix) else np.asarray(matrix)
+    if dense.dtype.kind not in "fiu":
+        raise InputError(setting, f"{name} of {dense.dtype}", "a matrix of real numbers")
+    if dense.ndim != 2 or dense.shape[0] != dense.shape[1] or not dense.shape[0]:
+        raise InputError(setting, f"{name} of shape {dense.shape}", "a square matrix")
+    sparse = csc_matrix(dense, dtype=np.float64)
+    if not np.isfinite(sparse.data).all():
+        raise InputError(setting, f"{name} with NaN or infinity", "a matrix of finite numbers")
+    size = float(np.abs(sparse.data).max(initial=0.0))
+    apart = abs(sparse - sparse.T)
+    if apart.nnz and float(apart.data.max()) > SYMMETRIC * size:
+        far = f"{name} and its transpose differ by {float(apart.data.max()) / size:.2g} of its largest entry"
+        raise InputError(setting, far, "a symmetric matrix", "is only one triangle of it stored?")
+    return csc_matrix((sparse + sparse.T) * 0.5)

@@ -1,0 +1,137 @@
+"""From the matrices of a finite-element model to a few coordinates: its lowest modes, and static responses beside them.
+
+The coordinates are orthonormal in M and orthogonal in K: each is a mass of one on a spring omega^2. To the lowest modes
+come the residual vectors of chosen DOFs, what a constant force there moves beyond those modes: with them the reduced
+model bends at those DOFs as the whole one does, however few modes there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
+
+from pinn_cli.settings.errors import InputError
+
+# Up to here, and where most modes are wanted, a dense eigenproblem is solved.
+DENSE = 600
+# K is shifted by so much of its size against M, so that a body that nothing holds can be solved for as well.
+SHIFT = 1e-12
+# A residual vector with less than this of its force left, or of the largest residual vector, is in the modes already.
+SPANNED, DEPENDENT = 1e-8, 1e-10
+# An eigenvalue of this part of the largest found, or nearer to zero, is a rigid body's: its stiffness is rounding.
+RIGID = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedModel:
+    """A finite-element model in orthonormal coordinates.
+
+    Attributes:
+        vectors: (DOFs, n), M-orthonormal: first the modes, then the residual vectors.
+        stiffness: (n,), omega^2, (rad/s)^2.
+        modes: How many of the coordinates are modes.
+    """
+
+    vectors: np.ndarray
+    stiffness: np.ndarray
+    modes: int
+
+
+def reduced_model(M: csc_matrix, K: csc_matrix, modes: int, static: np.ndarray) -> ReducedModel:
+    """The lowest modes, and what constant forces on some DOFs move beyond them.
+
+    Args:
+        M: Mass matrix (N, N), kg.
+        K: Stiffness matrix (N, N), N/m.
+        modes: How many.
+        static: (s,), the DOFs, counted from 0.
+
+    Raises:
+        InputError: M is not positive definite; K has negative eigenvalues; more modes than DOFs.
+    """
+    size = M.shape[0]
+    if modes > size:
+        raise InputError("system.modes", modes, f"at most {size}", f"the model has {size} DOFs")
+    _check_positive(M)
+    shifted, shift = _factorised(M, K)
+    values, vectors = _lowest(M, K, modes, shifted, shift)
+    least = RIGID * max(float(np.abs(values).max()), shift)
+    if values.min() < -max(least, 10.0 * shift):
+        allowed = "without negative eigenvalues"
+        raise InputError("system.K", f"a K whose lowest eigenvalue is {values.min():.3g} (rad/s)^2", allowed)
+    values = np.where(values < least, 0.0, values)
+    more, stiffness = _residual_vectors(M, K, vectors, shifted, static)
+    every = np.hstack([vectors, more])
+    largest = every[np.abs(every).argmax(axis=0), np.arange(every.shape[1])]
+    return ReducedModel(every * np.sign(largest), np.concatenate([values, stiffness]), modes)
+
+
+def _check_positive(M: csc_matrix) -> None:
+    """Pivots of a symmetric elimination are all positive where a matrix is positive definite."""
+    hint = "a DOF without mass? condense it, or give it a small mass"
+    massless = np.flatnonzero(M.diagonal() <= 0.0)
+    if massless.size:
+        raise InputError("system.M", f"{M.diagonal()[massless[0]]:g} kg at DOF {massless[0] + 1}", "> 0", hint)
+    try:
+        factor = splu(M, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        positive = bool((factor.U.diagonal() > 0).all() and np.array_equal(factor.perm_r, factor.perm_c))
+    except RuntimeError:  # exactly singular
+        positive = False
+    if not positive:
+        raise InputError("system.M", "a mass matrix that is not positive definite", "a positive definite one", hint)
+
+
+def _factorised(M: csc_matrix, K: csc_matrix) -> tuple[SuperLU, float]:
+    """Factors of K + shift M, and the shift, (rad/s)^2."""
+    shift = SHIFT * float(K.diagonal().max(initial=0.0) / M.diagonal().mean()) or 1.0
+    try:
+        return splu(csc_matrix(K + shift * M)), shift
+    except RuntimeError:
+        raise InputError("system.K", "a K that cannot be solved", "positive semidefinite") from None
+
+
+def _lowest(M: csc_matrix, K: csc_matrix, modes: int, shifted: SuperLU, shift: float) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (modes,), ascending, and M-orthonormal vectors (N, modes)."""
+    size = M.shape[0]
+    if size <= DENSE or 2 * modes >= size:
+        return _lowest_dense(M, K, modes, shift)
+    solve = LinearOperator((size, size), matvec=shifted.solve, dtype=np.float64)
+    start = np.random.default_rng(0).standard_normal(size)
+    values, vectors = eigsh(K, modes, M, sigma=-shift, OPinv=solve, v0=start)
+    order = np.argsort(values)
+    return values[order], vectors[:, order]
+
+
+def _lowest_dense(M: csc_matrix, K: csc_matrix, modes: int, shift: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same by the inverse problem, whose largest eigenvalues are the ones that come out precisely."""
+    size = M.shape[0]
+    try:
+        inverse, vectors = eigh(M.toarray(), (K + shift * M).toarray(), subset_by_index=(size - modes, size - 1))
+    except np.linalg.LinAlgError:
+        raise InputError("system.K", "a K with negative eigenvalues", "positive semidefinite") from None
+    return (1.0 / inverse - shift)[::-1], (vectors / np.sqrt(inverse))[:, ::-1]
+
+
+def _residual_vectors(
+    M: csc_matrix, K: csc_matrix, vectors: np.ndarray, shifted: SuperLU, static: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N, s) orthonormal vectors beyond the modes, and their stiffnesses (s,), ascending."""
+    none = np.zeros((M.shape[0], 0)), np.zeros(0)
+    unit = np.zeros((M.shape[0], len(static)))
+    unit[static, np.arange(len(static))] = 1.0
+    beyond = unit - M @ (vectors @ vectors[static].T)
+    beyond = beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]
+    if not beyond.shape[1]:
+        return none
+    moved = shifted.solve(beyond)
+    moved -= vectors @ (vectors.T @ (M @ moved))
+    moved /= np.sqrt(np.sum(moved * (M @ moved), axis=0))
+    size, turned = np.linalg.eigh(moved.T @ (M @ moved))
+    kept = size > DEPENDENT * size.max()
+    basis = moved @ (turned[:, kept] / np.sqrt(size[kept]))
+    stiffness, turned = np.linalg.eigh(basis.T @ (K @ basis))
+    return basis @ turned, stiffness

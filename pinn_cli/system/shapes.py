@@ -1,0 +1,57 @@
+"""DOFs that are no coordinates: of a structure in modal coordinates, how its DOFs move with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.array_namespace import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """u = matrix q, of displacements, velocities and accelerations relative to the ground.
+
+    Attributes:
+        matrix: (dofs, n), how far every DOF moves with every coordinate.
+        with_ground: (dofs,), how far every DOF moves with the ground; None: nobody has said.
+        stretch: (C', dofs), how the DOFs stretch the connections that were added to the modes, the last C' of all.
+    """
+
+    matrix: np.ndarray
+    with_ground: np.ndarray | None = None
+    stretch: csr_matrix | None = None
+
+    def of_dofs(self, q: Array) -> Array:
+        """Motion of the DOFs (..., dofs), from that of the coordinates (..., n)."""
+        return self._product(q, self.matrix.T)
+
+    def onto_coordinates(self, force: Array) -> Array:
+        """Forces in the equations of the coordinates (..., n), from forces on the DOFs (..., dofs)."""
+        return self._product(force, self.matrix)
+
+    @property
+    def scale(self) -> float:
+        """How far a DOF moves with its coordinates, root mean square over the DOFs."""
+        return float(np.sqrt(np.mean(np.sum(self.matrix**2, axis=1))))
+
+    def _product(self, x: Array, matrix: np.ndarray) -> Array:
+        other = matrix if isinstance(x, np.ndarray) else torch.as_tensor(matrix.copy()).to(x)
+        product: Array = x @ other
+        return product
+
+    def check_ground(self) -> None:
+        """See that it is known how the ground moves the DOFs.
+
+        Raises:
+            InputError: Naming ``system.ground``: it is not.
+        """
+        if self.with_ground is None:
+            allowed = "the DOFs that move with the ground, such as 1::2 (every second one from the first)"
+            raise InputError(
+                "system.ground", None, allowed, "the matrices do not say in which direction the ground moves"
+            )

@@ -1,0 +1,52 @@
+"""Finite-element models of beams (Euler and Bernoulli), for tests."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csc_matrix, lil_matrix
+
+
+def beam(
+    elements: int,
+    length: float = 1.0,
+    bending_stiffness: float = 50.0,
+    mass_per_length: float = 1.0,
+    clamped: bool = True,
+) -> tuple[csc_matrix, csc_matrix]:
+    """Consistent mass matrix and stiffness matrix of a beam of uniform cross-section.
+
+    DOFs are deflection (m) and slope of every node from the left end on; a clamped end has none. So of a clamped beam
+    the deflection of node i is DOF 2 i - 1, counted from 1.
+
+    Args:
+        elements: How many.
+        length: m.
+        bending_stiffness: N m^2.
+        mass_per_length: kg/m.
+        clamped: Whether the left end is; otherwise nothing holds the beam.
+    """
+    h, size = length / elements, 2 * (elements + 1)
+    mass = np.array([
+        [156.0, 22 * h, 54.0, -13 * h],
+        [22 * h, 4 * h**2, 13 * h, -3 * h**2],
+        [54.0, 13 * h, 156.0, -22 * h],
+        [-13 * h, -3 * h**2, -22 * h, 4 * h**2],
+    ])  # fmt: skip
+    stiffness = np.array([
+        [12.0, 6 * h, -12.0, 6 * h],
+        [6 * h, 4 * h**2, -6 * h, 2 * h**2],
+        [-12.0, -6 * h, 12.0, -6 * h],
+        [6 * h, 2 * h**2, -6 * h, 4 * h**2],
+    ])  # fmt: skip
+    M, K = lil_matrix((size, size)), lil_matrix((size, size))
+    for element in range(elements):
+        own = slice(2 * element, 2 * element + 4)
+        M[own, own] += mass_per_length * h / 420.0 * mass
+        K[own, own] += bending_stiffness / h**3 * stiffness
+    held = slice(2 if clamped else 0, None)
+    return csc_matrix(M[held, held]), csc_matrix(K[held, held])
+
+
+def deflection(node: int) -> int:
+    """DOF of a node's deflection in a clamped beam, both counted from 1."""
+    return 2 * node - 1

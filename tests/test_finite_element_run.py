@@ -1,0 +1,115 @@
+"""Whole runs on finite-element models."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from beams import beam, deflection
+from calls import PinnRun
+
+from pinn_cli.record.simulation import simulate
+from pinn_cli.system.finite_elements import build_finite_elements
+
+MY_STRUCTURE = Path(__file__).parents[1] / "docs" / "how-to" / "my-structure.md"
+DOFS = {"tip": deflection(10), "a": deflection(5), "b": deflection(8), "p": deflection(3)}
+STOP = "{stop: {between: [ground, tip], law: duffing, c: 0, k: 0, kappa: 4e4}}"
+SMALL = (
+    "system=matrices", "system.path=beam.npz", f"system.dofs={{{', '.join(f'{n}: {d}' for n, d in DOFS.items())}}}",
+    "system.modes=2", "system.damping_ratio=0.02", "simulation.duration=2", "simulation.samples=257",
+    "excitation.band=[1,30]", "excitation.rms=5", "excitation.dofs=[tip]", "noise.snr_db=40", "figures=false",
+    "scheme.unobserved=[tip,p]",
+)  # fmt: skip
+IDENTIFY = ("scheme=state_parameter", "scheme.unknown=[kappa_stop]", "scheme.parameter_uncertainty=0")
+
+
+@pytest.fixture
+def in_folder_with_a_beam(pinn_run: PinnRun) -> PinnRun:
+    M, K = beam(10)
+    np.savez("beam.npz", M=M.toarray(), K=K.toarray())
+    return pinn_run
+
+
+def strict_fitness(directory) -> pd.Series:
+    """Of the displacements, by DOF, %."""
+    with xr.open_dataset(directory / "response.nc") as found:
+        names = found["dof_name"].values
+        estimate, true = (found[name].values for name in ("displacement", "displacement_true"))
+    return pd.Series(100 * (1 - np.linalg.norm(estimate - true, axis=0) / np.linalg.norm(true, axis=0)), names)
+
+
+def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
+    outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", "figures=true")
+    assert outcome.status == 0, outcome.err
+    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    assert parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
+    assert pd.read_csv(outcome.directory / "drift.csv")["connection"].tolist() == ["stop"]
+    fitness = strict_fitness(outcome.directory)
+    assert (fitness > 99.0).all(), fitness
+
+
+def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):
+    structure = build_finite_elements(DOFS, "beam.npz", modes=3, damping_ratio=0.03, ground="1::2")
+    time, random = np.linspace(0.0, 2.0, 257), np.random.default_rng(4)
+    waves = 2 * np.pi * random.uniform(1.0, 25.0, (2, 40))
+    phases = random.uniform(0.0, 2 * np.pi, waves.shape)
+    force, ground = (lambda t, w=w, p=p: np.sin(t[:, None] * w + p).sum(1) for w, p in zip(waves, phases, strict=True))
+    response = simulate(structure, lambda t: np.outer(force(t), [1.0, 0, 0, 0]), time, substeps=80, ground=ground)
+    columns = {"t": time, "ground": ground(time), "up": response.displacement[:, 3], **{
+        name: response.acceleration[:, i] for i, name in enumerate(DOFS)
+    }}  # fmt: skip
+    table = pd.DataFrame(columns)
+    noise = random.standard_normal(table.shape) * table.std().to_numpy() * 10 ** (-40 / 20)
+    noise[:, 0] = noise[:, 2] = 0.0
+    (table + noise).to_csv("rig.csv", index=False)
+    outcome = in_folder_with_a_beam(
+        *SMALL[:3], "system.modes=3", "system.damping_ratio=0.03", "system.ground=1::2", "data=csv",
+        "data.path=rig.csv", "data.force={tip: null}", "data.acceleration={tip: tip, a: a, b: b}",
+        "data.displacement={p: up}", "data.holdout=[p]", "data.ground_acceleration=ground", "figures=false",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    with xr.open_dataset(outcome.directory / "response.nc") as found:
+        at_p, std = (found[name].values[:, 3] for name in ("displacement", "displacement_std"))
+        error = found["force"].values[20:-20, 0] - force(time)[20:-20]
+    # Accelerations tell little of slow forces: the band has to say how little.
+    missed = at_p - response.displacement[:, 3]
+    assert np.std(missed) < 0.15 * np.std(response.displacement[:, 3])
+    assert np.mean(np.abs(missed) < 1.96 * std) > 0.8
+    assert np.std(error) < 0.2 * np.std(force(time))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["baseline=kalman_smoother"], "baseline=none where the motion of modes"),
+        (["network=mlp"], "network=spline with training=gauss_newton"),
+        (["simulation.hold=zero_order"], "exact with system=matrices"),
+        (["system.modes=21"], "system.modes=21"),
+        (["system.path=absent.npz"], "there is none at"),
+        (["scheme=state_parameter", "scheme.unknown=[m_mode_1]"], "the mass of a mode is one"),
+        (["scheme=bayesian", "scheme.unobserved=[]"], "state_parameter with system=matrices"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_one_line(in_folder_with_a_beam: PinnRun, settings: list[str], said: str):
+    outcome = in_folder_with_a_beam(*SMALL, *settings)
+    assert outcome.status == 2
+    assert said in outcome.err
+    assert len(outcome.err.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_the_cantilever_of_the_documentation(pinn_run: PinnRun):
+    """Two hundred elements, twelve modes: the stop within 3 %, and the motion of twenty other points."""
+    (script,) = re.findall(r"^```python\n(.*?)^```", MY_STRUCTURE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    exec(script, {})
+    outcome = pinn_run("experiment=examples/beam_with_stop", "figures=false")
+    assert outcome.status == 0, outcome.err
+    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    assert parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
+    fitness = strict_fitness(outcome.directory)
+    assert len(fitness) == 24
+    assert (fitness > 99.0).all(), fitness

@@ -1,0 +1,50 @@
+"""Standard deviations of DOFs that feel every mode, taken for all of them at once, against one at a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from structures import modal
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.functions import Inputs
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.noise_model import NoiseModel
+
+SAMPLES, NONE = 33, float("nan")
+
+
+def test_all_channels_at_once_are_as_one_by_one():
+    structure, random = modal(), np.random.default_rng(5)
+    motion = random.standard_normal((SAMPLES, 4)) * [1.0, NONE, 1.0, NONE]
+    force = random.standard_normal((SAMPLES, 4)) * [1.0, NONE, 0.0, 1.0]
+    record = Record(
+        np.linspace(0.0, 3.0, SAMPLES), np.full((SAMPLES, 4), NONE), np.full((SAMPLES, 4), NONE), motion, force,
+        np.array([False, False, True, False]), ground_acceleration=random.standard_normal(SAMPLES),
+    )  # fmt: skip
+    uncertain = tuple(
+        replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter() if p.prescribed
+    )
+    problem = Problem(structure, record, uncertain, inputs=Inputs(True, True, (1,), 0.3, 4.0, 5.0, (0, 3)))
+    size = problem.dynamics.size
+    equations = NormalEquations(Spline(intervals=8).build(record, functions=size), problem)
+    driving = np.array([NONE, NONE, NONE, 0.6, 0.9, 0.9, 1.3])
+    levels = {
+        "displacement": np.full(4, NONE), "velocity": np.full(4, NONE),
+        "acceleration": np.array([0.1, NONE, 0.1, NONE]),
+        "ground_acceleration": np.array([0.8]), "force": np.array([0.5, NONE, NONE, 0.7]),
+    }  # fmt: skip
+    noise = NoiseModel(levels, np.full(size, NONE), 0.3, 1e-3, innovation=driving)
+    point = equations.start()
+    factor = equations.assemble(point, noise).factor()
+    posterior = ReadoutPosterior(equations, point, factor)
+    found = posterior.sensed(equations.observation)
+    for quantity in ("displacement", "velocity", "acceleration"):
+        expected = posterior.combined(equations.observation, equations.dynamics.sensing(quantity))
+        assert found[quantity].shape == (SAMPLES, 4)
+        torch.testing.assert_close(found[quantity], expected, rtol=1e-9, atol=1e-12)
