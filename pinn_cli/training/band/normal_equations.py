@@ -29,16 +29,12 @@ from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.ridge import ridge_loss, ridge_of
 from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.sensor_rows import SensorRows
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
-
-# Prior on the readout weights, relative to the largest diagonal of the first normal matrix: keeps directions that
-# nothing measures from running away. Fourier features on a period longer than the record have such directions: below
-# 1e-15 their Gauss-Newton steps never settle; splines do not notice it.
-RELATIVE_RIDGE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +238,7 @@ class NormalEquations:
         out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
         if self.begins is not None:
             out["initial"] = self.begins.loss(point.unknowns)
-        out["ridge"] = self._ridge_loss(point.unknowns)
+        out["ridge"] = ridge_loss(self.ridge, point.unknowns)
         return out
 
     def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
@@ -310,24 +306,10 @@ class NormalEquations:
         """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
         return torch.where(self.unknown, 1.0, noise.spread**-2)
 
-    def _ridge(self, diagonal: np.ndarray) -> float | np.ndarray:
-        """Of every unknown: motions share one, forces and the ground's acceleration have their own, in other units."""
-        if self.dynamics.is_plain:
-            return RELATIVE_RIDGE * float(diagonal.max())
-        by_function = self.layout.weights(torch.from_numpy(diagonal))  # (count, functions)
-        largest = by_function.amax(0)
-        largest[: self.dynamics.ndof] = largest[: self.dynamics.ndof].max()
-        return RELATIVE_RIDGE * self.layout.unknowns(largest.expand_as(by_function)).numpy()
-
-    def _ridge_loss(self, unknowns: Tensor) -> float:
-        if isinstance(self.ridge, np.ndarray):
-            return float((torch.as_tensor(self.ridge).to(unknowns) * unknowns.square()).sum())
-        return (self.ridge or 0.0) * float(unknowns.square().sum())
-
     def _system(self, sums: RowSums, point: Point, precision: Tensor) -> BorderedSystem:
         pick, band = self.vector.column, sums.band
         if self.ridge is None:
-            self.ridge = self._ridge(band[0])
+            self.ridge = ridge_of(band[0], self.dynamics, self.layout)
         band[0] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         if self.begins is not None:
