@@ -8,6 +8,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 # A chain, a record and a training small enough for a test, for tests about everything but accuracy.
+MEASURED = ("system.ndof=3", "threads=1")
 SMALL = ("system.ndof=3", "simulation.duration=12", "simulation.samples=256", "excitation.band=[0.2,1.5]", "threads=1")
 
 Compose = Callable[..., DictConfig]

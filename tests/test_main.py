@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import xarray as xr
-from calls import SMALL, PinnRun
+from calls import MEASURED, SMALL, PinnRun
 
 FILES = {f"{name}.csv" for name in ("fitness", "drift", "free_run", "parameters", "residuals", "history")}
 FILES |= {"response.nc", "run.json", "figures", ".hydra", "pinn-run.log"}
@@ -103,7 +103,7 @@ def test_a_measured_record(small_run: FinishedRun, pinn_run: PinnRun, tmp_path: 
     pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.time=t", "data.force={1: f}", "data.acceleration={1: a1, 2: a2, 3: a3}", "data.holdout=[3]"]
     structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
-    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings, *structure)
+    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", *settings, *structure)
     assert outcome.status == 0, outcome.err
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
     assert fitness["dof_3", "acceleration"] > 80
@@ -133,6 +133,6 @@ def test_a_record_whose_forces_are_all_unknown(small_run: FinishedRun, pinn_run:
         pd.DataFrame({"t": response["time"].values, **columns}).to_csv(tmp_path / "rig.csv", index=False)
     settings = ["data.force={1: null, 2: null, 3: null}", "data.acceleration={1: a1, 2: a2, 3: a3}"]
     structure = ["system.m=10", "system.c=1", "system.k=15", "system.kappa=100"]
-    outcome = pinn_run(*SMALL, "data=csv", "data.path=rig.csv", *settings, *structure)
+    outcome = pinn_run(*MEASURED, "data=csv", "data.path=rig.csv", *settings, *structure)
     assert outcome.status == 0, outcome.err
     assert "the force on DOFs 1, 2, 3 is unknown" in outcome.out

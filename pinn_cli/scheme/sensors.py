@@ -55,13 +55,17 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
 
 
 def observed_through(
-    record: Record, quantities: Sequence[str], fraction: float, unobserved: str | Sequence[int] | None
+    record: Record,
+    quantities: Sequence[str],
+    fraction: float,
+    unobserved: str | Sequence[int] | None,
+    load_cells: bool = True,
 ) -> Record:
     """A simulated record with sensors for the given quantities on the observed DOFs; see :func:`unobserved_dofs`."""
     hidden = unobserved_dofs(record.ndof, fraction, unobserved)
     observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
-    kept = record.keep(dict.fromkeys((q for q in quantities if q != FORCE), observed))
-    return kept if FORCE in quantities else kept.without_load_cells()
+    kept = record.keep(dict.fromkeys(quantities, observed))
+    return kept if load_cells else kept.without_load_cells()
 
 
 def _pattern(text: str, ndof: int) -> list[int]:
@@ -72,22 +76,23 @@ def _pattern(text: str, ndof: int) -> list[int]:
 
 
 def sensor_quantities(sensors: Mapping[str, bool]) -> tuple[str, ...]:
-    """The response quantities that observed DOFs have sensors for; ``force`` where forced DOFs have load cells.
-
-    They have unless ``force`` is false.
+    """The response quantities that observed DOFs have sensors for.
 
     Raises:
-        InputError: An unknown quantity, or no response quantity chosen.
+        InputError: An unknown quantity, or none chosen.
     """
     for name, chosen in sensors.items():
         if name not in (*RESPONSE_QUANTITIES, FORCE) or not isinstance(chosen, (bool, np.bool_)):
             allowed = f"true or false for each of {', '.join((*RESPONSE_QUANTITIES, FORCE))}"
             raise InputError(f"scheme.sensors.{name}", chosen, allowed)
     quantities = tuple(q for q in RESPONSE_QUANTITIES if sensors.get(q, False))
-    if sensors.get(FORCE, True):
-        quantities = (*quantities, FORCE)
-    if not set(quantities) - {FORCE}:
+    if not quantities:
         raise InputError(
             "scheme.sensors", dict(sensors), "at least one of displacement, velocity, acceleration set to true"
         )
     return quantities
+
+
+def has_load_cells(sensors: Mapping[str, bool]) -> bool:
+    """Whether forced DOFs have load cells: unless ``force`` is false."""
+    return bool(sensors.get(FORCE, True))

@@ -11,7 +11,7 @@ from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
-from pinn_cli.scheme.sensors import observed_through, sensor_quantities
+from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.structure import Structure
 
@@ -46,6 +46,7 @@ class SparseRecovery(Scheme):
     ) -> None:
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
+        self.load_cells = has_load_cells(sensors or {})
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
         self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
@@ -53,7 +54,7 @@ class SparseRecovery(Scheme):
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
-        return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved)
+        return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved, self.load_cells)
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
-from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -43,6 +43,13 @@ class Estimator(ABC):
     def gives_evidence(self) -> bool:
         """Whether it says how probable the record is under its model, as ``log_evidence`` of its summary."""
         return False
+
+
+def built(design: NetworkDesign, problem: Problem) -> Network:
+    """A network with an output for every unknown function of a problem; one of one's own may know of motions alone."""
+    if problem.dynamics.is_plain:
+        return design.build(problem.record)
+    return design.build(problem.record, functions=problem.dynamics.size)
 
 
 class Training(ABC):

@@ -30,7 +30,7 @@ from pinn_cli.training.band.inference import (
 )
 from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
-from pinn_cli.training.base import Training
+from pinn_cli.training.base import Training, built
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
@@ -83,7 +83,7 @@ class GaussNewton(Training):
         if problem.priors and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
         design = design.refined() if problem.identifies else design
-        network = design.build(problem.record, functions=problem.dynamics.size)
+        network = built(design, problem)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
         self._left_alone(design, "has a linear readout", collocation_points=None, most_residuals=MOST_RESIDUALS)

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from calls import SMALL, PinnRun
+from calls import MEASURED, PinnRun
 from small_problems import measured, small_chain
 
 from pinn_cli.report.residuals import COLUMNS
 from pinn_cli.report.results import LABELS
 
 SETTINGS = (
-    *SMALL, "system.m=10", "system.c=1", "system.k=15", "system.kappa=100",
+    *MEASURED, "system.m=10", "system.c=1", "system.k=15", "system.kappa=100",
     "data=csv", "data.path=rig.csv", "data.time=t", "data.force={1: f}",
     "data.acceleration={1: a1, 2: a2, 3: a3}", "figures=false",
 )  # fmt: skip

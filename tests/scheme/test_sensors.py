@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from omegaconf import OmegaConf
 
-from pinn_cli.scheme.sensors import sensor_quantities, unobserved_dofs
+from pinn_cli.scheme.sensors import has_load_cells, sensor_quantities, unobserved_dofs
 from pinn_cli.settings.errors import InputError
 
 
@@ -68,10 +68,12 @@ def test_quantities_come_in_the_records_order():
     assert sensor_quantities({"acceleration": True, "velocity": False, "displacement": True}) == (
         "displacement",
         "acceleration",
-        "force",
     )
-    assert sensor_quantities({"velocity": True}) == ("velocity", "force")
-    assert sensor_quantities({"velocity": True, "force": False}) == ("velocity",)
+    assert (
+        sensor_quantities({"velocity": True}) == sensor_quantities({"velocity": True, "force": False}) == ("velocity",)
+    )
+    assert has_load_cells({"velocity": True})
+    assert not has_load_cells({"velocity": True, "force": False})
 
 
 @pytest.mark.parametrize(

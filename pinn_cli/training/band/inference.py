@@ -18,6 +18,7 @@ from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.simulated_start import simulated_start
+from pinn_cli.training.base import built
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, starting_levels
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
@@ -216,6 +217,6 @@ def _refined(
 
 
 def _built(design: NetworkDesign, problem: Problem) -> LinearReadout:
-    network = design.build(problem.record, functions=problem.dynamics.size)
+    network = built(design, problem)
     assert isinstance(network, LinearReadout)
     return network

@@ -102,7 +102,9 @@ def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseMod
 
     def weighted(unknowns, parameters):
         residuals = equations.residuals(Point(unknowns, parameters))
-        return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in residuals.items()])
+        rows = [(r * weights[name].sqrt()).flatten() for name, r in residuals.items()]
+        begins = [] if equations.begins is None else [equations.begins._residuals(unknowns).flatten()]
+        return torch.cat([*rows, *begins])
 
     inputs = (point.unknowns, point.parameters)
     jacobian = torch.cat(torch.autograd.functional.jacobian(weighted, inputs, vectorize=True), -1)
