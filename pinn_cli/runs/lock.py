@@ -17,6 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pinn_cli.runs.reading import small_text
+
 if TYPE_CHECKING:
     from filelock import BaseFileLock
 
@@ -85,7 +87,7 @@ def _acquire(lock: BaseFileLock, waiting: str, every_s: float) -> None:
 def _owner(file: Path) -> str:
     """As the owner wrote it: for a person to read, and nothing depends on it."""
     with suppress(OSError):  # it has left meanwhile
-        return file.read_text(encoding="utf-8", errors="replace") or "one that has just begun"
+        return small_text(file) or "one that has just begun"
     return "one that has just begun"
 
 

@@ -7,6 +7,7 @@ import stat
 from collections.abc import Iterable
 from pathlib import Path
 
+from pinn_cli.runs.reading import small_text
 from pinn_cli.settings.errors import InputError
 
 SETTINGS = ".hydra"
@@ -65,7 +66,7 @@ def is_ours(directory: Path) -> bool:
 
 def _carries_mark(file: Path) -> bool:
     try:
-        return file.is_file() and MARK in file.read_text(encoding="utf-8", errors="replace")
+        return MARK in small_text(file)
     except OSError:
         return False
 

@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.identity import LEFT_OUT, Identity, is_left_out
+from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.tracking_state import is_tracked
 from pinn_cli.settings.errors import InputError, NotSoundError
 from pinn_cli.settings.override_syntax import quoted, setting_of
@@ -142,8 +143,7 @@ def is_finished(directory: Path, config: DictConfig, base: Path) -> bool:
 def read_record(directory: Path) -> dict[str, Any]:
     """What `run.json` says of the run in a directory; empty where there is none, or it is damaged."""
     try:
-        file = directory / RESULT
-        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}  # and no FIFO, which waits
+        content = json.loads(small_text(directory / RESULT))
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

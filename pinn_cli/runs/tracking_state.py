@@ -11,6 +11,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.writing import write_json
 
 FILE = "tracking.json"
@@ -42,7 +43,7 @@ class TrackingState:
     def read(cls, directory: Path) -> TrackingState | None:
         """Of the run in a directory; None where nothing was tracked, or the file is damaged."""
         try:
-            content = json.loads((directory / FILE).read_text(encoding="utf-8"))
+            content = json.loads(small_text(directory / FILE))
             tracking, configuration, key = (str(content[name]) for name in ("tracking", "configuration", "key"))
             found = cls(tracking, configuration, key, float(content["logged"]), content["ended"] is True)
         except (OSError, ValueError, KeyError, TypeError):

@@ -7,6 +7,7 @@ import traceback
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.writing import WriteError, write_json
 from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
 
@@ -41,7 +42,7 @@ class Failure:
     def read(cls, directory: Path) -> Failure | None:
         """Of the job in that directory; None where it did not fail."""
         try:
-            return cls(**json.loads((directory / FILE).read_text(encoding="utf-8")))
+            return cls(**json.loads(small_text(directory / FILE)))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError) as error:

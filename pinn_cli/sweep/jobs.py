@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.runs.ownership import check_destination, made
+from pinn_cli.runs.reading import small_text
 from pinn_cli.runs.resume import RESULT, read_record
 from pinn_cli.runs.writing import WriteError, write_text
 from pinn_cli.settings.errors import InputError
@@ -191,7 +192,7 @@ def job_directories(sweep: Path) -> Iterator[Path]:
 def stored_overrides(directory: Path) -> tuple[str, ...]:
     """Of a job, as Hydra left them in its directory; none where they cannot be read."""
     try:
-        content = yaml.load((directory / OVERRIDES).read_text(encoding="utf-8"), _LOADER)
+        content = yaml.load(small_text(directory / OVERRIDES), _LOADER)
     except (OSError, UnicodeError, yaml.YAMLError):  # cut off while Hydra wrote it: the next start writes it anew
         content = None
     return tuple(map(str, content or ()))

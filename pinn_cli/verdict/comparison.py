@@ -97,7 +97,8 @@ class Comparison:
     def factor(self) -> Reading:
         """Measured over predicted, by least squares."""
         lines = np.abs(self._predicted_lines) ** 2
-        value = float(self.measured @ self.predicted / (self.predicted @ self.predicted))
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a prediction that does not move
+            value = float(self.measured @ self.predicted / (self.predicted @ self.predicted))
         residual = self.measured - value * self.predicted
         return Reading(value, _sandwich(lines, np.abs(rfft(residual)) ** 2), self._nmse(residual))
 
@@ -108,7 +109,8 @@ class Comparison:
         An error of the prediction, of the force's noise for example, draws :attr:`factor` towards zero and this away
         from it; the truth lies between.
         """
-        return float(self.measured @ self.measured / (self.measured @ self.predicted))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(self.measured @ self.measured / (self.measured @ self.predicted))
 
     @cached_property
     def delay(self) -> Reading:
