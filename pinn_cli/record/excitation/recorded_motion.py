@@ -6,8 +6,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.signal import resample
 
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.text_file import read_text
@@ -37,6 +35,10 @@ class RecordedMotion:
     def __init__(self, step: float, samples: np.ndarray) -> None:
         self.step, self.samples = step, samples
         padded = np.concatenate((np.zeros(ZEROS), samples, np.zeros(ZEROS)))
+        # Not above: it takes a second to import, and every run reads this module.
+        from scipy.interpolate import make_interp_spline
+        from scipy.signal import resample
+
         dense = resample(padded, DENSER * len(padded))
         time = (step / DENSER) * np.arange(len(dense)) - step * ZEROS
         self._spline = make_interp_spline(time, dense, k=SPLINE_DEGREE)
