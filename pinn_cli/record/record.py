@@ -13,14 +13,15 @@ import numpy as np
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
+from pinn_cli.system import quantities
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-RESPONSE_QUANTITIES = ("displacement", "velocity", "acceleration")
+RESPONSE_QUANTITIES = quantities.MOTION
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")
 # Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
-GROUND = "ground_acceleration"
+GROUND = quantities.GROUND
 # All that a sensor may measure.
 MEASURED_QUANTITIES = (*QUANTITIES, GROUND)
 UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", GROUND: "m/s^2"}

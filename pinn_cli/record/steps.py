@@ -52,13 +52,10 @@ def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Size of stiffness (N/m) and of damping (N s/m) of every connection (C,), those of its law at rest included."""
     p = structure.parameters_like(np.empty(0))
     k, c = np.abs(p["k"]), np.abs(p["c"])
-    first = 0
-    for group in structure.groups:
-        here = slice(first, first + group.incidence.shape[0])
-        own = {kind: p[kind][(at >= here.start) & (at < here.stop)] for kind, at in structure.members.items()}
-        k[here] += np.abs(group.nonlinearity.stiffness_at_rest(own))
-        c[here] += np.abs(group.nonlinearity.damping_at_rest(own))
-        first = here.stop
+    for group, part in zip(structure.groups, structure.parts, strict=True):
+        own = part.own(p)
+        k[part.connections] += np.abs(group.nonlinearity.stiffness_at_rest(own))
+        c[part.connections] += np.abs(group.nonlinearity.damping_at_rest(own))
     return k, c
 
 

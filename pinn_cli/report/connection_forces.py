@@ -40,8 +40,7 @@ class ConnectionForces:
         found = estimate.connections
         if found is None:
             return None
-        numbers = tuple(str(i + 1) for i in range(found.force.shape[1]))
-        names = structure.labels.connections[-len(numbers) :] if structure.labels.connections and numbers else numbers
+        names = tuple(structure.labels.connection(i) for i in structure.added)
         memory = np.searchsorted(structure.added, structure.memory)
         true_elongation, true = _true(structure, truth, found.force.shape)
         return cls(names, memory, found.elongation, found.force, found.force_std, true_elongation, true)

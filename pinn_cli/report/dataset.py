@@ -108,16 +108,7 @@ def _of_the_connections(drifts: Drifts | None) -> dict[str, tuple[tuple[str, ...
     """Their drifts, estimated and true; see :func:`response_dataset`."""
     if drifts is None:
         return {}
-    sources = {
-        "drift": (drifts.estimate, "estimated drift"),
-        "drift_std": (drifts.std, "standard deviation of the estimated drift"),
-        "drift_true": (drifts.true, "true drift"),
-    }
-    return {
-        name: (("time", "connection"), values, {"long_name": long_name, "units": UNITS["displacement"]})
-        for name, (values, long_name) in sources.items()
-        if name != "drift_true" or np.isfinite(values).any()
-    }
+    return _by_connection("drift", "drift", UNITS["displacement"], drifts)
 
 
 def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
@@ -141,15 +132,22 @@ def _internal_forces(forces: ConnectionForces | None) -> dict[str, tuple[tuple[s
     """``connection_force``, ``connection_force_std`` and, where known, ``connection_force_true``."""
     if forces is None:
         return {}
+    return _by_connection("connection_force", "internal force", UNITS["force"], forces)
+
+
+def _by_connection(
+    name: str, words: str, units: str, histories: Drifts | ConnectionForces
+) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """Estimate, deviation and, where known, truth of something that every connection has."""
     sources = {
-        "connection_force": (forces.estimate, "estimated internal force"),
-        "connection_force_std": (forces.std, "standard deviation of the estimated internal force"),
-        "connection_force_true": (forces.true, "true internal force"),
+        name: (histories.estimate, f"estimated {words}"),
+        f"{name}_std": (histories.std, f"standard deviation of the estimated {words}"),
+        f"{name}_true": (histories.true, f"true {words}"),
     }
     return {
-        name: (("time", "connection"), values, {"long_name": long_name, "units": UNITS["force"]})
-        for name, (values, long_name) in sources.items()
-        if name != "connection_force_true" or np.isfinite(values).any()
+        key: (("time", "connection"), values, {"long_name": long_name, "units": units})
+        for key, (values, long_name) in sources.items()
+        if key != f"{name}_true" or np.isfinite(values).any()
     }
 
 

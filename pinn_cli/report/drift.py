@@ -55,12 +55,10 @@ class Drifts:
         """
         stretch, known = stretched_by_dofs(structure), estimate.connections
         found = estimate.response.displacement @ stretch.T
-        numbers = tuple(str(i + 1) for i in range(found.shape[1]))
-        names = structure.labels.connections or numbers
         std = np.full(found.shape, np.nan) if known is None else known.elongation_std
         return cls(
             estimate.response.time,
-            names[len(names) - len(numbers) :],
+            tuple(structure.labels.connection(i) for i in structure.added),
             found,
             std,
             _elongation(stretch, truth.displacement),

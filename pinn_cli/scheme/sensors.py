@@ -10,8 +10,8 @@ import numpy as np
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, is_whole_number
+from pinn_cli.system.quantities import FORCE
 
-FORCE = "force"
 PATTERN = re.compile(r"every_(\d+)(?:st|nd|rd|th)")
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from pathlib import Path
 
@@ -35,7 +35,8 @@ def place_of(setting: str) -> str:
 
 def registered(place: str) -> set[str]:
     """Dotted names of the classes that a place accepts."""
-    return set(shipped().get(place, ())) | _of_plugins().get(place, set())
+    declared = (point.value.replace(" ", "").replace(":", ".") for point in plugins_of(place).values())
+    return {*shipped().get(place, ()), *declared}
 
 
 def check_registered(setting: str, target: object) -> None:
@@ -79,11 +80,11 @@ def _targets(file: Path) -> list[str]:
     return _TARGET.findall(file.read_text(encoding="utf-8"))
 
 
-def _of_plugins() -> dict[str, set[str]]:
-    """The classes that installed packages declare, by place."""
-    found: dict[str, set[str]] = {}
-    for point in entry_points(group=PLUGINS):
-        place = place_of(point.name)
-        if point.name.startswith(f"{place}."):
-            found.setdefault(place, set()).add(point.value.replace(" ", "").replace(":", "."))
-    return found
+def plugins_of(place: str) -> dict[str, EntryPoint]:
+    """What installed packages declare for a place, by what follows it in the name; nothing is imported."""
+    start = f"{place}."
+    return {
+        point.name.removeprefix(start): point
+        for point in entry_points(group=PLUGINS)
+        if place_of(point.name) == place and point.name.startswith(start)
+    }

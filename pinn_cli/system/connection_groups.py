@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pinn_cli.system.incidence import Incidence
 
 if TYPE_CHECKING:
+    from pinn_cli.system.array_namespace import Array
     from pinn_cli.system.connection.base import Nonlinearity
 
 
@@ -37,6 +38,10 @@ class GroupPart:
     connections: slice
     parameters: dict[str, slice]
     hidden: slice
+
+    def own(self, parameters: Mapping[str, Array]) -> dict[str, Array]:
+        """The group's own among the parameters (..., members) of every kind."""
+        return {kind: parameters[kind][..., places] for kind, places in self.parameters.items()}
 
 
 def group_parts(groups: Sequence[ConnectionGroup], kinds: Iterable[str]) -> tuple[GroupPart, ...]:

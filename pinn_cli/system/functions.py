@@ -11,10 +11,8 @@ import torch
 from scipy.sparse import csr_matrix, eye
 from torch import Tensor
 
+from pinn_cli.system.quantities import FORCE, GROUND, MOTION
 from pinn_cli.system.structure import Structure
-
-MOTION = ("displacement", "velocity", "acceleration")
-GROUND, FORCE = "ground_acceleration", "force"
 
 
 class Jet(NamedTuple):
@@ -149,7 +147,7 @@ class Functions:
             return ((0, csr_matrix(on_dofs @ self.picked(self.acting))),)
         order, own = MOTION.index(quantity), self.picked(slice(0, self.ndof))
         motion = (order, own if structure.shapes is None else csr_matrix(structure.shapes.matrix @ own))
-        if order < 2 or not self.inputs.ground or not self.inputs.absolute:
+        if not self._feels_ground(quantity):
             return (motion,)
         return motion, (0, csr_matrix(csr_matrix(self._carried[:, None]) @ self.picked(self.ground)))
 
@@ -163,7 +161,11 @@ class Functions:
 
     def feels_own(self, quantity: str) -> bool:
         """Whether every sensor of a quantity feels one coordinate alone, its own."""
-        return quantity in MOTION and self.structure.shapes is None and len(self.sensing(quantity)) == 1
+        return quantity in MOTION and self.structure.shapes is None and not self._feels_ground(quantity)
+
+    def _feels_ground(self, quantity: str) -> bool:
+        """Whether sensors of a motion feel the ground's acceleration with it."""
+        return quantity == MOTION[-1] and self.inputs.ground and self.inputs.absolute
 
     def sensed(self, quantity: str, jet: Jet) -> Tensor:
         """What noise-free sensors of a quantity on every DOF show, (..., channels)."""
@@ -171,12 +173,12 @@ class Functions:
             return jet.value[..., self.ground]
         if quantity == FORCE:
             return self.on_dofs(jet)
-        order = MOTION.index(quantity)
+        motion = jet[MOTION.index(quantity)]
         if self.is_plain:
-            return jet[order]
-        motion = jet[order][..., : self.ndof]
+            return motion
+        motion = motion[..., : self.ndof]
         if self.structure.shapes is not None:
             motion = self.structure.shapes.of_dofs(motion)
-        if order < 2 or not self.inputs.ground or not self.inputs.absolute:
+        if not self._feels_ground(quantity):
             return motion
         return motion + jet.value[..., self.ground] * torch.as_tensor(self._carried).to(motion)

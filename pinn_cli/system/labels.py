@@ -29,6 +29,10 @@ class Labels:
         """What people call a coordinate, counted from 0: its name, or its number from 1."""
         return self.dofs[index] if self.dofs else str(index + 1)
 
+    def connection(self, index: int) -> str:
+        """What people call a connection, counted from 0: its name, or its number from 1."""
+        return self.connections[index] if self.connections else str(index + 1)
+
     def owner(self, kind: str, index: int) -> str:
         """Name of the mass, or of the connection counted among all, that has a parameter; "" if it has none."""
         names = (self.modes or self.dofs) if kind == MASS else self.connections

@@ -6,22 +6,19 @@ import importlib
 import inspect
 import pkgutil
 from functools import cache
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import OmegaConf
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import construct
+from pinn_cli.settings.registry import plugins_of
 from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system import connection
 from pinn_cli.system.connection.base import Nonlinearity
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-# A package that is installed beside this one declares its laws: `"system.rubber" = "my_laws.rubber:Rubber"`.
-PLUGINS, PLACE = "pinn_cli.plugins", "system."
 
 
 def law_settings(name: Any, setting: str) -> tuple[str, ...]:
@@ -57,8 +54,8 @@ def _law(name: Any, setting: str) -> type[Nonlinearity]:
     known = _shipped()
     if isinstance(name, str) and name in known:
         return known[name]
-    plugins = {point.name.removeprefix(PLACE): point for point in entry_points(group=PLUGINS)
-               if point.name.startswith(PLACE)}  # fmt: skip
+    # A package that is installed beside this one declares its laws: `"system.rubber" = "my_laws.rubber:Rubber"`.
+    plugins = plugins_of("system")
     names = [*known, *plugins]
     if not isinstance(name, str) or name not in plugins:
         raise InputError(setting, name, f"one of {', '.join(names)}", suggestion(str(name), names))

@@ -217,7 +217,7 @@ class Structure:
             return linear + nonlinear if z is None or not len(self.memory) else linear + nonlinear + z
         forces = []
         for group, part in zip(self.groups, self.parts, strict=True):
-            at, own = part.connections, {kind: p[kind][..., places] for kind, places in part.parameters.items()}
+            at, own = part.connections, part.own(p)
             force = group.nonlinearity.force(e[..., at], de[..., at], own)
             forces.append(force + z[..., part.hidden] if z is not None and group.nonlinearity.has_memory else force)
         every: Array = namespace(e).concatenate(forces, -1)
@@ -229,7 +229,7 @@ class Structure:
         rates = []
         for group, part in zip(self.groups, self.parts, strict=True):
             if isinstance(group.nonlinearity, Hysteresis):
-                at, own = part.connections, {kind: p[kind][..., places] for kind, places in part.parameters.items()}
+                at, own = part.connections, part.own(p)
                 rates.append(group.nonlinearity.rate(e[..., at], de[..., at], z[..., part.hidden], own))
         together: Array = namespace(e).concatenate(rates, -1)
         return together

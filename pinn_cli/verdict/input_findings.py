@@ -65,10 +65,9 @@ def _energy(structure: Structure) -> list[Finding]:
     for group, part in zip(structure.groups, structure.parts, strict=True):
         if not isinstance(group.nonlinearity, Hysteresis):
             continue
-        own = {kind: parameters[kind][places] for kind, places in part.parameters.items()}
-        creates = group.nonlinearity.creates_energy(own)
+        creates = group.nonlinearity.creates_energy(part.own(parameters))
         for connection in np.arange(part.connections.start, part.connections.stop)[creates]:
-            name = structure.labels.connections[connection] if structure.labels.connections else str(connection + 1)
+            name = structure.labels.connection(connection)
             text = (
                 f"the hysteresis of connection {name} ({group.nonlinearity.name}) can create energy with its parameters"
             )

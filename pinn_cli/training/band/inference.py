@@ -12,7 +12,7 @@ from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.system.functions import FORCE
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations

@@ -16,7 +16,7 @@ import torch
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
-from pinn_cli.system.functions import FORCE
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
 from pinn_cli.training.band.normal_equations import Point
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel

@@ -67,8 +67,7 @@ class ReadoutPosterior:
                 rows = sum(w[:, None, :, None] * kinds[order][part, None, :, None] for order, w in parts)
                 assert isinstance(rows, Tensor)
                 rows = rows.flatten(3).flatten(1, 2)  # (intervals, channels S, functions B)
-                variance = ((rows @ covariance) * rows).sum(-1) + (rows @ shift).square().sum(-1)
-                out.append(variance.clamp(min=0).sqrt().unflatten(1, (len(parts[0][1]), -1)).mT)
+                out.append(_deviation(rows, covariance, rows @ shift).unflatten(1, (len(parts[0][1]), -1)).mT)
         return [segments.scatter(torch.cat(out).to(segments.mask.device)).cpu() for out in found]
 
     def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
@@ -89,9 +88,8 @@ class ReadoutPosterior:
             ]
             position = torch.cat([local[:, function] for function, _, _ in parts], -1)
             rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
-            by_parameter = rows @ self.solved[position]
-            variance = ((rows @ self._window(position)) * rows).sum(-1)
-            every.append((variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt())
+            by_parameter = rows @ self.solved[position] @ self.root
+            every.append(_deviation(rows, self._window(position), by_parameter))
         return segments.scatter(torch.stack(every, -1).to(segments.mask.device)).cpu()
 
     def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
@@ -104,8 +102,7 @@ class ReadoutPosterior:
             covariance = self._window(position)
             shift = self.solved[position] @ self.root  # (I, B, p)
             for result, phi in zip(results, kinds, strict=True):
-                variance = ((phi @ covariance) * phi).sum(-1) + (phi @ shift).square().sum(-1)
-                result.append(variance.clamp(min=0).sqrt())
+                result.append(_deviation(phi, covariance, phi @ shift))
         grouped = [torch.stack(result, -1).to(segments.mask.device) for result in results]
         displacement, velocity, acceleration = (segments.scatter(std).cpu() for std in grouped)
         return displacement, velocity, acceleration
@@ -139,9 +136,8 @@ class ReadoutPosterior:
             jacobian: (I, S, C), the rows by those.
             held: (I, S, p), the rows by the parameters, in prior standard deviations.
         """
-        variance = ((jacobian @ self._window(position)) * jacobian).sum(-1)
-        by_parameter = self._by_parameter(position, jacobian, held)
-        return (variance + (by_parameter @ self.root).square().sum(-1)).clamp(min=0).sqrt()
+        by_parameter = self._by_parameter(position, jacobian, held) @ self.root
+        return _deviation(jacobian, self._window(position), by_parameter)
 
     def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
         """(I, S, p)."""
@@ -152,6 +148,12 @@ class ReadoutPosterior:
         row, column = position[:, :, None], position[:, None, :]
         offset = (row - column).abs().clamp(max=len(self.band) - 1)
         return self.band[offset, torch.minimum(row, column)]
+
+
+def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor) -> Tensor:
+    """Standard deviation of linear rows (..., C), from the weights' covariance and what the parameters add (..., p)."""
+    variance = ((rows @ covariance) * rows).sum(-1) + by_parameter.square().sum(-1)
+    return variance.clamp(min=0).sqrt()
 
 
 class LocalRows:

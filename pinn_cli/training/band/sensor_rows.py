@@ -10,9 +10,8 @@ from scipy.sparse import csc_matrix, csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.band.row_sums import RowSums
-
-KINDS = ("displacement", "velocity", "acceleration")
 
 
 class SensorRows:
@@ -35,7 +34,7 @@ class SensorRows:
         ]
         self.weights = np.stack(columns, axis=1)  # (channels there, felt)
         orders = sorted({order for order, _ in sensing})
-        self.features = {order: getattr(segments, KINDS[order]) for order in orders}
+        self.features = {order: getattr(segments, MOTION[order]) for order in orders}
         self.grams = {(a, b): self.features[a].mT @ self.features[b] for a in orders for b in orders}
 
     def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor) -> None:
