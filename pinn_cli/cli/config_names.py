@@ -34,8 +34,7 @@ def options_with(setting: str) -> list[str]:
     group, _, key = setting.partition(".")
     (shipped,) = _places(None)
     options = option_names(group) if key and group != "experiment" else ()
-    return [f"{group}={option}" for option in options
-            if key in _names(_plain(OmegaConf.load(shipped / group / f"{option}.yaml")))]  # fmt: skip
+    return [f"{group}={option}" for option in options if key in _settings_of(shipped / group, option)]
 
 
 def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> list[str]:
@@ -53,6 +52,13 @@ def setting_names(overrides: Sequence[str], config_dir: str | None = None) -> li
 def _places(config_dir: str | None) -> list[Path]:
     shipped = Path(str(files("pinn_cli.conf") / "config.yaml")).parent
     return [shipped, *([Path(config_dir)] if config_dir else [])]
+
+
+def _settings_of(folder: Path, option: str) -> set[str]:
+    """Of a file of a group, and of the files of the same group that it is based on."""
+    node = _plain(OmegaConf.load(folder / f"{option}.yaml"))
+    bases = [name for name in node.pop("defaults", []) if name != "_self_"]
+    return set(_names(node)).union(*(_settings_of(folder, base) for base in bases))
 
 
 def _plain(config: Any) -> Any:

@@ -120,7 +120,7 @@ def _unknown_setting(key: str, overrides: Sequence[str], config_dir: str | None)
     beside = [other for other in known if other.rpartition(".")[0] == name.rpartition(".")[0]]
     allowed = f"one of the settings {', '.join(beside)}" if beside else "a setting that pinn-run --cfg job lists"
     owners = options_with(name)
-    hint = f"it belongs to {' and '.join(owners)}" if owners else suggestion(name, known)
+    hint = f"it belongs to {', '.join(owners)}" if owners else suggestion(name, known)
     return InputError(name, _given(name, overrides), allowed, hint)
 
 

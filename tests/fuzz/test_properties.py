@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.override_errors import explain
 from pinn_cli.cli.prepare import compose_config
-from pinn_cli.record.csv_data import CsvData
+from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.runs.checkpoint import FORMAT, Checkpoints, OtherRunError
 from pinn_cli.runs.checkpoint_files import LAST, PREVIOUS, sealed
 from pinn_cli.runs.identity import Identity
@@ -78,7 +78,7 @@ def test_a_configuration_is_built_or_refused(trial: Trial) -> None:
 def test_a_record_is_read_or_refused(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "rig.csv").write_bytes(content)
-        data = CsvData("rig.csv", "t", {1: "f"}, acceleration={1: "a"}, base=Path(folder))
+        data = MeasuredData("rig.csv", "t", {1: "f"}, acceleration={1: "a"}, base=Path(folder))
         try:
             record = data.measure(1).record
         except InputError as refused:

@@ -7,11 +7,12 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from pinn_cli.record.csv_data import CsvData
+from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
 
 CONF = Path(__file__).parents[2] / "conf" / "data" / "csv.yaml"
+SHARED = CONF.with_name("_measured.yaml")
 STEP = 0.01
 ROWS = 200
 
@@ -39,7 +40,7 @@ SETTINGS = {
 
 
 def read(base: Path, ndof: int = 4, **changes):
-    return CsvData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
+    return MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
 
 
 def line(number: int) -> int:
@@ -143,8 +144,9 @@ def test_dofs_may_come_as_text_and_a_missing_map_as_null(rig):
 
 
 def test_the_config_lists_every_setting_and_reads_the_file(rig):
-    settings = OmegaConf.merge(OmegaConf.load(CONF), {**SETTINGS, "holdout": [2]})
-    fields = set(CsvData.__dataclass_fields__) - {"base"}
+    of_csv = {name: value for name, value in OmegaConf.load(CONF).items() if name != "defaults"}
+    settings = OmegaConf.merge(OmegaConf.load(SHARED), of_csv, {**SETTINGS, "holdout": [2]})
+    fields = set(MeasuredData.__dataclass_fields__) - {"base"}
     assert set(settings) - {"_target_"} == fields
     source = build(settings, "data", base=rig)
     assert source.measure(3).record.observed.tolist() == [True, False, True]
@@ -152,7 +154,7 @@ def test_the_config_lists_every_setting_and_reads_the_file(rig):
 
 def test_cristallo_is_read_by_its_own_settings(shared):
     settings = OmegaConf.to_container(OmegaConf.load(shared / "data" / "cristallo" / "cristallo.yaml"))
-    measurements = CsvData(**settings, base=shared).measure(3)
+    measurements = MeasuredData(**settings, base=shared).measure(3)
     record, truth = measurements.record, measurements.truth.response
     assert len(record.time) == 5001
     assert record.sampling_rate == pytest.approx(250.0)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.record.csv_data import CsvData
+from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError
 
 SETTINGS = {"path": "rig.csv", "time": "t", "force": {1: "f"}, "acceleration": {1: "a1", 2: "a2"}}
@@ -25,7 +25,7 @@ def table() -> pd.DataFrame:
 
 def message(base: Path, ndof: int = 3, **changes) -> str:
     with pytest.raises(InputError) as error:
-        CsvData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
+        MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(ndof)
     assert "\n" not in str(error.value)
     return str(error.value)
 
@@ -137,7 +137,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 
 def test_a_file_beyond_memory(tmp_path, monkeypatch):
     table().to_csv(tmp_path / "rig.csv", index=False)
-    monkeypatch.setattr("pinn_cli.record.text_file.of_this_machine", lambda: 2**10)
+    monkeypatch.setattr("pinn_cli.record.files.text_file.of_this_machine", lambda: 2**10)
     assert "must be a file of at most 5.96e-08 GiB" in message(tmp_path)
 
 

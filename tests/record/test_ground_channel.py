@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.record.csv_data import CsvData
+from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.settings.errors import InputError
@@ -29,7 +29,7 @@ def quake(tmp_path):
 
 
 def read(base, **changes) -> Record:
-    return CsvData(**{**SETTINGS, "base": base, **changes}).measure(3).record
+    return MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(3).record
 
 
 def test_a_record_keeps_it_whatever_is_cut_away(quake):

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from small_problems import NONLINEARITIES, measured, small_chain
 
-from pinn_cli.record.csv_data import CsvData
+from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.bayesian import WIDTH, Bayesian
 from pinn_cli.scheme.prior_settings import WIDE
@@ -235,7 +235,7 @@ def from_csv(folder, record: Record, **quantities: tuple[int, ...]) -> Record:
         settings[quantity] = {dof: f"{quantity} {dof}" for dof in dofs}
         columns |= {f"{quantity} {dof}": getattr(record, quantity)[:, dof - 1] for dof in dofs}
     pd.DataFrame(columns).to_csv(folder / "rig.csv", index=False)
-    return CsvData("rig.csv", "t", {1: "f1"}, **settings, base=folder).measure(3).record
+    return MeasuredData("rig.csv", "t", {1: "f1"}, **settings, base=folder).measure(3).record
 
 
 ALL = (1, 2, 3)

@@ -1,4 +1,4 @@
-"""A record that someone measured (``data=csv``)."""
+"""A record that someone measured: which column of a file is what (``data=csv``, ``data=mat`` and so on)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.csv_file import CsvFile
+from pinn_cli.record.clock import TIME_UNITS, Clock
 from pinn_cli.record.decimation import decimate
+from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.formats import format_of
+from pinn_cli.record.files.table import Table
 from pinn_cli.record.record import (
     GROUND,
     INTERSAMPLE,
@@ -28,17 +32,30 @@ from pinn_cli.record.record import (
     dof_mask,
 )
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import entries, finite_number, is_whole_number, one_of, whole_number
+from pinn_cli.settings.legal_values import (
+    entries,
+    finite_number,
+    is_whole_number,
+    one_of,
+    positive_number,
+    whole_number,
+)
 from pinn_cli.settings.paths import located
+
+# What a column of times is called unless the user says otherwise.
+TIME_COLUMN = "t"
 
 
 @dataclass(frozen=True)
-class CsvData:
-    """Which column of a CSV file is what, and which part of it is used.
+class MeasuredData:
+    """Which column of a file is what, and which part of it is used.
 
     Attributes:
         path: Of the file; a relative one starts at ``base``, and ``~`` is home.
-        time: Column of the times, s, uniform within the window.
+        time: Column of the times, uniform within the window; None: `TIME_COLUMN`, unless ``sampling_rate`` is given or
+            the format tells times of its own.
+        sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
+        time_unit: Of that column: s, ms or us.
         force: DOF (from 1) to column, N; None instead of a column for a force that acts but is not measured. DOFs that
             are not listed are known to be unforced.
         displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
@@ -50,13 +67,14 @@ class CsvData:
         intersample: How the force behaves between the samples.
         base: The directory the user started the command in; None: the current one.
         kind: The name of the config group's choice.
+        format: How numbers lie in the file; where its suffix is that of another format, that one's settings by default.
 
     Raises:
         InputError: Naming ``data.<setting>``.
     """
 
     path: str
-    time: str
+    time: str | None = None
     force: Mapping[int, str | None] = field(default_factory=dict)
     displacement: Mapping[int, str] = field(default_factory=dict)
     velocity: Mapping[int, str] = field(default_factory=dict)
@@ -70,11 +88,14 @@ class CsvData:
     frame: Frame = "absolute"
     base: Path | None = None
     kind: str = "csv"
+    format: FileFormat = field(default_factory=CsvFormat)
+    sampling_rate: float | None = None
+    time_unit: str = "s"
 
     def __post_init__(self) -> None:
-        for setting in ("path", "time"):
-            if not isinstance(getattr(self, setting), str) or not getattr(self, setting):
-                raise InputError(f"data.{setting}", getattr(self, setting), "given: data=csv reads a file of yours")
+        if not isinstance(self.path, str) or not self.path:
+            raise InputError("data.path", self.path, f"given: data={self.kind} reads a file of yours")
+        self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
         object.__setattr__(self, "holdout", _checked_holdout(self.holdout))
@@ -129,14 +150,44 @@ class CsvData:
 
     def _read(self) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray]]:
         """Times (N,) of the window after decimation, and by quantity and DOF the columns (N,)."""
-        columns = self._columns
-        settings = {_setting(*place): column for place, column in columns.items()}
-        file = CsvFile(located(self.path, self.base or Path.cwd()), {"data.time": self.time, **settings})
-        time = file.increasing_times(self.time)
-        first, last = self._window(time)
-        time = file.uniform_times(self.time, time[first:last], first)
-        values = np.stack([file.numbers(column, first, last) for column in columns.values()], axis=1)
+        columns, path = self._columns, located(self.path, self.base or Path.cwd())
+        wanted = {_setting(*place): column for place, column in columns.items()}
+        file_format = format_of(path, self.format)
+        time_column = self._time_column(file_format)
+        clock = self._clock(file_format.read(path, {"data.time": time_column, **wanted} if time_column else wanted))
+        first, last = self._window(clock.time)
+        time = clock.uniform(first, last)
+        values = np.stack([self._samples(clock.table, column, first, last) for column in columns.values()], axis=1)
         return time[:: self.decimate], dict(zip(columns, decimate(values, self.decimate).T, strict=True))
+
+    @staticmethod
+    def _samples(table: Table, column: str, first: int, last: int) -> np.ndarray:
+        """The column's numbers in rows first..last (excluded), every one of them there."""
+        values = table.numbers(column, first, last)
+        table.refuse_gaps(column, values, first)
+        return values
+
+    def _time_column(self, file_format: FileFormat) -> str | None:
+        """Column of the times; None: the sampling rate is given, or looked for in the file's header."""
+        if self.time is not None:
+            return self.time
+        return None if self.sampling_rate is not None or file_format.tells_time else TIME_COLUMN
+
+    def _clock(self, table: Table) -> Clock:
+        """When the samples were taken.
+
+        Raises:
+            InputError: Nothing says it, or the column of times cannot be used.
+        """
+        if self.sampling_rate is not None:
+            return Clock.by_rate(table, self.sampling_rate)
+        if self.time is None and table.time is not None:
+            return Clock(table, "", table.time)
+        column = self.time or TIME_COLUMN
+        if column not in table.columns:
+            hint = f"{table.path.name} does not say when its samples were taken"
+            raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
+        return Clock.by_column(table, column, self.time_unit)
 
     def _window(self, time: np.ndarray) -> tuple[int, int]:
         """Rows first..last (excluded) between start and stop."""
@@ -158,6 +209,18 @@ class CsvData:
         if self.start is not None and self.stop is not None and self.start >= self.stop:
             raise InputError("data.start", self.start, f"before data.stop={self.stop}")
         whole_number("data.decimate", self.decimate, least=1)
+
+    def _check_clock(self) -> None:
+        if self.time is not None and (not isinstance(self.time, str) or not self.time):
+            raise InputError("data.time", self.time, "null or the name of a column")
+        one_of("data.time_unit", self.time_unit, list(TIME_UNITS))
+        if self.sampling_rate is not None:
+            positive_number("data.sampling_rate", self.sampling_rate)
+            if self.time is not None:
+                allowed = "null where data.time names a column of times"
+                raise InputError(
+                    "data.sampling_rate", self.sampling_rate, allowed, "either says when samples were taken"
+                )
 
     def _check_ground(self) -> None:
         column = self.ground_acceleration
@@ -182,7 +245,8 @@ class CsvData:
             raise InputError("data.holdout", list(self.holdout), allowed)
 
     def _check_columns_differ(self) -> None:
-        places = {self.time: "data.time"}
+        time = self._time_column(format_of(Path(self.path), self.format))
+        places = {} if time is None else {time: "data.time"}
         for place, column in self._columns.items():
             if column in places:
                 raise InputError(_setting(*place), repr(column), f"another column than {places[column]}")

@@ -1,0 +1,149 @@
+"""Columns of a file as numbers, whatever its format, and errors that name file, column and line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
+from pinn_cli.settings.suggestion import suggestion
+
+# What an error says of the names of columns at most.
+_NAMES, _NAME_LENGTH = 20, 60
+# Cells that are no numbers, and how to write them as such.
+_WRITTEN_AS = (
+    (re.compile(r"\d{4}-\d\d|\d\d?[./]\d\d?[./]\d|\d\d?:\d\d"), "write times as seconds, such as 0, 0.01, 0.02"),
+    (re.compile(r"[+-]?\d+,\d+([eE].*)?$"), "write decimals with a point"),
+    (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
+    (re.compile(r"=|[+-]?[A-Za-z]\w*\("), "it looks like a formula, and pinn-run evaluates none: save its value"),
+)
+_LEFT_OUT = "leave gaps out with data.start and data.stop"
+
+
+@dataclass(frozen=True)
+class SensorHint:
+    """What a file's own header says of a column; "" where it says nothing.
+
+    Attributes:
+        unit: As the header writes it, such as ``m/s^2`` or ``g``.
+        quantity: displacement, velocity, acceleration or force.
+        place: Of the sensor: a node and a direction such as ``3:+Z``, or another label.
+    """
+
+    unit: str = ""
+    quantity: str = ""
+    place: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of one length, sample by sample.
+
+    Attributes:
+        path: Of the file, for errors.
+        columns: Name to numbers (N,), float64, as the file has them, in its own unit; NaN where a cell is empty.
+        odd_cells: Name to the cells that are no number: row, counted from 0, to text. They are NaN in `columns`.
+        hints: Name to what the header says of the column.
+        time: Of the samples, (N,), s, where the header tells it; None: a column has the times, or nothing has.
+        first_line: Line of the first row in a text file; None where rows are no lines: an error then counts samples.
+    """
+
+    path: Path
+    columns: Mapping[str, np.ndarray]
+    odd_cells: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
+    hints: Mapping[str, SensorHint] = field(default_factory=dict)
+    time: np.ndarray | None = None
+    first_line: int | None = None
+
+    def __len__(self) -> int:
+        arrays = [*self.columns.values(), *([] if self.time is None else [self.time])]
+        return len(arrays[0]) if arrays else 0
+
+    def numbers(self, column: str, first: int = 0, last: int | None = None) -> np.ndarray:
+        """The column's cells in rows first..last (counted from 0, ``last`` excluded); NaN where one is empty.
+
+        Raises:
+            InputError: A cell that is no finite number, or no quantity by its size.
+        """
+        values = self.columns[column][first:last]
+        odd = sorted(row for row in self.odd_cells.get(column, ()) if first <= row < first + len(values))
+        if odd:
+            text = self.odd_cells[column][odd[0]].strip()
+            hints = (hint for pattern, hint in _WRITTEN_AS if pattern.match(text))
+            raise InputError(self.place(column, odd[0]), shortened(text), "a finite number", next(hints, _LEFT_OUT))
+        if len(values) == 0 or np.isnan(size := np.abs(values)).all():
+            return values
+        largest = int(np.nanargmax(size))
+        if np.isinf(size[largest]):
+            raise InputError(self.place(column, first + largest), repr(str(values[largest])), "a finite number")
+        if size[largest] > LARGEST or 0.0 < size[largest] < SMALLEST:
+            shown = f"{values[largest]:g}, its largest number"
+            hint = "another unit? pinn-run takes SI units"
+            raise InputError(self.place(column, first + largest), shown, USABLE, hint)
+        return values
+
+    def refuse_gaps(self, column: str, values: np.ndarray, first: int = 0) -> None:
+        """Refuse NaN among the numbers of rows ``first`` and on.
+
+        Raises:
+            InputError: At the first of them.
+        """
+        gaps = np.flatnonzero(np.isnan(values))
+        if len(gaps):
+            raise InputError(
+                self.place(column, first + int(gaps[0])), "empty or NaN", "a finite number", _LEFT_OUT
+            )  # fmt: skip
+
+    def place(self, column: str, row: int) -> str:
+        """How an error names a cell."""
+        where = f"sample {row + 1}" if self.first_line is None else f"line {row + self.first_line}"
+        return f"{self.path.name}, column {column!r}, {where}"
+
+
+def check_names(path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "") -> None:
+    """Refuse a file that lacks a column.
+
+    Args:
+        path: Of the file.
+        wanted: Setting to the name of the column that it asks for, e.g. ``{"data.force.1": "fp (N)"}``.
+        names: Of the file's columns.
+        hint: The likely cause, where it is known.
+
+    Raises:
+        InputError: Naming the setting, and the columns that there are.
+    """
+    for setting, column in wanted.items():
+        if column not in names:
+            likely = hint or suggestion(column, list(names))
+            raise InputError(setting, repr(column), f"a column of {path.name}, which has {listed(names)}", likely)
+
+
+def same_length(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Refuse columns of different lengths.
+
+    Raises:
+        InputError: Naming two columns and their lengths.
+    """
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        short, long = min(lengths, key=lengths.__getitem__), max(lengths, key=lengths.__getitem__)
+        shown = f"{lengths[short]} samples of {short!r}, {lengths[long]} of {long!r}"
+        hint = "channels of different rates? Put those of one rate into one file, with their times"
+        raise InputError(path.name, shown, "columns of one length", hint)
+
+
+def listed(names: Iterable[str]) -> str:
+    """The first of the names, shortened and in quotes, and how many more there are; ``no columns`` of none."""
+    every: Sequence[str] = list(names)
+    more = f" and {len(every) - _NAMES} more" if len(every) > _NAMES else ""
+    return ", ".join(map(shortened, every[:_NAMES])) + more or "no columns"
+
+
+def shortened(text: str) -> str:
+    """In quotes, and cut after 60 characters."""
+    return repr(text if len(text) <= _NAME_LENGTH else f"{text[:_NAME_LENGTH]}...")

@@ -1,0 +1,96 @@
+"""When samples were taken: a column in another unit, a sampling rate, or the file's own header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.table import Table
+from pinn_cli.record.measured_data import MeasuredData
+from pinn_cli.settings.errors import InputError
+
+ROWS = 60
+SETTINGS = {"path": "rig.csv", "force": {1: "f"}, "acceleration": {1: "a"}}
+
+
+def table(step: float = 0.01) -> pd.DataFrame:
+    rows = np.arange(ROWS)
+    return pd.DataFrame({"t": np.round(step * rows, 6), "f": np.sin(rows), "a": np.cos(rows)})
+
+
+def read(base: Path, **changes):
+    return MeasuredData(**{**SETTINGS, "base": base, **changes}).measure(1).record
+
+
+class Header(FileFormat):
+    """A format whose header tells times, as far as ``time`` is given."""
+
+    name, suffixes, tells_time = "header", (".header",), True
+
+    def __init__(self, time: np.ndarray | None) -> None:
+        self.time = time
+
+    def read(self, path, wanted=None):
+        frame = table()
+        names = frame.columns if wanted is None else wanted.values()
+        return Table(path, {name: frame[name].to_numpy() for name in names}, time=self.time)
+
+
+@pytest.mark.parametrize(("unit", "per_second"), [("s", 1.0), ("ms", 1e3), ("us", 1e6)])
+def test_a_column_of_times_in_another_unit(tmp_path, unit, per_second):
+    table(0.01 * per_second).to_csv(tmp_path / "rig.csv", index=False)
+    record = read(tmp_path, time_unit=unit, start=0.1, stop=0.4)
+    np.testing.assert_allclose(record.time, np.arange(10, 41) / 100.0, atol=1e-12)
+    np.testing.assert_array_equal(record.acceleration[:, 0], table()["a"][10:41])
+
+
+def test_a_jump_is_told_in_the_columns_own_unit(tmp_path):
+    table(10.0).drop(index=40).to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.raises(InputError, match="column 't', line 42=410.0: must be one step of 10 ms after the line before"):
+        read(tmp_path, time_unit="ms")
+
+
+def test_a_sampling_rate_stands_in_place_of_times(tmp_path):
+    table().drop(columns="t").to_csv(tmp_path / "rig.csv", index=False)
+    record = read(tmp_path, sampling_rate=610.35, start=0.02)
+    assert record.sampling_rate == pytest.approx(610.35)
+    assert record.time[0] == pytest.approx(13 / 610.35)
+    np.testing.assert_array_equal(record.force[:, 0], table()["f"][13:])
+
+
+def test_the_header_tells_times_unless_the_user_does(tmp_path):
+    (tmp_path / "rig.header").touch()
+    own = Header(5.0 + np.arange(ROWS) / 50.0)
+    settings = {"path": "rig.header", "format": own}
+    assert read(tmp_path, **settings).time[[0, -1]] == pytest.approx([5.0, 5.0 + 59 / 50.0])
+    assert read(tmp_path, **settings, time="t").time[[0, -1]] == pytest.approx([0.0, 0.59])
+    assert read(tmp_path, **settings, sampling_rate=10).time[[0, -1]] == pytest.approx([0.0, 5.9])
+    with pytest.raises(InputError, match=r"data.sampling_rate=None: must be given, in Hz, or data.time.* rig.header"):
+        read(tmp_path, path="rig.header", format=Header(None))
+
+
+def test_a_file_without_times_names_the_column_that_was_looked_for(tmp_path):
+    table().rename(columns={"t": "seconds"}).to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.raises(InputError, match="data.time='t': must be a column of rig.csv, which has 'seconds', 'f', 'a'"):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("expected", "changes"),
+    [
+        ("data.sampling_rate=0: must be a finite number > 0", {"sampling_rate": 0}),
+        ("data.sampling_rate=fast: must be a finite number > 0", {"sampling_rate": "fast"}),
+        ("data.sampling_rate=100: must be null where data.time", {"sampling_rate": 100, "time": "t"}),
+        ("data.time_unit=min: must be one of s, ms, us", {"time_unit": "min"}),
+        ("data.force.1='t': must be another column than data.time", {"force": {1: "t"}}),
+    ],
+)
+def test_settings_of_the_clock_that_cannot_be_used(tmp_path, expected, changes):
+    table().to_csv(tmp_path / "rig.csv", index=False)
+    with pytest.raises(InputError) as error:
+        read(tmp_path, **changes)
+    assert str(error.value).startswith(expected)
