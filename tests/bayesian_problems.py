@@ -14,7 +14,8 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 from pinn_cli.training.record_scales import force_and_velocity_scale

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.state_space import NoiseLevels
 from pinn_cli.record.spectrum import occupied_band
-from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN
+from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN
 
 # The scan goes down by decades, from the force that acts to this part of it.
 DECADE, FINEST = 10.0, 1e-8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from pinn_cli.record.record import Record
@@ -30,6 +30,8 @@ class Problem:
         initial_motion: Whether the motion begins anyhow (``free``) or at ``rest`` at the record's first sample.
         inputs: What acts beside measured forces.
         alternatives: The same from other starts of the unknown parameters, for a training that can compare solutions.
+        further: The same structure in further records, to be solved together with this one: what is uncertain in two
+            of them is one parameter. Each has its own sensors, length, noise, initial motion and inputs.
     """
 
     structure: Structure
@@ -39,6 +41,13 @@ class Problem:
     initial_motion: str = FREE
     alternatives: tuple[Problem, ...] = ()
     inputs: Inputs = field(default_factory=Inputs)
+    further: tuple[Problem, ...] = ()
+
+    @property
+    def by_record(self) -> tuple[Problem, ...]:
+        """A problem for every record, this one's first."""
+        own = replace(self, further=(), alternatives=()) if self.further else self
+        return (own, *self.further)
 
     @cached_property
     def dynamics(self) -> Dynamics:

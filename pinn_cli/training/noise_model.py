@@ -7,6 +7,7 @@ sampled.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,7 @@ class NoiseModel:
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
         points_per_sample: Collocation points for every force sample: between the samples lies the noise of the samples,
             in the same band, and a point's own is so many times as large in variance.
+        further: Of further records that are solved together with this one; they share its ``spread``.
     """
 
     response: dict[str, np.ndarray]
@@ -53,10 +55,23 @@ class NoiseModel:
     occupied: float = 1.0
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
+    further: tuple[NoiseModel, ...] = ()
+
+    @property
+    def by_record(self) -> tuple[NoiseModel, ...]:
+        """That of every record, this one's first."""
+        return (replace(self, further=()) if self.further else self, *self.further)
+
+    @classmethod
+    def of_records(cls, each: Sequence[NoiseModel]) -> NoiseModel:
+        """That of several records together."""
+        return replace(each[0], further=tuple(each[1:]))
 
     def with_discrepancy(self, discrepancy: float) -> NoiseModel:
-        """The same sensors under another model error."""
-        return replace(self, discrepancy=discrepancy)
+        """The same sensors under another model error; that of further records changes by the same factor."""
+        factor = discrepancy / self.discrepancy
+        further = tuple(other.with_discrepancy(factor * other.discrepancy) for other in self.further)
+        return replace(self, discrepancy=discrepancy, further=further)
 
     def widened(self, occupied: float) -> NoiseModel:
         """The same model error in a part of the features' band: fewer independent values, and larger ones."""
@@ -69,15 +84,22 @@ class NoiseModel:
     def pooled(self) -> NoiseModel:
         """The same with one noise level for all sensors of a quantity: the root mean square of theirs."""
         one = {q: _pooled(sigma) for q, sigma in self.response.items()}
-        return replace(self, response=one, force=_pooled(self.force))
+        further = tuple(other.pooled() for other in self.further)
+        return replace(self, response=one, force=_pooled(self.force), further=further)
+
+    def noisier(self, factor: float) -> NoiseModel:
+        """The same with response sensors whose noise is so many times as large."""
+        response = {quantity: factor * level for quantity, level in self.response.items()}
+        return replace(self, response=response, further=tuple(other.noisier(factor) for other in self.further))
 
     def with_force_scale(self, factor: float) -> NoiseModel:
         """The same with force sensors whose noise is so many times as large."""
-        return replace(self, force=self.force * factor)
+        further = tuple(other.with_force_scale(factor) for other in self.further)
+        return replace(self, force=self.force * factor, further=further)
 
     def with_spread(self, spread: float) -> NoiseModel:
         """The same under another prior of the parameters."""
-        return replace(self, spread=spread)
+        return replace(self, spread=spread, further=tuple(other.with_spread(spread) for other in self.further))
 
     @property
     def physics_variance(self) -> np.ndarray:

@@ -36,6 +36,11 @@ class BorderedSystem:
 
     def factor(self, damping: float = 0.0) -> BorderedFactor | None:
         """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
+        eliminated = self.eliminated(damping)
+        return None if eliminated is None else eliminated.factor(eliminated.complement)
+
+    def eliminated(self, damping: float = 0.0) -> Eliminated | None:
+        """The readout weights eliminated, damped likewise; None if A is not positive definite."""
         scale = np.sqrt(self.band[0])
         if not np.all(np.isfinite(scale)) or np.any(scale == 0):
             return None
@@ -50,11 +55,34 @@ class BorderedSystem:
         solved = _band_solve(factor, scale, self.border)
         schur = self.corner - self.border.T @ solved
         schur[np.diag_indices_from(schur)] += damping * np.diag(self.corner)
+        return Eliminated(factor, scale, solved, schur)
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """A :class:`BorderedSystem` without its readout weights.
+
+    Attributes:
+        band, scale, solved_border: See :class:`BorderedFactor`.
+        complement: Schur complement C - B^T A^-1 B, (p, p), its corner damped.
+    """
+
+    band: np.ndarray
+    scale: np.ndarray
+    solved_border: np.ndarray
+    complement: np.ndarray
+
+    def factor(self, complement: np.ndarray) -> BorderedFactor | None:
+        """With the complement's Cholesky factor; None if it is not positive definite.
+
+        Args:
+            complement: (p, p), its own, or that of several systems which share their parameters.
+        """
         try:
-            schur_factor = np.linalg.cholesky((schur + schur.T) / 2.0)
+            schur = np.linalg.cholesky((complement + complement.T) / 2.0)
         except np.linalg.LinAlgError:
             return None
-        return BorderedFactor(factor, scale, solved, schur_factor)
+        return BorderedFactor(self.band, self.scale, self.solved_border, schur)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +107,19 @@ class BorderedFactor:
         With the readout weights eliminated the bounded problem is as small as the parameters are few, so the bounds
         are met exactly and not by a penalty or a transformation.
         """
-        free = _band_solve(self.band, self.scale, system.gradient)
-        right = system.border.T @ free - system.corner_gradient
-        x = self.corner_covariance @ right
-        if lower is not None and np.any(x < lower):
-            x = self._bounded(right, lower)
+        free, right = self.reduced(system)
+        x = self.of_parameters(right, lower)
         return -free - self.solved_border @ x, x
+
+    def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
+        """A^-1 g (size,), and the right-hand side (p,) of the parameters with the readout weights eliminated."""
+        free = _band_solve(self.band, self.scale, system.gradient)
+        return free, system.border.T @ free - system.corner_gradient
+
+    def of_parameters(self, right: np.ndarray, lower: np.ndarray | None = None) -> np.ndarray:
+        """X (p,) of that right-hand side, with x >= lower if that is given."""
+        x: np.ndarray = self.corner_covariance @ right
+        return self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
 
     def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
         """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.
@@ -119,7 +154,12 @@ class BorderedFactor:
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the whole matrix."""
-        return self.readout_log_determinant + 2.0 * float(np.log(np.diag(self.schur)).sum())
+        return self.readout_log_determinant + self.parameter_log_determinant
+
+    @property
+    def parameter_log_determinant(self) -> float:
+        """Logarithm of the determinant of the Schur complement."""
+        return 2.0 * float(np.log(np.diag(self.schur)).sum())
 
     def draws(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Readout weights (size, count) and parameters (p, count) with the inverse as covariance.

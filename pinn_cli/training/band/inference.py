@@ -13,7 +13,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
+from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, Trained
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.resolution import carried_over, knots_wanted

@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.band.bordered import BorderedFactor
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel
 
 # Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
@@ -16,6 +19,34 @@ FIRST_DAMPING, LARGEST_DAMPING = 1e-9, 1e6
 # Decrease of the loss, twice the negative logarithm of a probability, that nothing is lost by leaving out. Functions
 # beside the motion are known in parts by their priors alone, along which steps creep.
 NEGLIGIBLE = 0.1
+
+
+class Linearised(Protocol):
+    """Normal equations at a point."""
+
+    def factor(self, damping: float = 0.0) -> BorderedFactor | None:
+        """Of the damped matrix; None if it is not positive definite."""
+
+
+class LeastSquares(Protocol):
+    """A weighted least-squares problem: of one record, or of several together."""
+
+    is_plain: bool
+
+    def start(self) -> Point:
+        """At rest, with the prescribed parameters."""
+
+    def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
+        """Weighted sum of squares of every term."""
+
+    def assemble(self, point: Point, noise: NoiseModel) -> Any:  # each kind's factor takes a step of its own system
+        """Normal equations at a point, :class:`Linearised`."""
+
+    def room_below(self, point: Point) -> np.ndarray:
+        """(p,), the most negative step of every parameter."""
+
+    def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
+        """The point after a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +70,7 @@ class Solution:
 
 
 def minimise(
-    equations: NormalEquations,
+    equations: LeastSquares,
     noise: NoiseModel,
     start: Point,
     iterations: int,
@@ -84,7 +115,7 @@ def minimise(
         point, loss = moved, sum(terms.values())
         damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
         watch(terms)
-        enough = max(tolerance * loss, 0.0 if equations.dynamics.is_plain else NEGLIGIBLE)
+        enough = max(tolerance * loss, 0.0 if equations.is_plain else NEGLIGIBLE)
         if decrease <= enough and damping == 0.0:
             return Solution(point, loss, iteration + 1, True, factor if undamped else None)
     return Solution(point, loss, iterations, False)

@@ -17,8 +17,9 @@ from pinn_cli.physics import observation_masks
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.evidence import NEGLIGIBLE_GAIN, Evidence, Trained
-from pinn_cli.training.band.normal_equations import Point
+from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
@@ -38,7 +39,7 @@ KINSHIP = 0.01
 LONGEST_STRIDE = 5.0
 
 
-def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: int = ROUNDS) -> Trained:
+def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False, rounds: int = ROUNDS) -> Trained:
     """Alternate noise levels and solution until neither moves, or until the record gets no more probable.
 
     Args:
@@ -47,22 +48,24 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         pooled: Whether the sensors of one quantity share one level.
         rounds: At most.
     """
-    before: np.ndarray | None = None
-    floor = _floor(evidence, trained.noise)
+    floors = evidence.each_record(floor, trained)
+    before: list[np.ndarray | None] = [None] * len(floors)
     best = trained
     for _ in range(rounds):
-        found = updated(evidence, trained, floor)
-        found = found.pooled() if pooled else found
-        change = _log_levels(found) - _log_levels(trained.noise)
-        noise = _moved(trained.noise, _stride(before, change), floor).with_spread(evidence.learned_spread(trained))
+        found = evidence.each_record(updated, trained, floors)
+        found = [noise.pooled() for noise in found] if pooled else found
+        levels = trained.noise.by_record
+        change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
+        moves = zip(levels, map(_stride, before, change), floors, strict=True)
+        noise = NoiseModel.of_records([_moved(*each) for each in moves]).with_spread(evidence.learned_spread(trained))
         again = evidence.train(noise, trained.solution.point)
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
             break
-        before = change
+        before = list(change)
         gain, trained = again.log_evidence - trained.log_evidence, again
         best = max(best, trained, key=lambda one: one.log_evidence)
-        if np.abs(change).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
+        if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break
     return best
 
@@ -106,12 +109,12 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
     return Taken({q: square / noise.response[q] ** 2 for q, square in response.items()}, enforced)
 
 
-def updated(evidence: Evidence, trained: Trained, floor: NoiseModel) -> NoiseModel:
+def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseModel:
     """The noise levels that the residuals ask for, none below its floor; those that repeats tell stay."""
     equations, noise = evidence.equations, trained.noise
     taken = values_taken(evidence, trained)
     force, discrepancy, innovation = _forces(evidence, trained, taken.physics)
-    discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), floor.discrepancy)
+    discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), least.discrepancy)
     if noise.innovation is not None:
         noise = replace(noise, innovation=_limited(innovation, noise.innovation))
     if equations.problem.record.repeats is not None:
@@ -126,8 +129,8 @@ def updated(evidence: Evidence, trained: Trained, floor: NoiseModel) -> NoiseMod
         weight, usual = KINSHIP * samples, _usual_level(equations.problem.record, name, noise.response[name])
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
         level = _limited(np.sqrt(found), noise.response[name])
-        response[name] = np.where(there, np.maximum(level, floor.response[name]), noise.response[name])
-    force = np.maximum(_limited(force, noise.force), floor.force)
+        response[name] = np.where(there, np.maximum(level, least.response[name]), noise.response[name])
+    force = np.maximum(_limited(force, noise.force), least.force)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 
@@ -179,9 +182,9 @@ def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarr
     return level
 
 
-def _floor(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
+def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     """The least levels that are looked for."""
-    record = evidence.equations.problem.record
+    record, noise = evidence.equations.problem.record, trained.noise
     finest = {q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in noise.response}
     of_force = np.full(len(noise.force), np.nan)
     if np.isfinite(noise.force).any():
@@ -214,16 +217,16 @@ def _log_levels(noise: NoiseModel) -> np.ndarray:
     return np.log(np.where(np.isfinite(every) & (every > 0), every, 1.0))
 
 
-def _moved(noise: NoiseModel, change: np.ndarray, floor: NoiseModel) -> NoiseModel:
+def _moved(noise: NoiseModel, change: np.ndarray, least: NoiseModel) -> NoiseModel:
     """The levels times exp of a change, in the order of :func:`_log_levels`."""
     sizes = [*(len(level) for level in noise.response.values()), len(noise.force)]
     *parts, of_force, driving = np.split(np.exp(change[:-1]), np.cumsum(sizes))
     response = {
-        q: np.maximum(level * part, floor.response[q])
+        q: np.maximum(level * part, least.response[q])
         for (q, level), part in zip(noise.response.items(), parts, strict=True)
     }
-    force = np.maximum(noise.force * of_force, floor.force)
-    discrepancy = max(noise.discrepancy * float(np.exp(change[-1])), floor.discrepancy)
+    force = np.maximum(noise.force * of_force, least.force)
+    discrepancy = max(noise.discrepancy * float(np.exp(change[-1])), least.discrepancy)
     innovation = None if noise.innovation is None else noise.innovation * driving
     return replace(noise, response=response, force=force, discrepancy=discrepancy, innovation=innovation)
 

@@ -8,7 +8,6 @@ together give one small dense block.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -29,29 +28,13 @@ from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.point import Bounded, Point
 from pinn_cli.training.band.ridge import ridge_loss, ridge_of
 from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.sensor_rows import SensorRows
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """Where Gauss-Newton stands.
-
-    Attributes:
-        unknowns: (size,) readout weights in the layout's order.
-        parameters: (p,) uncertain parameters, in prior standard deviations from their prescribed values.
-    """
-
-    unknowns: Tensor
-    parameters: Tensor
-
-    def moved(self, step: tuple[Tensor, Tensor]) -> Point:
-        """The point after a step."""
-        return Point(self.unknowns + step[0], self.parameters + step[1])
 
 
 def _by_interval(network: LinearReadout) -> bool:
@@ -69,7 +52,7 @@ def collocation_refinement(network: LinearReadout, record: Record) -> int:
     return max(1, math.ceil(POINTS_PER_INTERVAL * record.step / network.spacing - 1e-6))
 
 
-class NormalEquations:
+class NormalEquations(Bounded):
     """The weighted least-squares problem of one network, structure and record.
 
     Residuals and states are grouped as the network's segments are, (I, S, n), and 0 at padding.
@@ -81,7 +64,7 @@ class NormalEquations:
     """
 
     def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
-        self.problem, self.dynamics = problem, problem.dynamics
+        self.problem, self.dynamics, self.is_plain = problem, problem.dynamics, problem.dynamics.is_plain
         self.refinement = collocation_refinement(network, problem.record)
         self.target = targets(problem.record, self.dynamics, device, refinement=self.refinement)
         self.network = network.to(device)
@@ -211,24 +194,6 @@ class NormalEquations:
         if self.physics.continuity is not None:
             out["continuity"] = torch.full_like(like[0], 1.0 / noise.continuity**2)
         return out
-
-    def room_below(self, point: Point) -> np.ndarray:
-        """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
-        room: np.ndarray = self.lower - point.parameters.cpu().numpy()
-        return np.minimum(room, 0.0)
-
-    def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
-        """The point after a step; a parameter that the step takes to its bound is at the bound, whatever the rounding.
-
-        Args:
-            point: Where the step begins.
-            step: Of the readout weights (size,) and of the parameters (p,).
-        """
-        unknowns, parameters = (torch.as_tensor(x).to(point.unknowns) for x in step)
-        lower = torch.as_tensor(self.lower).to(point.unknowns)
-        held = torch.as_tensor(step[1] <= self.room_below(point), device=lower.device)
-        after = point.moved((unknowns, parameters))
-        return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
 
     def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
         """Weighted sum of squares of every residual, of the parameters' prior and of the ridge."""

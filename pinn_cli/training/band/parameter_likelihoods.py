@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from pinn_cli.system.functions import Jet
-from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.conditional_likelihood import ConditionalLikelihood

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinn_cli.training.band.evidence import Trained
+from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate

@@ -11,7 +11,8 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.training.band.bordered import BorderedFactor
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.subdomains import Subdomains
 
 # Intervals whose covariances of all functions are held at once.

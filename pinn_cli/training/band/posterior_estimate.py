@@ -12,7 +12,8 @@ from pinn_cli.physics import estimated_response
 from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
-from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import parameter_posterior

@@ -6,8 +6,10 @@ import numpy as np
 
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.spectrum import periodogram, record_band
-from pinn_cli.training.band.evidence import Evidence, Trained
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 
 # The error of a spline's accelerations falls with this power of the knots.

@@ -7,7 +7,8 @@ import torch
 
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.simulation import OverflowsError
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 
 

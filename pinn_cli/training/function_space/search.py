@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.mlp import MlpNetwork
-from pinn_cli.training.band.evidence import SUSPICIOUS_DISCREPANCY
+from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY
 from pinn_cli.training.function_space.kernel import Layers, layers
 from pinn_cli.training.function_space.linearisation import Linearisation, Step
 from pinn_cli.training.function_space.residuals import ResidualRows

@@ -16,8 +16,9 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_likelihoods import marginal_likelihood
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120

@@ -15,7 +15,8 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.levenberg_marquardt import minimise
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.noise_model import NoiseModel
 

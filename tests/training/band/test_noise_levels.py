@@ -17,9 +17,10 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inference import starting_noise
-from pinn_cli.training.band.noise_levels import _floor, settled, updated, values_taken
+from pinn_cli.training.band.noise_levels import floor, settled, updated, values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -93,7 +94,7 @@ def solved(made: IndependentRecord) -> tuple[Evidence, Trained]:
 def test_settled_levels_stay_where_they_are():
     evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
     once = settled(evidence, trained)
-    again = updated(evidence, once, _floor(evidence, once.noise))
+    again = updated(evidence, once, floor(evidence, once))
     np.testing.assert_allclose(again.response["acceleration"], once.noise.response["acceleration"], rtol=0.03)
     assert again.force[2] == pytest.approx(once.noise.force[2], rel=0.05)
     assert once.log_evidence >= trained.log_evidence

@@ -18,7 +18,8 @@ from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel
 
 SAMPLES = 21

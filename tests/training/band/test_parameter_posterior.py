@@ -14,9 +14,11 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.evidence import Evidence, Trained
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_posterior
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 NINETY = norm.ppf(0.95)

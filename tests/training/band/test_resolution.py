@@ -13,9 +13,11 @@ from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inference import starting_noise
-from pinn_cli.training.band.normal_equations import NormalEquations, Point
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import LARGEST_FACTOR, acceleration_error, carried_over, knots_wanted
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 

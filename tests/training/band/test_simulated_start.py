@@ -105,7 +105,7 @@ def test_a_search_that_finds_a_good_model_asks_for_no_second_start():
 
 def test_without_a_second_start_the_first_one_stands(monkeypatch):
     evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
-    monkeypatch.setattr("pinn_cli.training.band.evidence.SUSPICIOUS_DISCREPANCY", 0.0)
+    monkeypatch.setattr("pinn_cli.training.band.discrepancy_search.SUSPICIOUS_DISCREPANCY", 0.0)
     asked = []
     first = evidence.search(noise, 1.0, lambda: asked.append(None))
     assert len(asked) == 1
@@ -117,7 +117,7 @@ def test_of_two_the_more_probable_one_is_taken(monkeypatch):
     record = measured(small_chain(), snr_db=40.0).record
     evidence, noise = searching(record)
     expected = evidence.scan(noise, 1.0, evidence.equations.start())
-    monkeypatch.setattr("pinn_cli.training.band.evidence.SUSPICIOUS_DISCREPANCY", 1e-9)
+    monkeypatch.setattr("pinn_cli.training.band.discrepancy_search.SUSPICIOUS_DISCREPANCY", 1e-9)
     rest = evidence.equations.start()
     wild = replace(rest, unknowns=torch.linspace(-50.0, 50.0, len(rest.unknowns), dtype=torch.float64))
     found = evidence.search(noise, 1.0, lambda: wild)

@@ -1,0 +1,217 @@
+"""The search for the model error that makes a record, or several together, most probable."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.band.bordered import BorderedFactor
+from pinn_cli.training.band.levenberg_marquardt import Solution
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.parameter_spread import updated_spread
+
+R = TypeVar("R")
+
+# The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three
+# points.
+SCAN_FACTOR = 10.0**0.5
+# A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
+DECISIVE_DROP = 20.0
+# The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
+PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
+# a second search from another start.
+SUSPICIOUS_DISCREPANCY = 0.01
+# Parabolas at most, and the gain in log evidence below which another is not worth a solution.
+REFINEMENTS, NEGLIGIBLE_GAIN = 4, 0.5
+# Relative change of the spread below which it is settled (a few parameters tell it to some tens of percent), and rounds
+# at most.
+SPREAD_TOLERANCE, SPREAD_ROUNDS = 0.05, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A solution together with the noise model that it was found under.
+
+    Attributes:
+        solution: The most probable readout and parameters.
+        noise: Its weights.
+        factor: Undamped factors of the Hessian there.
+        log_evidence: Logarithm of the probability density of the record, up to a constant of the network and record.
+    """
+
+    solution: Solution
+    noise: NoiseModel
+    factor: BorderedFactor
+    log_evidence: float
+
+
+class DiscrepancySearch(ABC):
+    """From solutions under given noise models to the most probable one.
+
+    Args:
+        learn_spread: Whether the common spread of the prescribed parameters is learned.
+    """
+
+    def __init__(self, learn_spread: bool) -> None:
+        self.learn_spread = learn_spread
+
+    @property
+    @abstractmethod
+    def unknown(self) -> np.ndarray:
+        """(p,) bool, the uncertain parameters that are to be identified; the others are believed."""
+
+    @abstractmethod
+    def start(self) -> Point:
+        """The structure at rest with its prescribed parameters."""
+
+    @abstractmethod
+    def train(self, noise: NoiseModel, start: Point) -> Trained | None:
+        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
+
+    @abstractmethod
+    def each_record(self, function: Callable[..., R], trained: Trained, *arguments: Sequence[Any]) -> list[R]:
+        """What a function makes of every record's own part of a solution, in the order of the records.
+
+        Args:
+            function: Of a file's, of (evidence of the record, solution of the record, its own of every argument).
+            trained: Of all records.
+            arguments: Each with one entry for every record.
+        """
+
+    @abstractmethod
+    def occupied(self, trained: Trained) -> list[float]:
+        """Of every record the share of the features' band that the discrepancy fills."""
+
+    def search(
+        self, noise: NoiseModel, force: float, second_start: Callable[[], Point | None], refined: bool = True
+    ) -> Trained:
+        """Most probable discrepancy and spread, from rest and, where that finds no good model, from another start.
+
+        Where a structure is strongly nonlinear, the motion that soft physics finds may lie in the wrong valley.
+
+        Args:
+            noise: Sensor noise; its discrepancy is ignored.
+            force: That acts, N.
+            second_start: Another motion to begin with; None: there is none.
+            refined: Whether to close in on the peak; not where all levels settle together afterwards.
+
+        Raises:
+            DivergenceError: Even the softest physics cannot be solved.
+        """
+        found = self.scan(noise, force, self.start(), refined)
+        if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
+            return found
+        start = second_start()
+        if start is None:
+            return found
+        try:
+            other = self.scan(noise, SUSPICIOUS_DISCREPANCY * force, start, refined)
+        except DivergenceError:
+            return found
+        return max(found, other, key=lambda trained: trained.log_evidence)
+
+    def scan(self, noise: NoiseModel, largest: float, start: Point, refined: bool = True) -> Trained:
+        """Most probable discrepancy and spread of the parameters, searched from soft physics to stiff.
+
+        Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
+        problem begins next to its solution. So the search for the noise level is also the continuation that long and
+        stiff records need.
+
+        Args:
+            noise: Sensor noise; its discrepancy is ignored.
+            largest: Where to begin, N: with a start at rest the force that acts.
+            start: The motion to begin with.
+            refined: See :meth:`search`.
+
+        Raises:
+            DivergenceError: The first problem cannot be solved.
+        """
+        tried: list[Trained] = []
+        point, discrepancy, idle = start, largest, 0
+        best: Trained | None = None
+        while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
+            trained = self.train(noise.with_discrepancy(discrepancy), point)
+            followed = best is not None and best.solution.converged
+            if trained is None or (followed and not trained.solution.converged):
+                break  # stiffer than these steps or these numbers can follow
+            tried.append(trained)
+            point, noise = trained.solution.point, noise.with_spread(self.learned_spread(trained))
+            idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
+            best = trained if best is None or idle == 0 else best
+            if trained.log_evidence < best.log_evidence - DECISIVE_DROP:
+                break
+            discrepancy /= SCAN_FACTOR
+        if best is None:
+            raise DivergenceError(
+                "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
+            )
+        return self._settle_spread(self._refine(tried, best)) if refined else best
+
+    def _refine(self, tried: list[Trained], best: Trained) -> Trained:
+        """Close in on the most probable discrepancy by parabolas through the best and its neighbours."""
+        for _ in range(REFINEMENTS):
+            tried.sort(key=lambda trained: trained.noise.discrepancy)
+            middle = tried.index(best)
+            if not 0 < middle < len(tried) - 1:
+                break
+            top = _parabola_top(tried[middle - 1 : middle + 2])
+            if top is None or top[1] - best.log_evidence < NEGLIGIBLE_GAIN:
+                break
+            trained = self.train(best.noise.with_discrepancy(top[0]), best.solution.point)
+            if trained is None or not trained.solution.converged:
+                break
+            tried.append(trained)
+            best = max(best, trained, key=lambda candidate: candidate.log_evidence)
+        return best
+
+    def widen_for_colour(self, trained: Trained) -> Trained:
+        """Solve once more with the discrepancy that its own colour asks for.
+
+        The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the
+        features' band has fewer, N_eff, and larger ones; counting K of them makes states look better known than they
+        are. N_eff / K is the bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that
+        the features follow.
+        """
+        levels = zip(trained.noise.by_record, self.occupied(trained), strict=True)
+        noise = NoiseModel.of_records([level.widened(share) for level, share in levels])
+        wider = self.train(noise, trained.solution.point)
+        return wider if wider is not None and wider.solution.converged else trained
+
+    def learned_spread(self, trained: Trained) -> float:
+        """How far the prescribed parameters are off, in common; see :func:`updated_spread`."""
+        believed = ~self.unknown
+        x = trained.solution.point.parameters.cpu().numpy()[believed]
+        if not self.learn_spread or len(x) == 0:
+            return trained.noise.spread
+        variance = np.diag(trained.factor.corner_covariance)[believed]
+        return updated_spread(x, variance, trained.noise.spread)
+
+    def _settle_spread(self, trained: Trained) -> Trained:
+        """Alternate spread and solution under one discrepancy until the spread stays."""
+        for _ in range(SPREAD_ROUNDS):
+            spread = self.learned_spread(trained)
+            if abs(spread / trained.noise.spread - 1.0) < SPREAD_TOLERANCE:
+                break
+            again = self.train(trained.noise.with_spread(spread), trained.solution.point)
+            if again is None or not again.solution.converged:
+                break
+            trained = again
+        return trained
+
+
+def _parabola_top(three: list[Trained]) -> tuple[float, float] | None:
+    """Discrepancy and log evidence at the top of the parabola through three of them; None where it opens upwards."""
+    x = np.log([trained.noise.discrepancy for trained in three])
+    curvature, slope, level = np.polyfit(x - x[1], [trained.log_evidence for trained in three], 2)
+    if curvature >= 0:
+        return None
+    # A lopsided peak throws the parabola onto a neighbour: stay inside.
+    offset = np.clip(-0.5 * slope / curvature, 0.9 * (x[0] - x[1]), 0.9 * (x[2] - x[1]))
+    return float(np.exp(x[1] + offset)), float(level + offset * (slope + curvature * offset))
