@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.corners import Corners
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Response
+from pinn_cli.record.runge_kutta import Force, Slope, runge_kutta
 from pinn_cli.record.state_equation import StateEquation
 from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
 from pinn_cli.settings.errors import InputError
@@ -27,12 +29,13 @@ if TYPE_CHECKING:
 HOLDS = ("exact", "zero_order")
 METHODS = ("rk4", "dop853")
 
+# Steps of rk4 per sample, at least, where a law is not smooth: its force has harmonics of the structure's frequencies.
+LEAST_WITH_CORNERS = 10
+
 # Beyond this a response counts as overflowing: its square, its cube and a sum of them are still numbers.
 LARGEST_STATE = 1e80
 
-Force = Callable[[np.ndarray], np.ndarray]
 Ground = Callable[[np.ndarray], np.ndarray]
-Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class OverflowsError(InputError):
@@ -64,7 +67,8 @@ class Simulation:
         hold: ``exact``: the force is what it is between the samples. ``zero_order``: it keeps the last sample's value.
         method: ``rk4``, the classical Runge-Kutta method, or ``dop853``, scipy's adaptive method of order eight with
             tight tolerances.
-        substeps: Steps of rk4 per sample; None: as many as the chain's highest frequency needs.
+        substeps: Steps of rk4 per sample; None: as many as the chain's highest frequency needs. A step in which a law
+            turns round, as friction and hysteresis do, is taken in parts.
 
     Raises:
         InputError: Naming ``simulation.<setting>``.
@@ -95,8 +99,10 @@ class Simulation:
 
     def steps_per_sample(self, structure: Structure) -> int:
         """Steps of rk4 per sample: those that were chosen, or those that the structure needs."""
-        step = self.duration / (self.samples - 1)
-        return self.substeps or substeps_needed(structure, step, self.step_times_rate)
+        if self.substeps:
+            return self.substeps
+        needed = substeps_needed(structure, self.duration / (self.samples - 1), self.step_times_rate)
+        return max(needed, LEAST_WITH_CORNERS) if self.hold == "exact" and Corners.of(structure) else needed
 
     @property
     def step_times_rate(self) -> float:
@@ -159,7 +165,7 @@ def simulate(
     with np.errstate(over="ignore", invalid="ignore"):
         if method == "rk4":
             substeps = substeps or substeps_needed(structure, time[1] - time[0])
-            states = _runge_kutta(slope, load, time, sampled, hold, substeps, start)
+            states = runge_kutta(slope, load, time, sampled, hold, substeps, start, Corners.of(structure))
         else:
             states = _dop853(slope, load, time, sampled, hold, start)
     _check_finite(states, time, structure)
@@ -206,40 +212,6 @@ def _loads(force: Force, ground: Ground) -> Force:
         return np.stack((acting, np.broadcast_to(ground(time)[:, None], acting.shape)), axis=1)
 
     return loads
-
-
-def runge_kutta_step(
-    slope: Slope, z: np.ndarray, left: np.ndarray, middle: np.ndarray, right: np.ndarray, step: float
-) -> np.ndarray:
-    """Displacement and velocity z (2, ..., ndof) a ``step`` (s) later, by the classical method of order four.
-
-    ``left``, ``middle`` and ``right`` are the forces (..., ndof) at the step's beginning, middle and end, N.
-    """
-    k1 = slope(z, left)
-    k2 = slope(z + (0.5 * step) * k1, middle)
-    k3 = slope(z + (0.5 * step) * k2, middle)
-    k4 = slope(z + step * k3, right)
-    return z + (step / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-
-
-def _runge_kutta(
-    slope: Slope, force: Force, time: np.ndarray, sampled: np.ndarray, hold: str, substeps: int, start: np.ndarray
-) -> np.ndarray:
-    """(N, 2, ndof): the classical method of order four, ``substeps`` steps per sample."""
-    h = (time[-1] - time[0]) / ((len(time) - 1) * substeps)
-    if hold == "exact":
-        starts = time[0] + h * np.arange((len(time) - 1) * substeps + 1)
-        left = force(starts)
-        left, middle, right = left[:-1], force(starts[:-1] + 0.5 * h), left[1:]
-    else:
-        left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
-    z = start
-    states = np.empty((len(left) + 1, *z.shape))
-    states[0] = z
-    for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
-        z = runge_kutta_step(slope, z, f0, f1, f2, h)
-        states[step + 1] = z
-    return states[::substeps]
 
 
 def _dop853(

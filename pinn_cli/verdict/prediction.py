@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pinn_cli.record.record import Record, Response
-    from pinn_cli.record.simulation import Force
+    from pinn_cli.record.runge_kutta import Force
     from pinn_cli.system.structure import Structure
 
 # Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.

@@ -26,6 +26,8 @@ class Nonlinearity(ABC):
         damping_parameter: The one that fills the paper's C_n, if there is one.
         nonnegative: Parameters that make no physical sense below zero.
         optional: Parameters that a connection may be without, beyond ``parameters``.
+        reversal_speed: Speed of the elongation over which the force turns when the motion does, m/s, 0 where it has a
+            corner there; None: the force is smooth. A simulation divides the steps in which that happens.
     """
 
     name: ClassVar[str]
@@ -35,6 +37,7 @@ class Nonlinearity(ABC):
     damping_parameter: ClassVar[str | None] = None
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
     optional: ClassVar[tuple[str, ...]] = ()
+    reversal_speed: float | None = None
 
     @property
     def titles(self) -> Mapping[str, str]:
@@ -90,6 +93,7 @@ class Hysteresis(Nonlinearity):
     """
 
     has_memory: ClassVar[bool] = True
+    reversal_speed: float | None = 0.0
 
     @abstractmethod
     def rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array]) -> Array:

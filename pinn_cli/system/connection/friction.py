@@ -33,6 +33,7 @@ class Friction(Nonlinearity):
 
     def __init__(self, speed: float) -> None:
         self.speed = positive_number("system.nonlinearity.speed", speed)
+        self.reversal_speed = self.speed
 
     @property
     def titles(self) -> Mapping[str, str]:

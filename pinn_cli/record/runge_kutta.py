@@ -1,0 +1,95 @@
+"""Time integration by the classical Runge-Kutta method of order four."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pinn_cli.record.corners import Corners
+
+Force = Callable[[np.ndarray], np.ndarray]
+Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def runge_kutta_step(
+    slope: Slope, z: np.ndarray, left: np.ndarray, middle: np.ndarray, right: np.ndarray, step: float
+) -> np.ndarray:
+    """Displacement and velocity z (2, ..., ndof) a ``step`` (s) later, by the classical method of order four.
+
+    ``left``, ``middle`` and ``right`` are the forces (..., ndof) at the step's beginning, middle and end, N.
+    """
+    k1 = slope(z, left)
+    k2 = slope(z + (0.5 * step) * k1, middle)
+    k3 = slope(z + (0.5 * step) * k2, middle)
+    k4 = slope(z + step * k3, right)
+    return z + (step / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+def runge_kutta(
+    slope: Slope,
+    force: Force,
+    time: np.ndarray,
+    sampled: np.ndarray,
+    hold: str,
+    substeps: int,
+    start: np.ndarray,
+    corners: Corners | None,
+) -> np.ndarray:
+    """The states at all samples (N, ...), by ``substeps`` steps per sample.
+
+    Args:
+        slope: Of a state under a load.
+        force: Load at any times.
+        time: (N,), s.
+        sampled: (N, ...), the load at those.
+        hold: ``exact`` or ``zero_order``.
+        substeps: Steps per sample.
+        start: The state at the first time.
+        corners: Of the laws; steps across one are divided. None: all laws are smooth.
+    """
+    h = (time[-1] - time[0]) / ((len(time) - 1) * substeps)
+    steps = (len(time) - 1) * substeps
+    if hold == "exact":
+        starts = time[0] + h * np.arange(steps + 1)
+        left = force(starts)
+        left, middle, right = left[:-1], force(starts[:-1] + 0.5 * h), left[1:]
+    else:
+        left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
+    z = start
+    states = np.empty((steps + 1, *z.shape))
+    states[0] = z
+    for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
+        after = runge_kutta_step(slope, z, f0, f1, f2, h)
+        if corners is not None and (parts := corners.divided(z, after)) is not None:
+            at = force if hold == "exact" else _held(f0)
+            after = _in_parts(slope, at, corners, z, time[0] + h * step, h, parts, corners.shortest * h)
+        z = after
+        states[step + 1] = z
+    return states[::substeps]
+
+
+def _held(load: np.ndarray) -> Force:
+    return lambda time: np.broadcast_to(load, (len(time), *load.shape))
+
+
+def _in_parts(
+    slope: Slope,
+    force: Force,
+    corners: Corners,
+    z: np.ndarray,
+    begin: float,
+    step: float,
+    parts: np.ndarray,
+    shortest: float,
+) -> np.ndarray:
+    """The state at the end of a step, taken in parts of it; a part across a corner is divided again."""
+    ends = begin + step * np.concatenate(([0.0], np.cumsum(parts)))
+    loads = force(np.concatenate((ends, 0.5 * (ends[:-1] + ends[1:]))))
+    for i, part in enumerate(step * parts):
+        after = runge_kutta_step(slope, z, loads[i], loads[len(ends) + i], loads[i + 1], part)
+        again = corners.divided(z, after) if part > shortest else None
+        if again is not None:
+            after = _in_parts(slope, force, corners, z, ends[i], part, again, shortest)
+        z = after
+    return z

@@ -1,0 +1,112 @@
+"""Simulated responses of laws that turn round with the motion, against equations that are written out here."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from pinn_cli.record.corners import Corners
+from pinn_cli.record.simulation import Simulation, simulate
+from pinn_cli.system.topology import build_structure
+
+GROUND_TO_X = ["ground", "x"]
+
+
+def sines(t, frequencies, amplitude, seed=0):
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(frequencies))
+    return amplitude * np.sin(2.0 * np.pi * np.multiply.outer(t, frequencies) + phase).sum(-1)
+
+
+def reference(motion, size, time, longest):
+    options = {"rtol": 1e-11, "atol": 1e-15, "max_step": longest}
+    return solve_ivp(motion, (time[0], time[-1]), np.zeros(size), "DOP853", time, **options).y.T
+
+
+def relative(found, expected):
+    return np.sqrt(np.mean((found - expected) ** 2, axis=0) / np.mean(expected**2, axis=0)).max()
+
+
+def oscillator(**law):
+    return build_structure(["x"], {"x": 2.0}, {"joint": {"between": GROUND_TO_X, "c": 10.0, "k": 5e4, **law}})
+
+
+@pytest.mark.parametrize(("beta", "gamma", "n"), [(800.0, -1100.0, 1), (8.0, 3.0, 2)], ids=["sharp", "n=2"])
+def test_bouc_wen_is_followed_across_its_corners(beta, gamma, n):
+    frequencies, time = np.linspace(5.0, 150.0, 30), np.arange(120) / 750.0
+    structure = oscillator(law="bouc_wen", A=5e4, beta=beta, gamma=gamma, n=n)
+
+    def motion(t, y):
+        u, v, z = y
+        rate = 5e4 * v - beta * abs(v) * abs(z) ** (n - 1) * z - gamma * v * abs(z) ** n
+        return [v, (sines(t, frequencies, 13.0) - 10.0 * v - 5e4 * u - z) / 2.0, rate]
+
+    expected = reference(motion, 3, time, 1e-3)
+    found = Simulation(time[-1], len(time)).run(structure, lambda t: sines(t, frequencies, 13.0)[:, None])
+    states = np.column_stack((found.displacement, found.velocity, found.hidden))
+    assert relative(states, expected) < 1e-6
+
+
+def test_a_step_too_long_for_friction_is_taken_in_parts():
+    frequencies, time, speed = np.array([3.0, 8.0, 13.0]), np.arange(101) / 200.0, 1e-3
+    structure = oscillator(law="friction", speed=speed, F_c=0.5)
+
+    def motion(t, y):
+        u, v = y
+        return [v, (sines(t, frequencies, 150.0) - 10.0 * v - 5e4 * u - 0.5 * math.tanh(v / speed)) / 2.0]
+
+    expected = reference(motion, 2, time, 1e-3)
+    found = Simulation(time[-1], len(time)).run(structure, lambda t: sines(t, frequencies, 150.0)[:, None])
+    assert relative(np.column_stack((found.displacement, found.velocity)), expected) < 1e-6
+
+
+def test_two_hysteretic_storeys_on_moving_ground():
+    frequencies, time = np.linspace(0.5, 9.0, 12), np.arange(151) / 50.0
+    law = {"law": "bouc_wen", "A": 3e5, "gamma": 20.0, "n": 1}
+    structure = build_structure(
+        ["x1", "x2"],
+        {"x1": 1500.0, "x2": 1000.0},
+        {
+            "lower": {"between": ["ground", "x1"], "c": 2e3, "k": 4e5, "beta": 60.0, **law},
+            "upper": {"between": ["x1", "x2"], "c": 1e3, "k": 3e5, "beta": 90.0, **law},
+        },
+    )
+
+    def motion(t, y):
+        x1, x2, v1, v2, z1, z2 = y
+        lower, upper = 2e3 * v1 + 4e5 * x1 + z1, 1e3 * (v2 - v1) + 3e5 * (x2 - x1) + z2
+        shaken = sines(t, frequencies, 0.6)
+        h1 = 3e5 * v1 - 60.0 * abs(v1) * z1 - 20.0 * v1 * abs(z1)
+        h2 = 3e5 * (v2 - v1) - 90.0 * abs(v2 - v1) * z2 - 20.0 * (v2 - v1) * abs(z2)
+        return [v1, v2, (upper - lower) / 1500.0 - shaken, -upper / 1000.0 - shaken, h1, h2]
+
+    expected = reference(motion, 6, time, 1e-2)
+    still, shaking = lambda t: np.zeros((len(t), 2)), lambda t: sines(t, frequencies, 0.6)
+    found = Simulation(time[-1], len(time)).run(structure, still, shaking)
+    assert relative(np.column_stack((found.displacement, found.velocity, found.hidden)), expected) < 1e-6
+    assert np.abs(found.hidden).max() > 0.5 * 3e5 / 110.0  # the joints yield
+
+
+def test_smooth_laws_are_stepped_as_ever():
+    structure = oscillator(law="duffing", kappa=1e9)
+    assert Corners.of(structure) is None
+    assert Simulation(1.0, 101).steps_per_sample(structure) < 100
+
+
+def test_parts_of_a_step_about_a_corner():
+    corners = Corners.of(oscillator(law="bouc_wen", A=5e4, beta=8.0, gamma=3.0, n=1))
+    assert corners.divided(np.array([0.0, 1.0, 1.0]), np.array([0.0, 2.0, 2.0])) is None
+    parts = corners.divided(np.array([0.0, 1.0, 1.0]), np.array([0.0, -3.0, 2.0]))
+    assert parts.sum() == pytest.approx(1.0)
+    assert parts[0] + parts[1] / 2.0 == pytest.approx(0.25)
+    assert parts[1] < 0.02
+
+
+def test_a_held_force_is_held_in_the_parts_of_a_step_too():
+    time = np.arange(100) / 200.0
+    structure = oscillator(law="bouc_wen", A=5e4, beta=800.0, gamma=-100.0, n=1)
+    force = lambda t: sines(t, np.array([7.0, 19.0]), 60.0)[:, None]  # noqa: E731
+    coarse, fine = (simulate(structure, force, time, "zero_order", substeps=s).displacement for s in (10, 40))
+    assert relative(coarse, fine) < 5e-6
