@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import socket
 
+from pinn_cli.runs.cores import usable_cores
+
 # One per process, kept open: the system gives the share back when the process ends, however it ends.
 _claim: socket.socket | None = None
 
@@ -15,12 +17,6 @@ def shares(cores: list[int], workers: int) -> list[list[int]]:
     if workers > count:
         return [[cores[worker % count]] for worker in range(workers)]
     return [cores[worker * count // workers : (worker + 1) * count // workers] for worker in range(workers)]
-
-
-def usable_cores() -> list[int]:
-    """Those that this process may run on."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return sorted(affinity(0)) if affinity else list(range(os.cpu_count() or 1))
 
 
 def jobs_at_once(threads: int) -> int:

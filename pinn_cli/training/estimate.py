@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,6 +113,8 @@ class Estimate:
         correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
         likelihoods: Of the parameters, for a sampler; None where no posterior distribution was asked for.
         connections: Their elongations; None where the training gives no standard deviations of them.
+        further: Of further records that were solved together with this one; parameters, correlation and history are
+            the same.
     """
 
     response: Response
@@ -123,6 +125,12 @@ class Estimate:
     correlation: np.ndarray | None = None
     likelihoods: ParameterLikelihoods | None = None
     connections: ConnectionHistories | None = None
+    further: tuple[Estimate, ...] = ()
+
+    @property
+    def by_record(self) -> tuple[Estimate, ...]:
+        """That of every record, this one's first."""
+        return (replace(self, further=()) if self.further else self, *self.further)
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,8 +96,8 @@ class GaussNewton(Training):
                 found = self._weighed(settings.solved_by(problem, network, run.device, history))
             else:
                 found = inferred(problem, design, settings, run.device, history)
-        equations = found.evidence.equations
-        equations.network.readout.data = equations.readout(found.trained.solution.point)
+        for equations, point in found.by_record:
+            equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
         if not problem.priors:
             return estimate

@@ -7,7 +7,8 @@ import os
 
 import pytest
 
-from pinn_cli.sweep.affinity import jobs_at_once, pin, shares, usable_cores
+from pinn_cli.runs.cores import usable_cores
+from pinn_cli.sweep.affinity import jobs_at_once, pin, shares
 
 
 def test_cores_are_divided() -> None:

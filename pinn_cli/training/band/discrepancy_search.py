@@ -11,7 +11,7 @@ import numpy as np
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.band.bordered import BorderedFactor
-from pinn_cli.training.band.levenberg_marquardt import Solution
+from pinn_cli.training.band.levenberg_marquardt import LeastSquares, Solution, minimise
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.parameter_spread import updated_spread
@@ -56,11 +56,23 @@ class DiscrepancySearch(ABC):
     """From solutions under given noise models to the most probable one.
 
     Args:
+        equations: The least-squares problem.
+        iterations: Steps at most under one noise model.
+        tolerance: See :func:`minimise`.
+        watch: Called with every loss term and the noise model after each step.
         learn_spread: Whether the common spread of the prescribed parameters is learned.
     """
 
-    def __init__(self, learn_spread: bool) -> None:
-        self.learn_spread = learn_spread
+    def __init__(
+        self,
+        equations: LeastSquares,
+        iterations: int,
+        tolerance: float,
+        watch: Callable[[dict[str, float], NoiseModel], None],
+        learn_spread: bool = True,
+    ) -> None:
+        self.least_squares, self.iterations, self.tolerance = equations, iterations, tolerance
+        self.watch, self.learn_spread = watch, learn_spread
 
     @property
     @abstractmethod
@@ -68,12 +80,8 @@ class DiscrepancySearch(ABC):
         """(p,) bool, the uncertain parameters that are to be identified; the others are believed."""
 
     @abstractmethod
-    def start(self) -> Point:
-        """The structure at rest with its prescribed parameters."""
-
-    @abstractmethod
-    def train(self, noise: NoiseModel, start: Point) -> Trained | None:
-        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
+    def log_evidence(self, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
+        """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
 
     @abstractmethod
     def each_record(self, function: Callable[..., R], trained: Trained, *arguments: Sequence[Any]) -> list[R]:
@@ -88,6 +96,15 @@ class DiscrepancySearch(ABC):
     @abstractmethod
     def occupied(self, trained: Trained) -> list[float]:
         """Of every record the share of the features' band that the discrepancy fills."""
+
+    def train(self, noise: NoiseModel, start: Point) -> Trained | None:
+        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
+        watch = lambda losses: self.watch(losses, noise)  # noqa: E731
+        solution = minimise(self.least_squares, noise, start, self.iterations, self.tolerance, watch)
+        factor = solution.factor or self.least_squares.assemble(solution.point, noise).factor()
+        if factor is None:
+            return None
+        return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))
 
     def search(
         self, noise: NoiseModel, force: float, second_start: Callable[[], Point | None], refined: bool = True
@@ -105,7 +122,7 @@ class DiscrepancySearch(ABC):
         Raises:
             DivergenceError: Even the softest physics cannot be solved.
         """
-        found = self.scan(noise, force, self.start(), refined)
+        found = self.scan(noise, force, self.least_squares.start(), refined)
         if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
             return found
         start = second_start()

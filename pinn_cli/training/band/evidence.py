@@ -15,7 +15,6 @@ from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.discrepancy_search import DiscrepancySearch, Trained
 from pinn_cli.training.band.force_residuals import ForceResiduals
-from pinn_cli.training.band.levenberg_marquardt import minimise
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
@@ -31,6 +30,10 @@ class Evidence(DiscrepancySearch):
 
     Readout and parameters are integrated out. The physics residual counts as what the features can see of it, K values
     per DOF with a discrepancy that is white among them; beyond that there is nothing but the force sensors' noise.
+
+    Attributes:
+        problem: Of the record.
+        records: The evidence of every record: this one.
     """
 
     def __init__(
@@ -41,8 +44,9 @@ class Evidence(DiscrepancySearch):
         watch: Callable[[dict[str, float], NoiseModel], None],
         learn_spread: bool = True,
     ) -> None:
-        super().__init__(learn_spread)
-        self.equations, self.iterations, self.tolerance, self.watch = equations, iterations, tolerance, watch
+        super().__init__(equations, iterations, tolerance, watch, learn_spread)
+        self.equations, self.problem = equations, equations.problem
+        self.records: tuple[Evidence, ...] = (self,)
 
     @cached_property
     def projection(self) -> FeatureProjection:
@@ -54,18 +58,8 @@ class Evidence(DiscrepancySearch):
         """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
         return self._projection(self.equations.observation)
 
-    def train(self, noise: NoiseModel, start: Point) -> Trained | None:
-        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
-        equations = self.equations
-        watch = lambda losses: self.watch(losses, noise)  # noqa: E731
-        solution = minimise(equations, noise, start, self.iterations, self.tolerance, watch)
-        factor = solution.factor or equations.assemble(solution.point, noise).factor()
-        if factor is None:
-            return None
-        return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))
-
     def log_evidence(self, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
-        """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
+        """See :meth:`DiscrepancySearch.log_evidence`."""
         own = self.record_term(point, noise, factor.readout_log_determinant)
         return own + parameter_term(self.unknown, point, noise, factor)
 
@@ -151,10 +145,6 @@ class Evidence(DiscrepancySearch):
     def unknown(self) -> np.ndarray:
         """See :attr:`DiscrepancySearch.unknown`."""
         return self.equations.unknown.cpu().numpy()
-
-    def start(self) -> Point:
-        """See :meth:`DiscrepancySearch.start`."""
-        return self.equations.start()
 
     def occupied(self, trained: Trained) -> list[float]:
         """See :meth:`DiscrepancySearch.occupied`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,8 +16,10 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.base import built
@@ -41,8 +44,15 @@ REFINEMENTS, WORTHWHILE = 2, 1.1
 class Inferred:
     """A solution and what it was found with."""
 
-    evidence: Evidence
+    evidence: Evidence | JointEvidence
     trained: Trained
+
+    @property
+    def by_record(self) -> list[tuple[NormalEquations, Point]]:
+        """Of every record its equations, and the point where they are solved."""
+        equations = self.evidence.equations
+        points = equations.split(self.trained.solution.point)
+        return list(zip([own.equations for own in self.evidence.records], points, strict=True))
 
 
 @dataclass(frozen=True)
@@ -59,6 +69,14 @@ class InferenceSettings:
         equations = NormalEquations(network, problem, device)
         return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread)
 
+    def all_solved_by(
+        self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History
+    ) -> Evidence | JointEvidence:
+        """What finds the solutions of one network for every record."""
+        pairs = zip(problem.by_record, networks, strict=True)
+        records = [self.solved_by(own, network, device, history) for own, network in pairs]
+        return records[0] if len(records) == 1 else JointEvidence(problem, records)
+
 
 def inferred(
     problem: Problem, design: NetworkDesign, settings: InferenceSettings, device: str, history: History
@@ -68,18 +86,27 @@ def inferred(
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
+    designs = [design] * len(problem.by_record)
     found = _best_start(problem, design, settings, device, history)
     found = _with_correlation(found, settings, device, history)
     for _ in range(REFINEMENTS):
-        factor = knots_wanted(found.evidence, found.trained)
-        finer = design.finer(factor)
-        if finer is None or factor < WORTHWHILE:
+        finer = _finer(designs, found)
+        again = None if finer is None else _refined(found, finer, settings, device, history)
+        if finer is None or again is None:
             break
-        again = _refined(found, finer, settings, device, history)
-        if again is None:
-            break
-        design, found = finer, again
+        designs, found = finer, again
     return Inferred(found.evidence, found.evidence.widen_for_colour(found.trained))
+
+
+def _finer(designs: Sequence[NetworkDesign], found: Inferred) -> list[NetworkDesign] | None:
+    """Designs with finer features for the records that want them; None where none does, or none can have them."""
+    wanted = found.evidence.each_record(knots_wanted, found.trained)
+    finer = [
+        design.finer(factor) if factor >= WORTHWHILE else None for design, factor in zip(designs, wanted, strict=True)
+    ]
+    if not any(finer):
+        return None
+    return [new or old for new, old in zip(finer, designs, strict=True)]
 
 
 def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -107,8 +134,9 @@ def _best_start(
     solutions: list[Inferred] = []
     failure: DivergenceError | None = None
     for start in (problem, *problem.alternatives):
-        evidence = settings.solved_by(start, _built(design, start), device, history)
-        noise = starting_noise(evidence)
+        networks = [_built(design, own) for own in start.by_record]
+        evidence = settings.all_solved_by(start, networks, device, history)
+        noise = NoiseModel.of_records([starting_noise(own) for own in evidence.records])
         noise = noise.pooled() if settings.pooled else noise
         try:
             trained = _searched(evidence, noise)
@@ -121,24 +149,29 @@ def _best_start(
     return max(solutions, key=lambda found: found.trained.log_evidence)
 
 
-def _searched(evidence: Evidence, noise: NoiseModel) -> Trained:
+def _searched(evidence: Evidence | JointEvidence, noise: NoiseModel) -> Trained:
     """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
 
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
-    second = partial(simulated_start, evidence.equations)
+    second = partial(_simulated_start, evidence)
     best = evidence.search(noise, noise.discrepancy, second, refined=False)
     for factor in NOISIER:
         if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
             break
-        response = {quantity: factor * level for quantity, level in noise.response.items()}
         try:
-            again = evidence.search(replace(noise, response=response), noise.discrepancy, second, refined=False)
+            again = evidence.search(noise.noisier(factor), noise.discrepancy, second, refined=False)
         except DivergenceError:
             break
         best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))
     return best
+
+
+def _simulated_start(evidence: Evidence | JointEvidence) -> Point | None:
+    """See :func:`simulated_start`; None where there is none of any record."""
+    points = [simulated_start(own.equations) for own in evidence.records]
+    return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
 
 
 def starting_noise(evidence: Evidence) -> NoiseModel:
@@ -170,7 +203,7 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
 
 def _with_correlation(found: Inferred, settings: InferenceSettings, device: str, history: History) -> Inferred:
     """The solution under the most probable correlation time of the unknown forces, if there are any."""
-    if not found.evidence.equations.problem.inputs.forces:
+    if not any(own.inputs.forces for own in found.evidence.problem.by_record):
         return found
     for factor in (CORRELATION_FACTOR, 1.0 / CORRELATION_FACTOR):
         improved = False
@@ -188,30 +221,45 @@ def _correlated(
     found: Inferred, factor: float, settings: InferenceSettings, device: str, history: History
 ) -> Inferred | None:
     """The solution with another correlation time; what drives the forces keeps their size."""
-    equations, trained = found.evidence.equations, found.trained
-    inputs = equations.problem.inputs
-    other = replace(inputs, correlation_time=factor * inputs.correlation_time)
-    problem = replace(equations.problem, inputs=other, alternatives=())
-    evidence = settings.solved_by(problem, equations.network, device, history)
-    driving = trained.noise.innovation
-    assert driving is not None
-    again = evidence.train(replace(trained.noise, innovation=driving / factor**0.5), trained.solution.point)
+    slower = replace(found.evidence.problem, alternatives=())
+    first, *others = [_with_correlation_time(own, factor) for own in slower.by_record]
+    networks = [own.equations.network for own in found.evidence.records]
+    evidence = settings.all_solved_by(replace(first, further=tuple(others)), networks, device, history)
+    levels = zip(slower.by_record, found.trained.noise.by_record, strict=True)
+    driving = [_driven_for(level, factor) if own.inputs.forces else level for own, level in levels]
+    again = evidence.train(NoiseModel.of_records(driving), found.trained.solution.point)
     if again is None or not again.solution.converged:
         return None
     return Inferred(evidence, settled(evidence, again, settings.pooled, CORRELATION_ROUNDS))
 
 
+def _with_correlation_time(problem: Problem, factor: float) -> Problem:
+    inputs = problem.inputs
+    return replace(problem, inputs=replace(inputs, correlation_time=factor * inputs.correlation_time))
+
+
+def _driven_for(noise: NoiseModel, factor: float) -> NoiseModel:
+    """What drives unknown forces whose correlation time is so many times as long; it keeps their size."""
+    return noise if noise.innovation is None else replace(noise, innovation=noise.innovation / factor**0.5)
+
+
 def _refined(
-    found: Inferred, design: NetworkDesign, settings: InferenceSettings, device: str, history: History
+    found: Inferred, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
 ) -> Inferred | None:
     """The same solution in finer features; None where they cannot be solved."""
-    coarse, trained = found.evidence.equations, found.trained
-    evidence = settings.solved_by(coarse.problem, _built(design, coarse.problem), device, history)
-    fine = evidence.equations
-    more = (fine.refinement / coarse.refinement) ** 0.5
-    discrepancy, points = more * trained.noise.discrepancy, fine.refinement
-    noise = replace(trained.noise, discrepancy=discrepancy, points_per_sample=points)
-    again = evidence.train(noise, carried_over(trained, coarse, fine))
+    problem = replace(found.evidence.problem, alternatives=())
+    networks = [_built(design, own) for design, own in zip(designs, problem.by_record, strict=True)]
+    evidence = settings.all_solved_by(problem, networks, device, history)
+    levels, points = [], []
+    for (coarse, point), noise, own in zip(
+        found.by_record, found.trained.noise.by_record, evidence.records, strict=True
+    ):
+        fine = own.equations
+        more = (fine.refinement / coarse.refinement) ** 0.5
+        discrepancy, per_sample = more * noise.discrepancy, fine.refinement
+        levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
+        points.append(carried_over(point, coarse, fine))
+    again = evidence.train(NoiseModel.of_records(levels), evidence.equations.joined(points))
     if again is None or not again.solution.converged:
         return None
     return Inferred(evidence, settled(evidence, again, settings.pooled))

@@ -97,6 +97,7 @@ class NormalEquations(Bounded):
         like = self.target.force
         self.vector = ParameterVector(self.prescribed, self.problem.uncertain)
         self.scale = torch.as_tensor(self.vector.each("prior_std"), dtype=like.dtype, device=like.device)
+        self.uncertain, self.columns = self.problem.uncertain, [np.arange(len(self.problem.uncertain))]
         self.unknown = torch.as_tensor(self.vector.each("unknown"), dtype=torch.bool, device=like.device)
         self.lower = self.vector.each("lower") / self.vector.each("prior_std")
         # 0 where a parameter is held fixed: its column then vanishes.

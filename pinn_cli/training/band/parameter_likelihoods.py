@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
+from pinn_cli.record.record import Record
 from pinn_cli.system.functions import Jet
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.equations import JointEquations
+from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
@@ -33,41 +37,59 @@ class ParameterLikelihoods:
     force_by_parameter: np.ndarray
 
 
-def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLikelihoods:
-    """Both likelihoods of the unknown parameters about a trained network."""
+def parameter_likelihoods(evidence: Evidence | JointEvidence, trained: Trained) -> ParameterLikelihoods:
+    """Both likelihoods of the unknown parameters about a trained network, or about those of several records.
+
+    What they say about the force is that of the first record.
+    """
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
+    point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
+    force, own = evidence.each_record(force_of_motion, trained)[0]
+    slope = np.zeros((*own.shape[:2], len(scale)))
+    slope[..., equations.columns[0]] = own
+    moved = force + slope @ (marginal.peak - _physical(equations, point))
+    return ParameterLikelihoods(marginal, conditional_likelihood(evidence, trained), moved, slope)
+
+
+def force_of_motion(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+    """(N, n) force that the most probable motion of one record takes, and (N, n, p) its change with the parameters."""
+    equations = evidence.equations
     posterior = ReadoutPosterior(equations, trained.solution.point, trained.factor)
     slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
     states = equations.flat_states(equations.forces, trained.solution.point)
-    parameters = equations.parameters(trained.solution.point)
-    force = equations.dynamics.external_force(Jet(*states[:3]), parameters)
-    found = np.array([float(parameters[p.kind][p.index]) for p in equations.problem.uncertain])
-    moved = force.cpu().numpy() + slope @ (marginal.peak - found)
-    return ParameterLikelihoods(marginal, conditional_likelihood(equations, trained), moved, slope)
+    force = equations.dynamics.external_force(Jet(*states[:3]), equations.parameters(trained.solution.point))
+    return force.cpu().numpy(), slope
 
 
-def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelihood:
-    """The marginal likelihood, tabulated over the scale of the force noise; each point is a solution of its own."""
-    equations, record = evidence.equations, evidence.equations.problem.record
-    names = tuple(p.name for p in equations.problem.uncertain)
-    forced = record.sensors("force")
-    repeats = 1 if record.repeats is None else record.repeats.count
-    sigma = np.where(forced, trained.noise.force[: len(forced)] * np.sqrt(repeats), np.nan)
-    samples = int(forced.sum()) * len(record.time) * repeats
+def marginal_likelihood(evidence: Evidence | JointEvidence, trained: Trained) -> MarginalLikelihood:
+    """The marginal likelihood, tabulated over the scale of the force noise; each point is a solution of its own.
+
+    The noise of the force sensors of all records has one scale; its standard deviations are those of the first.
+    """
+    records = [own.problem.record for own in evidence.records]
+    names = tuple(p.name for p in evidence.equations.uncertain)
+    forced = records[0].sensors("force")
+    sigma = np.where(forced, trained.noise.force[: len(forced)] * np.sqrt(_repeats(records[0])), np.nan)
+    samples = sum(int(record.sensors("force").sum()) * len(record.time) * _repeats(record) for record in records)
     s_std = 1.0 / np.sqrt(2.0 * samples) if samples else 1.0
     nodes = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * s_std if samples else np.zeros(1)
     rows = []
     for s in nodes:
         noise = trained.noise.with_force_scale(float(np.exp(s)))
         found = evidence.train(noise, trained.solution.point) or trained
-        rows.append((_level(evidence, found, float(s)), *_without_prior(equations, found)))
+        each = evidence.each_record(_level, found, [float(s)] * len(records))
+        rows.append((sum(each), *_without_prior(evidence.equations, found)))
     level, peak, precision = (np.array(values) for values in zip(*rows, strict=True))
     return MarginalLikelihood(names, sigma, nodes, level, peak, precision, s_std)
 
 
+def _repeats(record: Record) -> int:
+    return 1 if record.repeats is None else record.repeats.count
+
+
 def _level(evidence: Evidence, trained: Trained, s: float) -> float:
-    """Logarithm of the likelihood at its peak with the readout integrated out, up to a constant in s.
+    """Logarithm of one record's likelihood at its peak with the readout integrated out, up to a constant in s.
 
     As in :class:`Evidence`, the discrepancy is among what the features can see of the residual. The rest of the force
     sensors' noise, and the scatter of repeats, tell that noise alone.
@@ -86,12 +108,12 @@ def _level(evidence: Evidence, trained: Trained, s: float) -> float:
     return -0.5 * total
 
 
-def _without_prior(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def _without_prior(equations: NormalEquations | JointEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
     """Peak (p,) and precision (p, p) of the likelihood alone, in the parameters' units.
 
     Gauss-Newton worked under wide Gaussians, which the sampler replaces by the user's priors.
     """
-    system = equations.assemble(trained.solution.point, trained.noise)
+    system: Any = equations.assemble(trained.solution.point, trained.noise)
     _, step = trained.factor.step(system)
     prior = np.diag(equations.precision(trained.noise).cpu().numpy())
     posterior = np.linalg.inv(trained.factor.corner_covariance)
@@ -102,31 +124,64 @@ def _without_prior(equations: NormalEquations, trained: Trained) -> tuple[np.nda
     moved = trained.solution.point.parameters.cpu().numpy() + step
     peak = np.linalg.solve(precision, posterior @ moved)
     scale = equations.scale.cpu().numpy()
-    start = np.array([p.prescribed for p in equations.problem.uncertain])
-    return start + scale * peak, precision / np.outer(scale, scale)
+    return _physical(equations, peak), precision / np.outer(scale, scale)
 
 
-def conditional_likelihood(equations: NormalEquations, trained: Trained) -> ConditionalLikelihood:
+def _physical(equations: NormalEquations | JointEquations, x: np.ndarray) -> np.ndarray:
+    """(p,) parameters in their own units."""
+    start = np.array([p.prescribed for p in equations.uncertain])
+    return start + equations.scale.cpu().numpy() * x
+
+
+def conditional_likelihood(evidence: Evidence | JointEvidence, trained: Trained) -> ConditionalLikelihood:
     """The conditional likelihood at the most probable motion, of every DOF whose equation of motion is enforced."""
-    record, point = equations.problem.record, trained.solution.point
+    equations = evidence.equations
+    p = len(equations.uncertain)
+    gram, moment, square, scatter, count = np.zeros((p, p)), np.zeros(p), 0.0, 0.0, 0
+    for columns, own in zip(equations.columns, evidence.each_record(force_regression, trained), strict=True):
+        gram[np.ix_(columns, columns)] += own.gram
+        moment[columns] += own.moment
+        square, scatter, count = square + own.square, scatter + own.scatter, count + own.count
+    moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]
+    peak = _physical(equations, trained.solution.point.parameters.cpu().numpy()) + moved
+    names = tuple(q.name for q in equations.uncertain)
+    forced = evidence.records[0].problem.record.sensors("force")
+    return ConditionalLikelihood(names, forced, gram, peak, square + float(moment @ moved) + scatter, count)
+
+
+@dataclass(frozen=True, eq=False)
+class ForceRegression:
+    """Sums over the samples of one record, repeats included, of its force residual and of the residual's derivatives.
+
+    Attributes:
+        gram: (p, p), derivatives times derivatives.
+        moment: (p,), derivatives times residual.
+        square: Of the residual.
+        scatter: Of the force's repeats about their mean.
+        count: Of residuals.
+    """
+
+    gram: np.ndarray
+    moment: np.ndarray
+    square: float
+    scatter: float
+    count: int
+
+
+def force_regression(evidence: Evidence, trained: Trained) -> ForceRegression:
+    """Of one record."""
+    equations, record, point = evidence.equations, evidence.problem.record, trained.solution.point
     at_samples = slice(None, None, equations.refinement)
     residual = equations.physics.scatter(equations.force_residual(point))[at_samples]
     rows = equations.rows(equations.forces, point)
-    p = len(equations.problem.uncertain)
+    p = len(equations.uncertain)
     gram, moment = np.zeros((p, p)), np.zeros(p)
     for dof in torch.nonzero(equations.target.equation).flatten().tolist():
         grouped = equations.pattern.uncertain_columns(rows.parameter[:, :, dof], dof)
         columns = (equations.forces.scatter(grouped) / equations.scale).cpu().numpy()  # (N, p), N per unit
         gram += columns.T @ columns
         moment += columns.T @ residual[:, dof].cpu().numpy()
-    moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]
-    least = float(residual.square().sum()) + float(moment @ moved)
-    repeats, scatter = 1, 0.0
-    if record.repeats is not None:
-        repeats = record.repeats.count
-        scatter = float(record.repeats.square["force"][record.sensors("force")].sum())
+    repeats = _repeats(record)
+    scatter = 0.0 if record.repeats is None else float(record.repeats.square["force"][record.sensors("force")].sum())
     count = repeats * len(record.time) * int(equations.target.equation.sum())
-    start = np.array([q.prescribed for q in equations.problem.uncertain])
-    peak = start + equations.scale.cpu().numpy() * point.parameters.cpu().numpy() + moved
-    names = tuple(q.name for q in equations.problem.uncertain)
-    return ConditionalLikelihood(names, record.sensors("force"), repeats * gram, peak, repeats * least + scatter, count)
+    return ForceRegression(repeats * gram, repeats * moment, repeats * float(residual.square().sum()), scatter, count)

@@ -2,55 +2,92 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.equations import JointEquations
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
+# N; a model without any misfit is divided by it.
+LEAST_MISFIT = 1e-300
 
-def parameter_posterior(equations: NormalEquations, trained: Trained) -> tuple[list[ParameterEstimate], np.ndarray]:
+
+def parameter_posterior(
+    equations: NormalEquations | JointEquations, trained: Trained, misfit: np.ndarray
+) -> tuple[list[ParameterEstimate], np.ndarray]:
     """Every uncertain parameter, and the (p, p) correlation of all of them.
 
     The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
     cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
     at a Newton step's distance from the solution. What misfit may have added to each comes on top. Which of them is
     the estimate: :func:`pinn_cli.training.bounded_estimates.bounded_estimates`.
+
+    Args:
+        equations: Of one record or of several.
+        trained: Their solution.
+        misfit: (p,), see :func:`coherent_misfit`.
     """
     mode = trained.solution.point.parameters.cpu().numpy()
     peak = mode + _newton_step(equations, trained)
     posterior = TruncatedGaussian(peak, trained.factor.corner_covariance, equations.lower)
-    misfit = coherent_misfit(equations, trained)
-    estimates = bounded_estimates(equations.problem.uncertain, equations.scale.cpu().numpy(), mode, posterior, misfit)
+    estimates = bounded_estimates(equations.uncertain, equations.scale.cpu().numpy(), mode, posterior, misfit)
     covariance = posterior.covariance + np.diag(misfit**2)
     unit = np.sqrt(np.diag(covariance))
     return estimates, covariance / np.outer(unit, unit)
 
 
-def coherent_misfit(equations: NormalEquations, trained: Trained) -> np.ndarray:
+def coherent_misfit(columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarray, int]]) -> np.ndarray:
     """(p,) standard deviation, in prior ones, of what the model leaves out and each parameter may have taken in.
 
     The Hessian takes the discrepancy for noise, which averages out over a record. A force that was forgotten does not:
     that of a cubic spring follows the motion as that of a linear one does, and however long the record is, the linear
     one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
     on its connection is r, or what the prior lets it hide. Without model error d is small, and this with it.
+
+    It does not average out over records either, each of which hides as much as its weight among them.
+
+    Args:
+        columns: Of every record, the places of its parameters among all p.
+        each: Of every record, see :func:`parameter_force`.
     """
-    if not equations.vector.kinds:
-        return np.zeros(0)
-    per_std = equations.physics.scatter(equations.own_by_parameter(equations.physics, trained.solution.point))
-    force = per_std.square().mean(0).sqrt().cpu().numpy()[equations.vector.column]
-    misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
-    hidden = np.divide(misfit, force, out=np.zeros_like(force), where=force > 0)
+    size = 1 + max((int(c.max()) for c in columns if len(c)), default=-1)
+    weighed, weights = np.zeros(size), np.zeros(size)
+    for own, (ratio, values) in zip(columns, each, strict=True):
+        weighed[own] += values * ratio
+        weights[own] += values * ratio**2
+    hidden = np.divide(weighed, weights, out=np.zeros(size), where=weights > 0)
     return hidden / np.hypot(1.0, hidden)
 
 
-def _newton_step(equations: NormalEquations, trained: Trained) -> np.ndarray:
+def parameter_force(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, int]:
+    """(p,) rms force of one prior standard deviation of every parameter over that of the misfit; how many values tell.
+
+    Args:
+        evidence: Of one record.
+        trained: Its solution.
+    """
+    equations = evidence.equations
+    if not equations.vector.kinds:
+        return np.zeros(0), 0
+    per_std = equations.physics.scatter(equations.own_by_parameter(equations.physics, trained.solution.point))
+    force = per_std.square().mean(0).sqrt().cpu().numpy()[equations.vector.column]
+    misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
+    return force / max(misfit, LEAST_MISFIT), equations.network.count
+
+
+def _newton_step(equations: NormalEquations | JointEquations, trained: Trained) -> np.ndarray:
     """(p,) from the solution to the peak that the Gaussian would have without bounds; zero where none is active."""
     point = trained.solution.point.parameters.cpu().numpy()
     held = point <= equations.lower
     if not held.any():
         return np.zeros(len(point))
-    _, step = trained.factor.step(equations.assemble(trained.solution.point, trained.noise))
+    system: Any = equations.assemble(trained.solution.point, trained.noise)
+    _, step = trained.factor.step(system)
     return step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,14 @@ class Bounded:
     """
 
     lower: np.ndarray
+
+    def split(self, point: Point) -> list[Point]:
+        """The point of every record: there is one."""
+        return [point]
+
+    def joined(self, points: Sequence[Point]) -> Point:
+        """The point of all records from that of each."""
+        return points[0]
 
     def room_below(self, point: Point) -> np.ndarray:
         """(p,), the most negative step of every parameter that respects its bound; -inf without one."""

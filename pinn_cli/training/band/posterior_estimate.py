@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import torch
 from scipy.sparse import csr_matrix
 
@@ -14,16 +15,35 @@ from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.parameter_posterior import parameter_posterior
+from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.estimate import ConnectionHistories, Estimate
 from pinn_cli.training.history import History
 
 
-def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
-    """Means, standard deviations, parameters and summary of a trained network."""
+def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, history: History) -> Estimate:
+    """Means, standard deviations, parameters and summary of trained networks, one for every record."""
+    misfit = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    parameters, correlation = parameter_posterior(evidence.equations, trained, misfit)
+    found = {
+        "iterations": len(history.rows),
+        "stop_reason": "converged" if trained.solution.converged else "iteration limit",
+        "log_evidence": trained.log_evidence,
+        "parameter_spread": trained.noise.spread,
+    }
+    table = history.table()
+    first, *further = (
+        replace(own, parameters=parameters, correlation=correlation, history=table, summary=found | own.summary)
+        for own in evidence.each_record(record_estimate, trained)
+    )
+    return replace(first, further=tuple(further))
+
+
+def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
+    """Motion, forces, and the noise of one record; without the parameters, which other records may have in common."""
     equations, point = evidence.equations, trained.solution.point
     posterior = ReadoutPosterior(equations, point, trained.factor)
     motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
@@ -31,20 +51,14 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
     std = _deviations(posterior, response)
     response, std = _share_force(evidence, trained, response, std)
     summary = {
-        "iterations": len(history.rows),
-        "stop_reason": "converged" if trained.solution.converged else "iteration limit",
-        "log_evidence": trained.log_evidence,
         "features_per_dof": equations.network.count,
         "effective_parameters": _effective_parameters(evidence, trained),
         "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
-        "parameter_spread": trained.noise.spread,
         "sigma_force": _listed(trained.noise.force[: equations.problem.record.ndof]),
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
     }
     summary |= _of_unknown_forces(equations, trained)
-    parameters, correlation = parameter_posterior(equations, trained)
-    connections = _connections(posterior, response)
-    return Estimate(response, std, parameters, history.table(), summary, correlation, connections=connections)
+    return Estimate(response, std, [], pd.DataFrame(), summary, connections=_connections(posterior, response))
 
 
 def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str, float]:

@@ -101,11 +101,11 @@ def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
     return min(band, BEYOND_RESONANCE * highest)
 
 
-def carried_over(trained: Trained, coarse: NormalEquations, fine: NormalEquations) -> Point:
+def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -> Point:
     """The same motion and parameters in the features of a finer spline."""
     segments = fine.physics
     times = fine.target.physics_time
-    motion = coarse.flat_states(coarse.network.segments(times), trained.solution.point).displacement
+    motion = coarse.flat_states(coarse.network.segments(times), point).displacement
     projection = FeatureProjection(first_output(fine.network, segments), output_features(fine.network, segments)[0])
     weights = projection.coefficients(motion).to(motion)
-    return Point(fine.layout.unknowns(weights), trained.solution.point.parameters)
+    return Point(fine.layout.unknowns(weights), point.parameters)

@@ -17,8 +17,9 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_posterior
+from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 NINETY = norm.ppf(0.95)
@@ -51,6 +52,15 @@ def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
     assert trained is not None
     assert trained.solution.converged
     return trained
+
+
+def misfit_of(equations: NormalEquations, trained: Trained) -> np.ndarray:
+    evidence = Evidence(equations, 40, 1e-9, lambda losses, noise: None)
+    return coherent_misfit(equations.columns, evidence.each_record(parameter_force, trained))
+
+
+def estimated(equations: NormalEquations, trained: Trained) -> tuple[list[ParameterEstimate], np.ndarray]:
+    return parameter_posterior(equations, trained, misfit_of(equations, trained))
 
 
 def dense_posterior(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
@@ -88,9 +98,9 @@ def free() -> tuple[NormalEquations, Trained]:
 
 def test_without_bounds_it_is_the_gaussian_of_the_dense_hessian(free):
     equations, trained = free
-    estimates, correlation = parameter_posterior(equations, trained)
+    estimates, correlation = estimated(equations, trained)
     _, covariance = dense_posterior(equations, trained)
-    covariance = covariance + np.diag(coherent_misfit(equations, trained) ** 2)
+    covariance = covariance + np.diag(misfit_of(equations, trained) ** 2)
     spread = np.sqrt(np.diag(covariance))
     for i, (given, p) in enumerate(zip(estimates, FREE, strict=True)):
         value = p.prescribed + p.prior_std * float(trained.solution.point.parameters[i])
@@ -109,14 +119,14 @@ def test_without_bounds_it_is_the_gaussian_of_the_dense_hessian(free):
 def test_the_priors_are_those_of_the_user_whatever_spread_was_learned(free):
     equations, trained = free
     narrow = replace(trained, noise=trained.noise.with_spread(0.3))
-    estimates, _ = parameter_posterior(equations, narrow)
+    estimates, _ = estimated(equations, narrow)
     assert [e.prior_std for e in estimates] == [p.prior_std for p in FREE]
 
 
 def test_a_bound_far_below_leaves_the_interval_centred(free):
     far = (unknown("k", 1, 20.0, 200.0), unknown("kappa", 1, 10.0, 1000.0))
     evidence = posed(small_chain(), small_chain(), far)
-    for given in parameter_posterior(evidence.equations, solved(evidence))[0]:
+    for given in estimated(evidence.equations, solved(evidence))[0]:
         assert given.estimate > 10.0 * given.std
         assert given.upper_90 - given.estimate == pytest.approx(NINETY * given.std, rel=1e-5)
         assert given.estimate - given.lower_90 == pytest.approx(NINETY * given.std, rel=1e-5)
@@ -136,11 +146,11 @@ def physical(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, 
     peak, covariance = dense_posterior(equations, trained)
     unit = np.array([p.prior_std for p in equations.problem.uncertain])
     prescribed = np.array([p.prescribed for p in equations.problem.uncertain])
-    return prescribed + unit * peak, covariance * np.outer(unit, unit), unit * coherent_misfit(equations, trained)
+    return prescribed + unit * peak, covariance * np.outer(unit, unit), unit * misfit_of(equations, trained)
 
 
 def test_at_its_bound_a_parameter_has_the_interval_of_the_truncated_gaussian(held):
-    (_, kappa), _ = parameter_posterior(*held[:2])
+    (_, kappa), _ = estimated(*held[:2])
     peak, covariance, misfit = held[2:]
     spread = np.hypot(covariance[1, 1] ** 0.5, misfit[1])
     assert -8.0 < peak[1] / spread < 0.0
@@ -154,7 +164,7 @@ def test_at_its_bound_a_parameter_has_the_interval_of_the_truncated_gaussian(hel
 
 def test_beside_one_at_its_bound_a_parameter_has_an_interval_about_its_own_estimate(held):
     """Not about the place that it would have, were the other one free to go below zero."""
-    (k, _), correlation = parameter_posterior(*held[:2])
+    (k, _), correlation = estimated(*held[:2])
     peak, covariance, misfit = held[2:]
     slope, spread = covariance[0, 1] / covariance[1, 1], covariance[1, 1] ** 0.5
     cut = truncnorm(-peak[1] / spread, np.inf, peak[1], spread)
@@ -181,25 +191,25 @@ def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
     # K coefficients of variance d^2 are a history of variance d^2 K / N.
     share = equations.network.count / len(equations.problem.record.time)
     hidden = trained.noise.discrepancy * share**0.5 / np.array(force)
-    found = coherent_misfit(equations, trained)
+    found = misfit_of(equations, trained)
     assert hidden.max() < 0.2
     np.testing.assert_allclose(found, hidden / np.sqrt(1.0 + hidden**2), rtol=1e-6)
     less = replace(trained, noise=trained.noise.with_discrepancy(1e-3 * trained.noise.discrepancy))
-    np.testing.assert_allclose(coherent_misfit(equations, less), 1e-3 * hidden, rtol=1e-6)
+    np.testing.assert_allclose(misfit_of(equations, less), 1e-3 * hidden, rtol=1e-6)
     # The prior bounds what can hide.
     more = replace(trained, noise=trained.noise.with_discrepancy(1e6 * trained.noise.discrepancy))
-    np.testing.assert_allclose(coherent_misfit(equations, more), 1.0, rtol=1e-3)
+    np.testing.assert_allclose(misfit_of(equations, more), 1.0, rtol=1e-3)
     # A discrepancy of few values has the same size as one of many.
     coloured = replace(trained, noise=trained.noise.widened(0.2))
-    np.testing.assert_allclose(coherent_misfit(equations, coloured), found, rtol=1e-9)
+    np.testing.assert_allclose(misfit_of(equations, coloured), found, rtol=1e-9)
 
 
 def test_without_uncertain_parameters_there_is_nothing():
     evidence = posed(small_chain(), small_chain(), ())
     trained = solved(evidence)
-    estimates, correlation = parameter_posterior(evidence.equations, trained)
+    estimates, correlation = estimated(evidence.equations, trained)
     assert (estimates, correlation.shape) == ([], (0, 0))
-    assert coherent_misfit(evidence.equations, trained).shape == (0,)
+    assert misfit_of(evidence.equations, trained).shape == (0,)
 
 
 @pytest.mark.parametrize(("duration", "names"), [(12.0, (1,)), (20.0, (1,)), (20.0, (0, 1, 2))])
@@ -214,7 +224,7 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     noise = NoiseModel(*sensor_noise(equations.network, equations.problem.record), 1.0, 1.0)
     trained = evidence.widen_for_colour(evidence.scan(noise, 1.0, equations.start()))
     hessian = 200.0 * np.sqrt(np.diag(trained.factor.corner_covariance))
-    estimates, _ = parameter_posterior(equations, trained)
+    estimates, _ = estimated(equations, trained)
     assert all(e.lower_90 < 15.0 < e.upper_90 for e in estimates)
     assert all(e.upper_90 - e.lower_90 < 15.0 for e in estimates)
     assert any(abs(e.estimate - 15.0) > NINETY * alone for e, alone in zip(estimates, hessian, strict=True))

@@ -98,7 +98,7 @@ def test_a_motion_is_carried_over_to_finer_features():
     fine = evidence_of(Problem(structure, record), Spline(least_knots=8.0))
     assert fine.equations.network.count > 1.3 * coarse.equations.network.count
     at = trained(coarse)
-    point = carried_over(at, coarse.equations, fine.equations)
+    point = carried_over(at.solution.point, coarse.equations, fine.equations)
     before = coarse.equations.flat_states(coarse.equations.observation, at.solution.point)
     after = fine.equations.flat_states(fine.equations.observation, point)
     for one, other in zip(before[:3], after[:3], strict=True):

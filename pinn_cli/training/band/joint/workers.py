@@ -1,0 +1,171 @@
+"""Where the parts of several records are computed: one after the other, or side by side on the cores.
+
+Threads would wait for each other: much of the work are short steps of Python. So the records are shared out among
+copies of this process, which stay as long as the records do. Every record's numbers are computed in the same way
+wherever that is, and put together in the records' order: they do not depend on how many cores there are.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import signal
+import sys
+import traceback
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from multiprocessing import Pipe, current_process
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+import torch
+
+from pinn_cli.runs.cores import usable_cores
+from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.member import Member
+
+R = TypeVar("R")
+
+
+class Members:
+    """Every record's part, in this process.
+
+    Args:
+        members: One for each record.
+    """
+
+    def __init__(self, members: Sequence[Member]) -> None:
+        self.members = list(members)
+
+    def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
+        """What a function makes of every member, in their order.
+
+        Args:
+            function: Of a file's, of (member, its own of every argument).
+            arguments: Each with one entry for every member.
+        """
+        return [function(*given) for given in zip(self.members, *arguments, strict=True)]
+
+
+# The ends of all pipes to copies that are alive: a copy must not keep those of others open.
+_ends: weakref.WeakSet[Connection] = weakref.WeakSet()
+
+
+class SharedOutMembers(Members):
+    """The same in copies of this process, which end with this object or with the process.
+
+    Args:
+        members: One for each record.
+        copies: How many.
+    """
+
+    def __init__(self, members: Sequence[Member], copies: int) -> None:
+        super().__init__(members)
+        self.shares = shared_out([member.evidence.equations.layout.size for member in members], copies)
+        self.ends: list[Connection] = []
+        pids: list[int] = []
+        for _ in self.shares:
+            pid, end = self._copy()
+            pids.append(pid)
+            self.ends.append(end)
+        self.close = weakref.finalize(self, _end, os.getpid(), self.ends, pids)
+
+    def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
+        """See :meth:`Members.each`."""
+        tasks = list(zip(*arguments, strict=True)) if arguments else [()] * len(self.members)
+        found: dict[int, R] = {}
+        try:
+            for end, share in zip(self.ends, self.shares, strict=True):
+                end.send_bytes(pickle.dumps((function, [(i, tasks[i]) for i in share]), pickle.HIGHEST_PROTOCOL))
+            for end in self.ends:
+                found.update(_received(end))
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            self.close()
+            raise MemoryError("a process that solved some of the records was killed: out of memory?") from None
+        except BaseException:
+            self.close()  # whatever is still on its way belongs to no question any more
+            raise
+        return [found[i] for i in range(len(self.members))]
+
+    def _copy(self) -> tuple[int, Connection]:
+        mine, its = Pipe()
+        pid = os.fork()
+        if pid == 0:
+            _serve(self.members, its, [mine, *_ends])
+        its.close()
+        _ends.add(mine)
+        return pid, mine
+
+
+def members_of(records: Sequence[Evidence]) -> Members:
+    """Of the records' evidence, on as many cores as there are; on a GPU in this process, as where it has no copies."""
+    members = [Member(evidence) for evidence in records]
+    copies = min(len(members), len(usable_cores()))
+    on_cpu = all(evidence.equations.target.force.device.type == "cpu" for evidence in records)
+    # macOS has fork, but its own libraries do not survive it.
+    if copies < 2 or not on_cpu or not sys.platform.startswith("linux") or current_process().daemon:
+        return Members(members)
+    return SharedOutMembers(members, copies)
+
+
+def shared_out(sizes: Sequence[int], copies: int) -> list[list[int]]:
+    """Shares of about the same size in all: the largest first, each to who has least so far."""
+    shares: list[list[int]] = [[] for _ in range(copies)]
+    for i in sorted(range(len(sizes)), key=lambda i: -sizes[i]):
+        min(shares, key=lambda share: sum(sizes[j] for j in share)).append(i)
+    return [sorted(share) for share in shares]
+
+
+def _received(end: Connection) -> dict[int, Any]:
+    answer = pickle.loads(end.recv_bytes())
+    if isinstance(answer, BaseException):
+        raise answer
+    return dict(answer)
+
+
+def _serve(members: Sequence[Member], questions: Connection, others: Sequence[Connection]) -> None:
+    """What a copy does until nobody asks any more; it never returns to what this process was about."""
+    status = 1
+    try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that asks
+        for number in (signal.SIGTERM, signal.SIGALRM):
+            signal.signal(number, signal.SIG_DFL)
+        for other in others:
+            other.close()
+        gc.freeze()
+        torch.set_num_threads(1)  # other threads are not copied
+        with suppress(EOFError, BrokenPipeError):
+            for function, tasks in _asked(questions):
+                questions.send_bytes(_answer(members, function, tasks))
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[tuple[int, tuple[Any, ...]]]]]:
+    while True:
+        yield pickle.loads(questions.recv_bytes())
+
+
+def _answer(members: Sequence[Member], function: Callable[..., Any], tasks: Sequence[tuple[int, Any]]) -> bytes:
+    try:
+        return pickle.dumps([(i, function(members[i], *given)) for i, given in tasks], pickle.HIGHEST_PROTOCOL)
+    except (InputError, DivergenceError, MemoryError) as error:
+        return pickle.dumps(error)
+    except Exception as error:
+        return pickle.dumps(RuntimeError(f"{error}\n{traceback.format_exc()}"))
+
+
+def _end(owner: int, ends: Sequence[Connection], pids: Sequence[int]) -> None:
+    if os.getpid() != owner:  # a copy of another one
+        return
+    for end in ends:
+        end.close()
+    for pid in pids:
+        with suppress(ProcessLookupError, ChildProcessError):
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)

@@ -1,0 +1,223 @@
+"""Several records solved together, against one dense matrix of all their unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_problems import accelerations, measured, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.inference import starting_noise
+from pinn_cli.training.band.joint import evidence as joint_evidence
+from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.joint.workers import Members
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.noise_model import NoiseModel
+
+STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))
+DAMPER = Parameter("c", 1, 1.0, 0.3)
+
+
+def records() -> list[Record]:
+    """Two of one chain, of different lengths, each with an accelerometer of its own."""
+    structure = small_chain("duffing", 2)
+    lengths = ((8.0, 129), (12.0, 161))
+    every = [measured(structure, "exact", 40.0, *length, seed=i).record for i, length in enumerate(lengths)]
+    return [accelerations(record, (dof,)) for record, dof in zip(every, (1, 2), strict=True)]
+
+
+def together(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) -> tuple[JointEvidence, NoiseModel]:
+    """Both records, each with its own uncertain parameters, computed in this process or in copies of it."""
+    structure = small_chain("duffing", 2)
+    own = [Problem(structure, record, moving) for record, moving in zip(records(), uncertain, strict=True)]
+    problem = replace(own[0], further=(own[1],))
+    each = [
+        Evidence(NormalEquations(Spline(knots_per_period=4.0).build(p.record), p), 20, 1e-9, lambda losses, noise: None)
+        for p in own
+    ]
+    if here:
+        made = joint_evidence.members_of
+        joint_evidence.members_of = lambda found: Members([joint_evidence.member.Member(e) for e in found])
+    try:
+        evidence = JointEvidence(problem, each)
+    finally:
+        if here:
+            joint_evidence.members_of = made
+    levels = [replace(starting_noise(e), discrepancy=0.02, spread=0.8) for e in each]
+    return evidence, NoiseModel.of_records(levels)
+
+
+SHARED = ((*STIFFNESSES, DAMPER),) * 2
+# The first record alone lets the damper move, the second one alone the first spring.
+PARTLY = ((STIFFNESSES[1], DAMPER), STIFFNESSES)
+
+
+def dense(evidence: JointEvidence, point: Point, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
+    """Hessian and gradient of all unknowns, from each record's own; the priors of the parameters once."""
+    equations = evidence.equations
+    sizes = [own.equations.layout.size for own in evidence.records]
+    start, p = [0, *np.cumsum(sizes)], len(equations.uncertain)
+    hessian, gradient = np.zeros((start[-1] + p,) * 2), np.zeros(start[-1] + p)
+    precision = np.where([q.unknown for q in equations.uncertain], 1.0, noise.spread**-2)
+    for i, (own, level) in enumerate(zip(evidence.records, noise.by_record, strict=True)):
+        at = equations.split(point)[i]
+        system, columns = own.equations.assemble(at, level), equations.columns[i]
+        lower = sum(np.diag(row[: len(row) - k], -k) for k, row in enumerate(system.band))
+        rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns
+        hessian[np.ix_(rows, rows)] = lower + np.tril(lower, -1).T
+        hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = system.border, system.border.T
+        hessian[np.ix_(border, border)] += system.corner - np.diag(precision[columns])
+        gradient[rows] = system.gradient
+        gradient[border] += system.corner_gradient - precision[columns] * at.parameters.numpy()
+    last = np.arange(start[-1], start[-1] + p)
+    hessian[last, last] += precision
+    gradient[last] += precision * point.parameters.numpy()
+    return hessian, gradient
+
+
+def somewhere(evidence: JointEvidence) -> Point:
+    """A point with motion in it and parameters off their prescribed values."""
+    start, rng = evidence.equations.start(), np.random.default_rng(0)
+    moved = torch.as_tensor(0.01 * rng.standard_normal(len(start.unknowns)))
+    return Point(start.unknowns + moved, start.parameters + 0.02)
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+def test_a_step_is_that_of_the_dense_matrix(uncertain, damping):
+    evidence, noise = together(uncertain)
+    point = somewhere(evidence)
+    system = evidence.equations.assemble(point, noise)
+    w, x = system.factor(damping).step(system)
+    hessian, gradient = dense(evidence, point, noise)
+    expected = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+    np.testing.assert_allclose(np.concatenate((w, x)), expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_a_step_stops_at_a_bound_and_the_others_make_up_for_it(uncertain):
+    evidence, noise = together(uncertain)
+    point = somewhere(evidence)
+    system = evidence.equations.assemble(point, noise)
+    factor = system.factor()
+    _, free = factor.step(system)
+    bounded = int(np.argmin(free))
+    assert free[bounded] < 0.0
+    lower = np.where(np.arange(len(free)) == bounded, 0.5 * free, -np.inf)
+    w, x = factor.step(system, lower)
+    assert x[bounded] == lower[bounded]
+    hessian, gradient = dense(evidence, point, noise)
+    at = len(w) + bounded
+    free_ones = np.delete(np.arange(len(hessian)), at)
+    right = gradient[free_ones] + hessian[free_ones, at] * x[bounded]
+    expected = -np.linalg.solve(hessian[np.ix_(free_ones, free_ones)], right)
+    np.testing.assert_allclose(np.delete(x, bounded), expected[len(w) :], rtol=1e-5)
+    np.testing.assert_allclose(w, expected[: len(w)], rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_losses_are_the_sum_over_records_with_the_prior_once(uncertain):
+    evidence, noise = together(uncertain)
+    point = somewhere(evidence)
+    found = evidence.equations.losses(point, noise)
+    each = [
+        own.equations.losses(at, level)
+        for own, at, level in zip(evidence.records, evidence.equations.split(point), noise.by_record, strict=True)
+    ]
+    for name in ("physics", "acceleration"):
+        assert found[name] == pytest.approx(sum(own[name] for own in each))
+    unknown = np.array([q.unknown for q in evidence.equations.uncertain])
+    x = point.parameters.numpy()
+    assert found["prior"] == pytest.approx(np.sum(x**2 * np.where(unknown, 1.0, 0.8**-2)))
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_the_log_evidence_is_that_of_the_dense_determinant(uncertain):
+    """What records say of motion adds up; the Hessian's determinant and the prior are those of all unknowns."""
+    evidence, noise = together(uncertain)
+    trained = evidence.train(noise, evidence.equations.start())
+    assert trained.solution.converged
+    point, believed = trained.solution.point, sum(not q.unknown for q in evidence.equations.uncertain)
+    factor = evidence.equations.assemble(point, noise).factor()
+    found = evidence.log_evidence(point, noise, factor)
+    sign, determinant = np.linalg.slogdet(dense(evidence, point, noise)[0])
+    records = zip(evidence.records, evidence.equations.split(point), noise.by_record, strict=True)
+    without = sum(own.record_term(at, level, 0.0) for own, at, level in records)
+    prior = evidence.equations.losses(point, noise)["prior"] + 2.0 * believed * np.log(noise.spread)
+    assert sign == 1.0
+    assert found == pytest.approx(without - 0.5 * (determinant + prior), rel=1e-9, abs=1e-3)
+
+
+def motion_std(evidence: Evidence, trained: Trained) -> np.ndarray:
+    """Of a file's, so that a copy of the process finds it."""
+    equations = evidence.equations
+    posterior = ReadoutPosterior(equations, trained.solution.point, trained.factor)
+    return posterior.functions(equations.observation)[0].numpy()
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_the_states_of_each_record_are_as_uncertain_as_the_dense_inverse_says(uncertain):
+    """The parameters' covariance of all records is in each one's standard deviations."""
+    evidence, noise = together(uncertain)
+    trained = evidence.train(noise, evidence.equations.start())
+    fresh = replace(trained, factor=evidence.equations.assemble(trained.solution.point, noise).factor())
+    covariance = np.linalg.inv(dense(evidence, trained.solution.point, noise)[0])
+    start = 0
+    for own, found in zip(evidence.records, evidence.each_record(motion_std, fresh), strict=True):
+        equations = own.equations
+        size, segments = equations.layout.size, equations.observation
+        place = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
+        for dof in range(2):
+            rows = np.zeros((len(found), size))
+            for group in range(len(place)):
+                index = segments.gather(torch.arange(len(found), dtype=torch.float64)[:, None])[group, :, 0].long()
+                alive = segments.mask[group] > 0
+                position = place[group, dof].numpy()
+                rows[np.ix_(index[alive].numpy(), position)] = segments.displacement[group][alive].numpy()
+            own_part = covariance[start : start + size, start : start + size]
+            expected = np.sqrt(np.einsum("ni,ij,nj->n", rows, own_part, rows))
+            np.testing.assert_allclose(found[:, dof], expected, rtol=1e-3)
+        start += size
+    alone = np.sqrt(np.diag(covariance))[start:]
+    np.testing.assert_allclose(np.sqrt(np.diag(fresh.factor.corner_covariance)), alone, rtol=1e-4)
+
+
+def test_the_numbers_do_not_depend_on_where_they_are_computed():
+    found = []
+    for here in (True, False):
+        evidence, noise = together(SHARED, here)
+        trained = evidence.train(noise, evidence.equations.start())
+        found.append((trained, evidence.each_record(motion_std, trained)))
+    (one, one_std), (other, other_std) = found
+    assert torch.equal(one.solution.point.parameters, other.solution.point.parameters)
+    assert torch.equal(one.solution.point.unknowns, other.solution.point.unknowns)
+    assert one.log_evidence == other.log_evidence
+    assert all(np.array_equal(a, b) for a, b in zip(one_std, other_std, strict=True))
+
+
+def test_records_that_believe_different_things_of_a_parameter_are_refused():
+    other = (*STIFFNESSES, replace(DAMPER, prior_std=0.5))
+    with pytest.raises(ValueError, match="believe the same"):
+        together((SHARED[0], other))
+
+
+def test_several_noise_models_move_together():
+    _, noise = together(SHARED)
+    noise = replace(noise, further=(noise.further[0].with_discrepancy(0.1),))
+    moved = noise.with_discrepancy(0.01).with_spread(0.3).noisier(2.0).with_force_scale(3.0)
+    assert [level.discrepancy for level in moved.by_record] == pytest.approx([0.01, 0.05])
+    assert [level.spread for level in moved.by_record] == [0.3, 0.3]
+    for before, after in zip(noise.by_record, moved.by_record, strict=True):
+        np.testing.assert_allclose(after.response["acceleration"], 2.0 * before.response["acceleration"])
+        np.testing.assert_allclose(after.force, 3.0 * before.force)
+        assert not after.further
