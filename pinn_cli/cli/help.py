@@ -18,7 +18,7 @@ Examples
   pinn-run system.ndof=20 noise.snr_db=20              a longer chain, more noise
   pinn-run experiment=paper/sr_6dof_perturbed          a row of the paper's tables
   pinn-run data=csv data.path=rig.csv system.ndof=3 system.m=5    your own record; `pinn-run data=csv --cfg job` lists
-    its settings
+    its settings; or data=mat, uff, parquet, tdms, hdf5, netcdf (docs/how-to/own-record.md)
   pinn-run baseline=kalman_smoother                    the same problem by a Kalman smoother, in the same tables
   pinn-run --multirun noise.snr_db=50,20,10 'seed=range(10)'    a sweep; the same command again goes on with it
   pinn-run --multirun hydra/launcher=joblib 'seed=range(10)'    on all cores; pinn-run collect=SWEEP: what there is so

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.clock import TIME_UNITS, Clock
+from pinn_cli.record.clock import TIME_UNITS
 from pinn_cli.record.decimation import decimate
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.formats import format_of
 from pinn_cli.record.files.table import Table
+from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.record.record import (
     GROUND,
     INTERSAMPLE,
@@ -42,17 +42,15 @@ from pinn_cli.settings.legal_values import (
 )
 from pinn_cli.settings.paths import located
 
-# What a column of times is called unless the user says otherwise.
-TIME_COLUMN = "t"
-
 
 @dataclass(frozen=True)
 class MeasuredData:
     """Which column of a file is what, and which part of it is used.
 
     Attributes:
-        path: Of the file; a relative one starts at ``base``, and ``~`` is home.
-        time: Column of the times, uniform within the window; None: `TIME_COLUMN`, unless ``sampling_rate`` is given or
+        path: Of the file, or of several whose samples stand on one clock; a relative one starts at ``base``, and ``~``
+            is home.
+        time: Column of the times, uniform within the window; None: ``t``, unless ``sampling_rate`` is given or
             the format tells times of its own.
         sampling_rate: Hz, in place of a column of times; the first sample is then at 0 s.
         time_unit: Of that column: s, ms or us.
@@ -73,7 +71,7 @@ class MeasuredData:
         InputError: Naming ``data.<setting>``.
     """
 
-    path: str
+    path: str | Sequence[str]
     time: str | None = None
     force: Mapping[int, str | None] = field(default_factory=dict)
     displacement: Mapping[int, str] = field(default_factory=dict)
@@ -93,8 +91,11 @@ class MeasuredData:
     time_unit: str = "s"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.path, str) or not self.path:
-            raise InputError("data.path", self.path, f"given: data={self.kind} reads a file of yours")
+        paths = [self.path] if isinstance(self.path, str) else entries(self.path)
+        if not paths or not all(isinstance(path, str) and path for path in paths):
+            raise InputError(
+                "data.path", self.path, f"given: data={self.kind} reads a file of yours, or a list of files"
+            )
         self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
@@ -150,11 +151,8 @@ class MeasuredData:
 
     def _read(self) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray]]:
         """Times (N,) of the window after decimation, and by quantity and DOF the columns (N,)."""
-        columns, path = self._columns, located(self.path, self.base or Path.cwd())
-        wanted = {_setting(*place): column for place, column in columns.items()}
-        file_format = format_of(path, self.format)
-        time_column = self._time_column(file_format)
-        clock = self._clock(file_format.read(path, {"data.time": time_column, **wanted} if time_column else wanted))
+        columns = self._columns
+        clock = self._files.read({_setting(*place): column for place, column in columns.items()})
         first, last = self._window(clock.time)
         time = clock.uniform(first, last)
         values = np.stack([self._samples(clock.table, column, first, last) for column in columns.values()], axis=1)
@@ -167,27 +165,14 @@ class MeasuredData:
         table.refuse_gaps(column, values, first)
         return values
 
-    def _time_column(self, file_format: FileFormat) -> str | None:
-        """Column of the times; None: the sampling rate is given, or looked for in the file's header."""
-        if self.time is not None:
-            return self.time
-        return None if self.sampling_rate is not None or file_format.tells_time else TIME_COLUMN
+    @property
+    def _files(self) -> MeasuredFiles:
+        paths = tuple(located(path, self.base or Path.cwd()) for path in self._paths)
+        return MeasuredFiles(paths, self.format, self.time, self.sampling_rate, self.time_unit)
 
-    def _clock(self, table: Table) -> Clock:
-        """When the samples were taken.
-
-        Raises:
-            InputError: Nothing says it, or the column of times cannot be used.
-        """
-        if self.sampling_rate is not None:
-            return Clock.by_rate(table, self.sampling_rate)
-        if self.time is None and table.time is not None:
-            return Clock(table, "", table.time)
-        column = self.time or TIME_COLUMN
-        if column not in table.columns:
-            hint = f"{table.path.name} does not say when its samples were taken"
-            raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times", hint)
-        return Clock.by_column(table, column, self.time_unit)
+    @property
+    def _paths(self) -> tuple[str, ...]:
+        return (self.path,) if isinstance(self.path, str) else tuple(self.path)
 
     def _window(self, time: np.ndarray) -> tuple[int, int]:
         """Rows first..last (excluded) between start and stop."""
@@ -196,7 +181,7 @@ class MeasuredData:
         kept = math.ceil(max(last - first, 0) / self.decimate)
         if kept < MINIMUM_SAMPLES:
             extent = f" from {time[0]:g} to {time[-1]:g} s" if len(time) else ""
-            file = f"{Path(self.path).name} has {len(time)} rows{extent}"
+            file = f"{', '.join(Path(path).name for path in self._paths)} has {len(time)} rows{extent}"
             hint = f"{file}; after data.decimate={self.decimate} {kept} of them are left"
             allowed = f"a window of at least {MINIMUM_SAMPLES} samples"
             raise InputError("data.start, data.stop", f"{self.start}, {self.stop}", allowed, hint)
@@ -245,8 +230,9 @@ class MeasuredData:
             raise InputError("data.holdout", list(self.holdout), allowed)
 
     def _check_columns_differ(self) -> None:
-        time = self._time_column(format_of(Path(self.path), self.format))
-        places = {} if time is None else {time: "data.time"}
+        files = self._files
+        times = {files.time_column(path) for path in files.paths} - {None}
+        places = {str(time): "data.time" for time in times}
         for place, column in self._columns.items():
             if column in places:
                 raise InputError(_setting(*place), repr(column), f"another column than {places[column]}")

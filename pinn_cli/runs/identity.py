@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from pinn_cli.settings.paths import located
 
@@ -46,9 +46,10 @@ class Identity:
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
         for name in FILES:
             path = OmegaConf.select(config, name)
-            content = None if path is None else _content(located(str(path), base))
-            if content:
-                settings[name] = content
+            paths = path if isinstance(path, ListConfig) else [] if path is None else [path]
+            contents = [_content(located(str(path), base)) for path in paths]
+            if contents and all(contents):
+                settings[name] = ", ".join(map(str, contents))
         return cls(settings, {name: package_version(name) or "unknown" for name in PACKAGES})
 
     @classmethod

@@ -105,10 +105,15 @@ def test_a_blank_line_in_the_middle_is_a_gap_on_its_own_line(tmp_path):
     [
         (b"", "must be a readable file of comma-separated values"),
         (b"t,f,a1,a2\n1,2,3,4\n1,2,3,4,5,6\n", "line 3"),
-        (b"t;f;a1;a2\n0;1;2;3\n", "the file must be separated by commas"),
-        (b"\xff\xfe\x00\x01", "must be UTF-8 text; it is UTF-16"),
-        (b"t,f,a1,a2\n0,1,2,\xb2\n", "rig.csv, line 2=byte 0xb2: must be UTF-8 text; the file is in another encoding"),
-        (gzip.compress(b"t,f,a1,a2\n0,1,2,3\n" * 99, mtime=0)[:40], "must be a text file; it is gzip: unpack it"),
+        (b"t;f;a1;a2\n0;1;2;3\n", "must be a window of at least 16 samples; rig.csv has 1 rows"),
+        (b"t;f;a1\n0;1;2\n", "data.acceleration.2='a2': must be a column of rig.csv, which has 't', 'f', 'a1'"),
+        (b"\xff\xfe\x00\xd8", "rig.csv, line 1=byte 0x00: must be text in utf-16"),
+        (b"t,f,a1,a2\n0,1,2,\x81\n", "rig.csv, line 2=byte 0x81: must be text in cp1252; the file is in another enc"),
+        (b"t,f,a1,a2\n0,1,\x00,2\n", "rig.csv, line 2=byte 0x00: must be text; it is a binary file"),
+        (
+            gzip.compress(b"t,f,a1,a2\n0,1,2,3\n" * 99, mtime=0)[:40],
+            "must be a gzip file that is whole; damaged",
+        ),
         (b"PK\x03\x04 no more", "must be a text file; it is a zip archive or a spreadsheet: unpack it"),
         (
             b"t,f,a1,a1,a2\n0,1,2,3,4\n",
@@ -124,7 +129,7 @@ def test_a_file_that_is_no_csv(tmp_path, content, expected):
     assert expected in message(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["rig.csv.gz", "rig.zip"])
+@pytest.mark.parametrize("name", ["rig.csv.bz2", "rig.zip"])
 def test_a_packed_file_is_to_be_unpacked_whatever_is_in_it(tmp_path, name):
     (tmp_path / name).write_bytes(b"hello")
     assert message(tmp_path, path=name).startswith(f"data.path={tmp_path / name}: must be a text file; unpack it")
@@ -137,7 +142,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 
 def test_a_file_beyond_memory(tmp_path, monkeypatch):
     table().to_csv(tmp_path / "rig.csv", index=False)
-    monkeypatch.setattr("pinn_cli.record.files.text_file.of_this_machine", lambda: 2**10)
+    monkeypatch.setattr("pinn_cli.record.files.on_disk.of_this_machine", lambda: 2**10)
     assert "must be a file of at most 5.96e-08 GiB" in message(tmp_path)
 
 
@@ -149,7 +154,7 @@ def test_a_path_that_leads_nowhere(tmp_path, path):
 def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
     assert message(tmp_path).startswith(f"data.path={tmp_path / 'rig.csv'}: must be a file that exists")
     assert message(tmp_path, path=str(tmp_path)).startswith(
-        f"data.path={tmp_path}: must be a readable text file; it is a folder"
+        f"data.path={tmp_path}: must be a readable file; it is a folder"
     )
 
 

@@ -2,73 +2,95 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import codecs
+import gzip
+import zlib
+from io import BytesIO
+from pathlib import Path
 
-from pinn_cli.runs.memory import of_this_machine
+from pinn_cli.record.files.on_disk import BEGINNINGS, check_size, read_bytes
 from pinn_cli.settings.errors import InputError
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-# How files begin that spreadsheets and archivers write.
-_PACKED = {
-    b"\x1f\x8b": "gzip",
-    b"PK\x03\x04": "a zip archive or a spreadsheet",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ": "xz",
-    b"\x28\xb5\x2f\xfd": "Zstandard",
-    b"\xd0\xcf\x11\xe0": "a spreadsheet",
-    b"\x89HDF": "HDF5",
-    b"MATLAB 5.0": "a MAT file",
-}
-_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
-_SAVE_AS = "save it as text with comma-separated values, in UTF-8"
-# Of the memory, at most this part: text, cells and numbers of a file take some ten times its size.
-_PART_OF_MEMORY = 16
+_GZIP = b"\x1f\x8b"
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+# Of text that is no UTF-8: what Windows writes in Western Europe and America. The numbers are the same in any of them.
+FALLBACK = "cp1252"
+_SAVE_AS = "save it as text with separated values, in UTF-8"
+_CHUNK = 2**20
 
 
-def read_text(path: Path, setting: str = "data.path") -> str:
-    """The text of a file, without a byte order mark.
+def read_text(path: Path, setting: str = "data.path", encoding: str | None = None) -> str:
+    """The text of a file, without a byte order mark; one that is packed by gzip is unpacked.
 
     Args:
         path: Of the file.
         setting: That named it, for errors.
+        encoding: As Python calls it; None: by the byte order mark, else UTF-8, else `FALLBACK`.
 
     Raises:
-        InputError: It is missing, is no regular file, cannot be read or held, is packed, or is no UTF-8.
+        InputError: It is missing, is no regular file, cannot be read or held, or is no text.
     """
-    data = _read_bytes(path, setting)
-    for beginning, kind in _PACKED.items():
-        if data.startswith(beginning):
+    content = read_bytes(path, setting)
+    if content.startswith(_GZIP):
+        content = _unpacked(path, content, setting)
+    for start, kind in BEGINNINGS.items():
+        if content.startswith(start) and kind != "a universal file (data=uff)":
             raise InputError(setting, path, "a text file", f"it is {kind}: unpack it, or {_SAVE_AS}")
-    if path.suffix.lower() in (".gz", ".zip", ".bz2", ".xz", ".zst"):
+    if path.suffix.lower() in (".zip", ".bz2", ".xz", ".zst"):
         raise InputError(setting, path, "a text file", f"unpack it, and {_SAVE_AS}")
-    if data.startswith(_UTF_16):
-        raise InputError(setting, path, "UTF-8 text", f"it is UTF-16: {_SAVE_AS}")
+    marked = next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    if encoding is not None or marked is not None:
+        return _decoded(path, content, encoding or str(marked))
+    if b"\0" in content:
+        raise InputError(
+            _line(path, content, content.index(0)),
+            "byte 0x00",
+            "text",
+            f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}",
+        )
     try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = error.object.count(b"\n", 0, error.start) + 1
-        place, byte = f"{path.name}, line {line}", f"byte 0x{error.object[error.start]:02x}"
-        raise InputError(place, byte, "UTF-8 text", f"the file is in another encoding: {_SAVE_AS}") from None
+        return content.decode("utf-8")
+    except UnicodeDecodeError:
+        return _decoded(path, content, FALLBACK)
 
 
-def _read_bytes(path: Path, setting: str) -> bytes:
+def check_encoding(setting: str, encoding: str | None) -> None:
+    """Refuse the name of an encoding that there is not.
+
+    Raises:
+        InputError: Naming the setting.
+    """
     try:
-        if not path.exists():
-            hint = "a relative path starts where pinn-run was called"
-            raise InputError(setting, path, "a file that exists", hint)
-        if not path.is_file():  # a pipe would be waited for, a device would never end
-            hint = "it is a folder" if path.is_dir() else "it is a pipe or a device"
-            raise InputError(setting, path, "a readable text file", hint)
-        size, most = path.stat().st_size, of_this_machine() // _PART_OF_MEMORY
-        if size > most:
-            hint = "the record has to fit into memory: cut the file, or average it down"
-            raise InputError(setting, path, f"a file of at most {most / 2**30:.3g} GiB", hint)
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        # A path with a null character is a ValueError.
-        hint = getattr(error, "strerror", None) or str(error)
-        raise InputError(setting, path, "a readable text file", hint) from None
+        known = encoding is None or "\0" not in b"0".decode(encoding)
+    except (LookupError, TypeError, UnicodeError, ValueError):
+        known = encoding in ("utf-16", "utf-32")  # one byte is too few for them
+    if not known:
+        raise InputError(setting, encoding, "null or an encoding of text, such as utf-8, cp1252 or utf-16")
+
+
+def _decoded(path: Path, content: bytes, encoding: str) -> str:
+    try:
+        return content.decode(encoding)
+    except (UnicodeError, LookupError, ValueError) as error:
+        start = error.start if isinstance(error, UnicodeDecodeError) else 0
+        hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
+        byte = f"byte 0x{content[start]:02x}" if content else "nothing"
+        raise InputError(_line(path, content, start), byte, f"text in {encoding}", hint) from None
+
+
+def _line(path: Path, content: bytes, place: int) -> str:
+    number = content.count(b"\n", 0, place) + 1
+    return f"{path.name}, line {number}"
+
+
+def _unpacked(path: Path, content: bytes, setting: str) -> bytes:
+    """What gzip has packed, which may be no more than any file."""
+    parts, size = [], 0
+    try:
+        with gzip.GzipFile(fileobj=BytesIO(content)) as packed:
+            while part := packed.read(_CHUNK):
+                parts.append(part)
+                check_size(path, size := size + len(part), setting)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(setting, path, "a gzip file that is whole", f"damaged or cut off? {error}") from None
+    return b"".join(parts)
