@@ -79,7 +79,7 @@ def test_every_option_stands_in_the_reference():
     groups = [folder for folder in (ROOT / "conf").iterdir() if folder.is_dir() and folder.name not in OTHER_GROUPS]
     options = {f"{group.name}={file.stem}" for group in groups for file in group.glob("[!_]*.yaml")}
     options |= {f"hydra/launcher={file.stem}" for file in (ROOT / "conf" / "hydra" / "launcher").glob("*.yaml")}
-    named = set(re.findall(r"`((?:hydra/)?[a-z_]+=[a-z_]+)`", SETTINGS))
+    named = set(re.findall(r"`((?:hydra/)?[a-z_]+=[a-z_0-9]+)`", SETTINGS))
     chosen = {name for name in named if name.partition("=")[0] in {option.partition("=")[0] for option in options}}
     assert options <= named
     assert chosen - options <= {"hydra/launcher=joblib", "network=fine"}
