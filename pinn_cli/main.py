@@ -163,7 +163,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         problem,
         linear,
     )
-    return write_report(results, directory, stages, drawn)
+    return write_report(results, directory, stages, drawn, config.exports)
 
 
 def _linear_response(config: RunConfig, true: Structure) -> Response | None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Measurements, Record
+    from pinn_cli.report.export.base import Export
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
     from pinn_cli.system.model_error import ModelError
@@ -52,6 +53,7 @@ NODES = (
     "validation",
     "baseline",
     "tracking",
+    "report",
 )
 
 SIMULATED = "pinn_cli.record.simulated.Simulated"
@@ -104,6 +106,7 @@ class RunConfig:
         resume: Whether to go on with what lies in the run's directory: None, `auto`, or that directory.
         figures: Whether they are drawn; None: unless the run is a job of a sweep.
         checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
+        exports: Formats in which the response is written beside ``response.nc``.
         strict: Whether a verdict other than sound ends the run with exit status 4.
     """
 
@@ -126,6 +129,7 @@ class RunConfig:
     figures: bool | None
     checkpoint_every_s: float | None
     strict: bool
+    exports: tuple[Export, ...]
 
     @classmethod
     def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
@@ -157,6 +161,7 @@ class RunConfig:
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again |= {"figures": _figures(config), "strict": _strict(config)}
+        again["exports"] = _exports(config)
         return cls(case, seed, device, threads, structure, model_error, source, **estimation, **again)
 
     def observe(self, record: Record) -> Record:
@@ -253,6 +258,15 @@ def _strict(config: DictConfig) -> bool:
     if not isinstance(config.strict, bool):
         raise InputError("strict", config.strict, "true or false")
     return config.strict
+
+
+def _exports(config: DictConfig) -> tuple[Export, ...]:
+    from pinn_cli.report.export.formats import exports_of
+
+    def read(export: list[str]) -> tuple[Export, ...]:
+        return exports_of(export)
+
+    return construct(read, config.report, "report")
 
 
 def _checkpoint_every_s(config: DictConfig) -> float | None:

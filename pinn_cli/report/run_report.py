@@ -25,13 +25,17 @@ from pinn_cli.runs.writing import write_json, write_table
 from pinn_cli.verdict.judge import judge
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from pinn_cli.report.export.base import Export
     from pinn_cli.report.results import Results
     from pinn_cli.runs.stages import Stages
 
 
-def write_report(results: Results, directory: Path, stages: Stages, figures: bool = True) -> str:
+def write_report(
+    results: Results, directory: Path, stages: Stages, figures: bool = True, exports: Sequence[Export] = ()
+) -> str:
     """Write every file of a run; each is there whole or not at all.
 
     Args:
@@ -39,6 +43,7 @@ def write_report(results: Results, directory: Path, stages: Stages, figures: boo
         directory: Of the run.
         stages: The seconds so far; the report's own are added.
         figures: Whether to draw them, which takes longer than all else.
+        exports: Formats in which the response is written beside ``response.nc``.
 
     Returns:
         What the run prints, from `pinn_cli.report.terminal.run.run_text`; the verdict comes last.
@@ -62,6 +67,8 @@ def write_report(results: Results, directory: Path, stages: Stages, figures: boo
         forces = ConnectionForces.of(results.prescribed, estimate, truth)
         dataset = response_dataset(estimate, record, truth.response, labels, free.response, named, drifts, forces)
         write_dataset(dataset, directory / "response.nc")
+        for export in exports:
+            export.write(dataset, directory / f"response.{export.name}")
     if figures:
         with stages("figures"):
             _draw(results, directory)

@@ -1,0 +1,86 @@
+"""The response in files of other programs: written, and read back as a record of somebody's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.mat import MatFormat
+from pinn_cli.record.files.uff import UffFormat
+from pinn_cli.record.record import QUANTITIES, UNITS
+from pinn_cli.report.dataset import response_dataset
+from pinn_cli.report.export.formats import EXPORTS, exports_of
+from pinn_cli.settings.errors import InputError
+
+
+@pytest.fixture
+def case(make_case):
+    return make_case(ndof=3, observed=2)
+
+
+@pytest.fixture
+def dataset(case):
+    return response_dataset(case.estimate, case.record, case.truth.response, case.labels)
+
+
+def test_every_format_has_every_quantity_of_every_dof(case, dataset, tmp_path):
+    pytest.importorskip("pyuff")
+    for export in exports_of(list(EXPORTS)):
+        export.write(dataset, tmp_path / f"response.{export.name}")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["response.csv", "response.mat", "response.uff"]
+    names = {
+        "csv": "{quantity}_{dof}{_std}",
+        "mat": "{quantity}{_std}.{dof}",
+        "uff": "{quantity} {dof}{ std}",
+    }
+    for reader in (CsvFormat(), MatFormat(), UffFormat()):
+        for quantity in QUANTITIES:
+            for dof in (1, 2, 3):
+                for word, source in (("", case.estimate.response), ("std", case.estimate.std)):
+                    name = names[reader.name].replace("{_std}", word and "_std").replace("{ std}", word and " std")
+                    name = name.format(quantity=quantity, dof=dof)
+                    path = tmp_path / f"response.{reader.name}"
+                    table = reader.read(path, {"name": name})
+                    values = getattr(source, quantity)[:, dof - 1]
+                    np.testing.assert_allclose(table.columns[name], values, rtol=1e-9, atol=1e-11)
+                    if table.time is not None:
+                        np.testing.assert_allclose(table.time, case.record.time, rtol=1e-6, atol=1e-9)
+                        assert table.hints[name].unit == UNITS[quantity]
+                        assert table.hints[name].quantity == quantity
+
+
+def test_a_mat_file_says_what_is_in_it(case, dataset, tmp_path):
+    from scipy.io import loadmat
+
+    (export,) = exports_of(["mat"])
+    export.write(dataset, tmp_path / "response.mat")
+    content = loadmat(tmp_path / "response.mat", simplify_cells=True)
+    np.testing.assert_array_equal(content["t"], case.record.time)
+    np.testing.assert_array_equal(content["displacement"], case.estimate.response.displacement)
+    assert content["dof"].tolist() == ["1", "2", "3"]
+    assert content["units"] == {**{quantity: UNITS[quantity] for quantity in QUANTITIES}, "t": "s"}
+
+
+def test_dofs_go_by_their_names(case, dataset, tmp_path):
+    named = dataset.assign_coords(dof_name=("dof", np.array(["roof", "floor", "base"], dtype=object)))
+    (export,) = exports_of(["csv"])
+    export.write(named, tmp_path / "response.csv")
+    columns = CsvFormat().read(tmp_path / "response.csv").columns
+    np.testing.assert_allclose(columns["velocity_floor"], case.estimate.response.velocity[:, 1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("names", ["csv", ["xlsx"], [1], {"csv": 1}, None])
+def test_what_is_no_list_of_formats(names):
+    with pytest.raises(InputError, match=r"^report.export=.*: must be a list of any of csv, mat, uff$"):
+        exports_of(names)
+
+
+def test_a_format_whose_package_is_missing_is_told_before_anything_is_estimated(monkeypatch):
+    def missing(module: str) -> None:
+        raise ModuleNotFoundError(f"No module named {module!r}", name=module)
+
+    monkeypatch.setattr("pinn_cli.report.export.uff.import_module", missing)
+    with pytest.raises(InputError, match=r"^report.export=uff: must be .*; pip install 'pinn-cli\[uff\]'$"):
+        exports_of(["uff"])
+    assert [export.name for export in exports_of(["mat", "csv", "mat"])] == ["mat", "csv"]
