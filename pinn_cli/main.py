@@ -139,6 +139,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         from pinn_cli.posterior.result import posterior_result
         from pinn_cli.report.results import Results
         from pinn_cli.report.run_report import write_report
+        from pinn_cli.training.calibrated_record import as_calibrated
     problem, context = prepared.problem.problem, prepared.context
     with stages("estimate"):
         estimate = config.estimator.solve(problem, replace(context, watch=watch))
@@ -149,18 +150,19 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         score = config.validation.score(problem, estimate, prepared.setup)
     with stages("baseline"):
         baseline = baseline_estimate(config.baseline, problem, context)
+    record = as_calibrated(prepared.problem.record, estimate)
     drawn = config.figures if config.figures is not None else not prepared.in_sweep
     linear = _linear_response(config, prepared.problem.true) if drawn else None
     results = Results(
         config.description,
         prepared.problem.prescribed,
-        prepared.problem.record,
+        record,
         prepared.problem.truth,
         estimate,
         baseline,
         posterior,
         score,
-        problem,
+        replace(problem, record=record),
         linear,
     )
     return write_report(results, directory, stages, drawn, config.exports)

@@ -106,7 +106,7 @@ def targets(
 
     response = {quantity: np.nan_to_num(record.histories(quantity)) for quantity in dynamics.observed}
     measured, force = record.sensors("force"), np.nan_to_num(record.force)
-    if dynamics.structure.shapes is not None:  # forces are functions there, with sensors of their own
+    if dynamics.structure.shapes is not None or dynamics.inputs.loads:  # functions, with sensors of their own
         measured, force = np.zeros(dynamics.ndof, bool), np.zeros((len(record.time), dynamics.ndof))
     jump = np.zeros_like(force)
     if record.intersample == "zero_order_hold":
@@ -121,7 +121,7 @@ def targets(
         tensor(record.time),
         tensor(refined_times(record.time, refinement) + hold_delay(record)),
         {quantity: tensor(values) for quantity, values in response.items()},
-        {quantity: tensor(record.sensors(quantity)) for quantity in response},
+        {quantity: tensor(record.sensors(quantity) & ~record.gauged(quantity)) for quantity in response},
         dynamics.padded(tensor(points)),
         dynamics.padded(tensor(force - jump / 2.0)),
         dynamics.padded(tensor(measured)),
@@ -136,7 +136,7 @@ def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
     known = np.ones(dynamics.size, dtype=bool)
     if dynamics.structure.shapes is None:
         known[: dynamics.ndof] = record.unforced
-        known[list(dynamics.inputs.forces)] = True
+        known[dynamics.loaded] = True
     return torch.as_tensor(known)
 
 

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -308,10 +309,15 @@ def _structure(config: DictConfig, base: Path | None) -> Structure:
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
     """A reduced model, with the static responses of the DOFs that carry a force."""
     from pinn_cli.system.finite_elements import build_finite_elements
+    from pinn_cli.system.quantities import FORCE
     from pinn_cli.system.topology import whole
 
     forces = config.excitation.get("dofs") if _is_simulated(config) else config.data.get("force")
     loaded = list(forces) if OmegaConf.is_config(forces) else []
+    channels = config.data.get("channels")
+    for channel in channels.values() if OmegaConf.is_dict(channels) else ():
+        if OmegaConf.is_dict(channel) and channel.get("sensor") == FORCE and channel.get("dof") is not None:
+            loaded.append(channel.dof)
     structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
     return whole(structure) if _is_simulated(config) else structure
 
@@ -334,7 +340,9 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
         if model_error.name != "none":
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"
             raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
-        return Source(lambda true: named(measured.measure, true.ndof, true.labels), simulated=False, snr_db=None)
+        labels, count = structure.labels, structure.incidence.shape[0]
+        measure = partial(measured.measure, connections=[labels.connection(i) for i in range(count)])
+        return Source(lambda true: named(measure, true.ndof, true.labels), simulated=False, snr_db=None)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)

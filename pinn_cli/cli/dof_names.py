@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Settings that are a map whose keys are DOFs, and those that are a list of DOFs.
 MAPS = ("data.force", "data.displacement", "data.velocity", "data.acceleration")
+# What stands for the support among the ends of a channel.
+GROUND_NAMES = ("ground", 0)
 LISTS = ("data.holdout", "excitation.dofs", "excitation.force.dofs", "scheme.unobserved", "validation.dofs")
 
 
@@ -49,7 +51,25 @@ def numbered(config: DictConfig, labels: Labels) -> DictConfig:
             if setting in MAPS and number in numbers[:i]:
                 raise InputError(setting, labels.dofs[number - 1], "there once only", "by its name or by its number")
         node[last] = dict(zip(numbers, given.values(), strict=True)) if setting in MAPS else numbers
+    _number_channels(plain.get("data"), labels)
     return OmegaConf.create(plain)
+
+
+def _number_channels(data: Any, labels: Labels) -> None:
+    """Give the DOFs in the long form of channels, ``data.channels``, their numbers."""
+    channels = data.get("channels") if isinstance(data, dict) else None
+    for name, channel in channels.items() if isinstance(channels, dict) else ():
+        if not isinstance(channel, dict):
+            continue  # refused by what reads it
+        setting = f"data.channels.{name}"
+        if channel.get("dof") is not None:
+            channel["dof"] = _number(f"{setting}.dof", channel["dof"], labels)
+        if isinstance(channel.get("between"), list):
+            ends = channel["between"]
+            channel["between"] = [e if e in GROUND_NAMES else _number(f"{setting}.between", e, labels) for e in ends]
+        if isinstance(channel.get("weights"), dict):
+            given = channel["weights"].items()
+            channel["weights"] = {_number(f"{setting}.weights", dof, labels): weight for dof, weight in given}
 
 
 def named(measure: Callable[[Any], Measurements], of: object, labels: Labels) -> Measurements:

@@ -64,7 +64,7 @@ class SplineNetwork(LinearReadout):
     ) -> None:
         super().__init__(ndof, continuity, intervals + degree, dtype)
         self.start, self.intervals, self.degree = start, intervals, degree
-        self.spacing = (stop - start) / intervals
+        self.stop, self.spacing = stop, (stop - start) / intervals
         self.register_buffer("pieces", torch.as_tensor(piece_coefficients(degree), dtype=dtype))
 
     @property

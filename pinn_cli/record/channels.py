@@ -30,12 +30,14 @@ class Channel:
         dof: Counted from 0; `GROUND_DOF` of the ground.
         measured: (N,), in the quantity's unit.
         label: What the user calls the DOF; "": its number.
+        there: (N,) bool, where a sample was measured; None: everywhere.
     """
 
     quantity: str
     dof: int
     measured: np.ndarray
     label: str = ""
+    there: np.ndarray | None = None
 
     @property
     def name(self) -> str:
@@ -57,6 +59,10 @@ class Channel:
         """How often the displacement is differentiated."""
         return RESPONSE_QUANTITIES.index("acceleration" if self.quantity == GROUND else self.quantity)
 
+    def sampled(self, values: np.ndarray) -> np.ndarray:
+        """Those of the values (N,) that belong to a sample."""
+        return values if self.there is None else values[self.there]
+
     def of(self, response: Response) -> np.ndarray:
         """The same quantity of the same DOF in a response, (N,); NaN where the response has no motion of the ground."""
         values: np.ndarray | None = getattr(response, self.quantity)
@@ -77,13 +83,19 @@ def channels(
         excused: Names of channels that are left out.
     """
     every = [
-        Channel(quantity, int(dof), getattr(record, quantity)[:, dof], record.dof_name(int(dof)))
+        Channel(
+            quantity,
+            int(dof),
+            getattr(record, quantity)[:, dof],
+            record.dof_name(int(dof)),
+            record.there(quantity, int(dof)),
+        )
         for quantity in quantities
         if quantity != GROUND
         for dof in np.flatnonzero(record.sensors(quantity))
     ]
     if GROUND in quantities and record.ground_acceleration is not None:
-        every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration))
+        every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration, there=record.there(GROUND, 0)))
     return [channel for channel in every if channel.name not in excused]
 
 

@@ -59,6 +59,21 @@ class Clock:
         """(N,), s."""
         return self.readings / TIME_UNITS[self.unit]
 
+    def regular(self, first: int, last: int) -> tuple[np.ndarray, bool]:
+        """Times of rows first..last (``last`` excluded), s, and whether they are even.
+
+        Even ones are put onto the regular axis between their ends, uneven ones are as they are.
+
+        Raises:
+            InputError: Uneven times that the file's own header tells: they are no readings of a clock.
+        """
+        try:
+            return self.uniform(first, last), True
+        except InputError:
+            if not self.column:
+                raise
+            return self.time[first:last], False
+
     def uniform(self, first: int, last: int) -> np.ndarray:
         """Times of rows first..last (``last`` excluded), put onto the regular axis between their ends, s.
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pinn_cli.record.clock import TIME_UNITS
-from pinn_cli.record.decimation import decimate
+from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.files.table import Table
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.record.record import (
     GROUND,
@@ -31,6 +32,7 @@ from pinn_cli.record.record import (
     check_frame,
     dof_mask,
 )
+from pinn_cli.record.sampled import Sampled, sampled
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import (
     entries,
@@ -41,6 +43,7 @@ from pinn_cli.settings.legal_values import (
     whole_number,
 )
 from pinn_cli.settings.paths import located
+from pinn_cli.system.quantities import FORCE
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class MeasuredData:
         intersample: How the force behaves between the samples.
         base: The directory the user started the command in; None: the current one.
         kind: The name of the config group's choice.
+        channels: Name of a channel to what it is, the long form: see
+            :class:`pinn_cli.record.data_channels.DataChannel`.
         format: How numbers lie in the file; where its suffix is that of another format, that one's settings by default.
 
     Raises:
@@ -89,6 +94,7 @@ class MeasuredData:
     format: FileFormat = field(default_factory=CsvFormat)
     sampling_rate: float | None = None
     time_unit: str = "s"
+    channels: Any = None
 
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
@@ -99,6 +105,7 @@ class MeasuredData:
         self._check_clock()
         for quantity in QUANTITIES:
             object.__setattr__(self, quantity, _checked_columns(quantity, getattr(self, quantity)))
+        object.__setattr__(self, "channels", data_channels(self.channels))
         object.__setattr__(self, "holdout", _checked_holdout(self.holdout))
         self._check_window()
         one_of("data.intersample", self.intersample, INTERSAMPLE)
@@ -109,61 +116,72 @@ class MeasuredData:
         self._check_sensors()
         self._check_columns_differ()
 
-    def measure(self, ndof: int) -> Measurements:
-        """The record of the columns that are not held out, and as the truth those that are; the rest of it is NaN.
+    def measure(self, ndof: int, connections: Sequence[str] = ()) -> Measurements:
+        """The record of the channels that are not held out, and as the truth those that are; the rest of it is NaN.
+
+        Args:
+            ndof: DOFs of the structure.
+            connections: Names of its connections.
 
         Raises:
             InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples; a response
                 sensor that reads one value throughout.
         """
         self._check_dofs(ndof)
-        time, values = self._read()
-        self._check_alive(values)
+        found = self._read(connections)
+        time = found.time
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
-        unforced = ~dof_mask(self.force, ndof)
+        forced = [
+            *self.force,
+            *(dof + 1 for channel in self.channels if channel.sensor == FORCE for dof in channel.weights),
+        ]
+        unforced = ~dof_mask(forced, ndof)
         seen.force[:, unforced] = 0.0
-        ground = values.pop((GROUND, 0), None)
-        for (quantity, dof), column in values.items():
-            target = truth if dof in self.holdout else seen
-            getattr(target, quantity)[:, dof - 1] = column
-        seen = replace(seen, ground_acceleration=ground)
-        record = Record(**seen.measurable, unforced=unforced, intersample=self.intersample, frame=self.frame)
+        for (quantity, dof), column in found.columns.items():
+            if quantity != GROUND:
+                target = truth if dof in self.holdout else seen
+                getattr(target, quantity)[:, dof - 1] = column
+        seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
+        record = Record(
+            **seen.measurable,
+            unforced=unforced,
+            intersample=self.intersample,
+            frame=self.frame,
+            gauges=self._not_held_out(found.gauges),
+        )
         return Measurements(record, Truth(truth))
 
-    @property
-    def _columns(self) -> dict[tuple[str, int], str]:
-        """Quantity and DOF to the name of the column; the ground's has DOF 0."""
-        columns = {
-            (quantity, dof): column
+    def _not_held_out(self, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
+        """The gauges that an estimator may see.
+
+        Raises:
+            InputError: One that feels a DOF which is held out and cannot be scored.
+        """
+        held = {dof - 1 for dof in self.holdout}
+        for gauge in gauges:
+            if held & set(gauge.weights) and not (gauge.fills and gauge.feels_one):
+                allowed = "DOFs whose every channel measures that DOF alone"
+                raise InputError("data.holdout", list(self.holdout), allowed, f"channel {gauge.name} feels others too")
+        return tuple(gauge for gauge in gauges if not held & set(gauge.weights))
+
+    @cached_property
+    def _every_channel(self) -> tuple[DataChannel, ...]:
+        """Those of ``data.channels`` and those of the short form."""
+        short = [
+            DataChannel(f"data.{quantity}.{dof}", column, column, quantity, {dof - 1: 1.0})
             for quantity in QUANTITIES
             for dof, column in getattr(self, quantity).items()
             if column is not None
-        }
-        return columns if self.ground_acceleration is None else {**columns, (GROUND, 0): self.ground_acceleration}
+        ]
+        if self.ground_acceleration is not None:
+            ground = self.ground_acceleration
+            short.append(DataChannel(f"data.{GROUND}", ground, ground, GROUND))
+        return (*short, *self.channels)
 
-    def _check_alive(self, values: Mapping[tuple[str, int], np.ndarray]) -> None:
-        """A response sensor that reads one value throughout has seen nothing; a force may well be zero."""
-        for (quantity, dof), column in values.items():
-            if quantity != "force" and np.ptp(column) == 0.0:
-                name = self._columns[quantity, dof]
-                hint = f"every sample of it is {column[0]:g}: a dead sensor? Leave it out of data.{quantity}"
-                raise InputError(_setting(quantity, dof), repr(name), "a column that varies", hint)
-
-    def _read(self) -> tuple[np.ndarray, dict[tuple[str, int], np.ndarray]]:
-        """Times (N,) of the window after decimation, and by quantity and DOF the columns (N,)."""
-        columns = self._columns
-        clock = self._files.read({_setting(*place): column for place, column in columns.items()})
-        first, last = self._window(clock.time)
-        time = clock.uniform(first, last)
-        values = np.stack([self._samples(clock.table, column, first, last) for column in columns.values()], axis=1)
-        return time[:: self.decimate], dict(zip(columns, decimate(values, self.decimate).T, strict=True))
-
-    @staticmethod
-    def _samples(table: Table, column: str, first: int, last: int) -> np.ndarray:
-        """The column's numbers in rows first..last (excluded), every one of them there."""
-        values = table.numbers(column, first, last)
-        table.refuse_gaps(column, values, first)
-        return values
+    def _read(self, connections: Sequence[str]) -> Sampled:
+        """The channels of the window after decimation."""
+        clock = self._files.read({channel.setting: channel.column for channel in self._every_channel})
+        return sampled(self._every_channel, clock, self._window(clock.time), self.decimate, connections)
 
     @property
     def _files(self) -> MeasuredFiles:
@@ -211,21 +229,23 @@ class MeasuredData:
         column = self.ground_acceleration
         if column is not None and (not isinstance(column, str) or not column):
             raise InputError(f"data.{GROUND}", column, "null or the name of a column")
-        check_frame(self.frame, column is not None, f"data.{GROUND} is not given")
-        if column is not None and self.intersample == "zero_order_hold":
+        moves = any(channel.sensor == GROUND for channel in self._every_channel)
+        check_frame(self.frame, moves, f"data.{GROUND} is not given")
+        if moves and self.intersample == "zero_order_hold":
             allowed = f"band_limited with data.{GROUND}"
             raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     def _check_sensors(self) -> None:
-        measured = {dof for quantity in RESPONSE_QUANTITIES for dof in getattr(self, quantity)}
-        if not measured:
+        felt = [(c.sensor, {dof + 1 for dof in c.weights}) for c in self._every_channel]
+        response = [dofs for sensor, dofs in felt if sensor in RESPONSE_QUANTITIES]
+        if not response:
             settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
             raise InputError(settings, "{}", "a map of DOF: column in at least one of them")
-        forces = {dof for dof, column in self.force.items() if column is not None}
+        measured = set().union(*(dofs for _, dofs in felt))
         for dof in self.holdout:
-            if dof not in measured | forces:
+            if dof not in measured:
                 raise InputError("data.holdout", dof, "a DOF with a column", "there is nothing to score it against")
-        if not measured - set(self.holdout):
+        if all(dofs & set(self.holdout) for dofs in response):
             allowed = "such that a displacement, velocity or acceleration column is left"
             raise InputError("data.holdout", list(self.holdout), allowed)
 
@@ -233,21 +253,21 @@ class MeasuredData:
         files = self._files
         times = {files.time_column(path) for path in files.paths} - {None}
         places = {str(time): "data.time" for time in times}
-        for place, column in self._columns.items():
-            if column in places:
-                raise InputError(_setting(*place), repr(column), f"another column than {places[column]}")
-            places[column] = _setting(*place)
+        for channel in self._every_channel:
+            if channel.column in places:
+                allowed = f"another column than {places[channel.column]}"
+                raise InputError(channel.setting, repr(channel.column), allowed)
+            places[channel.column] = channel.setting
 
     def _check_dofs(self, ndof: int) -> None:
-        for quantity in QUANTITIES:
-            for dof in getattr(self, quantity):
-                if not 1 <= dof <= ndof:
-                    raise InputError(f"data.{quantity}", dof, f"a DOF between 1 and system.ndof={ndof}")
-
-
-def _setting(quantity: str, dof: int) -> str:
-    """Where the column of a quantity and DOF is given."""
-    return f"data.{quantity}" if quantity == GROUND else f"data.{quantity}.{dof}"
+        for dof in self.force:  # of one that acts unmeasured there is no channel
+            if not 1 <= dof <= ndof:
+                raise InputError("data.force", dof, f"a DOF between 1 and system.ndof={ndof}")
+        for channel in self._every_channel:
+            for dof in channel.weights:
+                if dof >= ndof:
+                    setting = channel.setting if channel in self.channels else f"data.{channel.sensor}"
+                    raise InputError(setting, dof + 1, f"a DOF between 1 and system.ndof={ndof}")
 
 
 def _checked_columns(quantity: str, columns: Any) -> dict[int, str | None]:

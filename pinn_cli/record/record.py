@@ -5,11 +5,12 @@ Arrays are numpy float64 (time, dof), SI units. DOFs are counted from 1 wherever
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
@@ -24,7 +25,7 @@ QUANTITIES = (*RESPONSE_QUANTITIES, "force")
 GROUND = quantities.GROUND
 # All that a sensor may measure.
 MEASURED_QUANTITIES = (*QUANTITIES, GROUND)
-UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", GROUND: "m/s^2"}
+UNITS = quantities.UNITS
 
 Intersample = Literal["band_limited", "zero_order_hold"]
 INTERSAMPLE: tuple[str, ...] = get_args(Intersample)
@@ -94,6 +95,11 @@ class Record:
         simulated: Whether a simulation of the configured structure made it. What is prescribed for an unknown parameter
             is then the truth, and to be forgotten; of a measured record it is what the user knows.
         dofs: What the user calls the DOFs, n names; empty: they go by their numbers.
+        gauges: Sensors that take more to describe than a column. One of a single DOF fills its column as well, as it is
+            believed to be calibrated and by straight lines where samples are missing: for orders of magnitude, spectra
+            and figures. What it says is in its own samples (:meth:`gauged`).
+        missing: Quantity to (N, channels) bool, where a column shows something else for want of a sample, once that is
+            known; none where every sample is one.
 
     Raises:
         InputError: No response sensor at all; a held force where the ground moves.
@@ -112,6 +118,8 @@ class Record:
     ground_acceleration: np.ndarray | None = None
     frame: Frame = "absolute"
     dofs: tuple[str, ...] = ()
+    gauges: tuple[Gauge, ...] = ()
+    missing: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):
@@ -123,7 +131,7 @@ class Record:
         self._check_time()
         self._check_columns()
         self._check_ground()
-        if not self.observed.any():
+        if not self.observed.any() and not any(gauge.quantity in RESPONSE_QUANTITIES for gauge in self.gauges):
             raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
 
     def _check_time(self) -> None:
@@ -204,6 +212,17 @@ class Record:
         measured: np.ndarray = np.isfinite(self.histories(quantity)[0])
         return np.logical_and(measured, ~self.unforced) if quantity == "force" else measured
 
+    def gauged(self, quantity: str) -> np.ndarray:
+        """(channels,) bool: those whose column only shows what a gauge is believed to have measured."""
+        gauged = np.zeros(self.histories(quantity).shape[1], dtype=bool)
+        gauged[[g.dof for g in self.gauges if g.quantity == quantity and g.dof is not None]] = True
+        return gauged
+
+    def there(self, quantity: str, channel: int) -> np.ndarray | None:
+        """(N,) bool, where a channel has a sample; None: everywhere, as far as is known."""
+        missing = self.missing.get(quantity)
+        return None if missing is None or not missing[:, channel].any() else ~missing[:, channel]
+
     @property
     def observed(self) -> np.ndarray:
         """(n,) bool: the DOFs with a displacement, velocity or acceleration sensor."""
@@ -228,8 +247,14 @@ class Record:
             kept = dof_mask(dofs_by_quantity.get(quantity, ()), self.ndof)
             return np.where(kept, getattr(self, quantity), np.nan)
 
+        def stays(gauge: Gauge) -> bool:
+            return gauge.quantity not in RESPONSE_QUANTITIES or all(
+                dof + 1 in dofs_by_quantity.get(gauge.quantity, ()) for dof in gauge.weights
+            )
+
         return replace(
             self,
+            gauges=tuple(gauge for gauge in self.gauges if stays(gauge)),
             displacement=blanked("displacement"),
             velocity=blanked("velocity"),
             acceleration=blanked("acceleration"),
@@ -237,7 +262,8 @@ class Record:
 
     def without_load_cells(self) -> Record:
         """The record in which the force on every forced DOF is unknown."""
-        return replace(self, force=np.where(self.unforced, self.force, np.nan))
+        gauges = tuple(gauge for gauge in self.gauges if gauge.quantity != "force")
+        return replace(self, force=np.where(self.unforced, self.force, np.nan), gauges=gauges)
 
     def until(self, samples: int) -> Record:
         """The record's first samples; the scatter of repeats, which is known of the whole, is shared out evenly."""
@@ -248,7 +274,8 @@ class Record:
         if repeats is not None:
             left = samples / repeats.samples
             repeats = replace(repeats, samples=samples, square={q: left * s for q, s in repeats.square.items()})
-        return replace(self, **histories, repeats=repeats)
+        gauges = tuple(gauge.until(histories["time"][-1]) for gauge in self.gauges)
+        return replace(self, **histories, repeats=repeats, gauges=tuple(g for g in gauges if len(g.time)))
 
 
 @dataclass(frozen=True, eq=False)

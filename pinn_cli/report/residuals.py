@@ -76,19 +76,20 @@ def residual_table(
 
 def _row(estimate: Estimate, record: Record, free_run: Response | None, channel: Channel) -> dict[str, object]:
     signal, left = channel.measured, channel.measured - channel.of(estimate.response)
-    sigma, rms = noise_found(estimate, channel), float(np.sqrt(np.mean(left**2)))
+    own = channel.sampled(left)
+    sigma, rms = noise_found(estimate, channel), float(np.sqrt(np.mean(own**2)))
     correlation = autocorrelation(left, LAGS)
     low, high = signal_edges(signal, record.step)
     return {
         "quantity": channel.quantity,
         "dof": channel.dof + 1,
-        "samples": len(signal),
+        "samples": len(own),
         "signal_rms": float(np.std(signal)),
         "residual_rms": rms,
-        "nmse_percent": nmse_percent(left, signal),
+        "nmse_percent": nmse_percent(own, channel.sampled(signal)),
         "sigma": sigma,
         "residual_over_sigma": rms / sigma if sigma > 0.0 else np.nan,
-        "mean_residual": float(np.mean(left)),
+        "mean_residual": float(np.mean(own)),
         "whiteness": white_probability(left),
         "largest_autocorrelation": float(max(correlation, key=abs)),
         "spectrum_deviation": cumulated_deviation(left),

@@ -10,6 +10,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.functions import Inputs
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 
@@ -36,9 +37,11 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         _check_modal(structure.shapes, record, unknown_force)
     left_open = ~record.unforced & ~record.sensors("force")
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
-    loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors("force"))) if modal else ()
+    functions = modal or any(gauge.quantity == FORCE for gauge in record.gauges)
+    loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
+    together = not all(gauge.feels_one for gauge in record.gauges)
     if not forces and not loads and record.ground_acceleration is None and not len(structure.memory):
-        return Inputs()
+        return Inputs(together=together)
     band = record_band(record)
     return Inputs(
         record.ground_acceleration is not None,
@@ -48,6 +51,7 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         math.pi * band,
         2.0 * math.pi * band,
         loads,
+        together,
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
 from pinn_cli.scheme.missing_values import check_given
@@ -59,7 +60,7 @@ class SparseRecovery(Scheme):
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""
         check_given(prescribed)
-        uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
+        uncertain = *believed_parameters(prescribed, self.parameter_uncertainty), *sensor_parameters(record)
         through, begins = self.acceleration_through, self.initial_motion
         inputs = inputs_of(prescribed, record, self.unknown_force)
         return Problem(prescribed, record, uncertain, through, begins, inputs=inputs)

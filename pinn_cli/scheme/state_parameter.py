@@ -10,6 +10,7 @@ from dataclasses import replace
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
 from pinn_cli.scheme.missing_values import check_given
@@ -98,6 +99,7 @@ class StateParameter(Scheme):
         for start in parameter_starts(prescribed, record, chosen, self._given(prescribed, record, chosen), self.starts):
             unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
+            uncertain += sensor_parameters(record)
             structure = at_starts(prescribed, unknown)
             problems.append(Problem(structure, record, uncertain, through, self.initial_motion, inputs=inputs))
         return replace(problems[0], alternatives=tuple(problems[1:]))
@@ -105,7 +107,8 @@ class StateParameter(Scheme):
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""
         again = copy(self)
-        again.unknown = [parameter.name for parameter in problem.uncertain if parameter.unknown]
+        structural = problem.structure.parameters
+        again.unknown = [p.name for p in problem.uncertain if p.unknown and p.kind in structural]
         return again.problem(prescribed, record)
 
     def _given(self, prescribed: Structure, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

@@ -10,7 +10,8 @@ same number:
     (w' + w / tau) / rate = white noise                   an unknown force as a Gaussian process, N
 
 Where the coordinates are modes, a force on a DOF is in all their equations. A measured one is then a function as well,
-with a sensor of its own and a process like the ground's: its errors are common to all modes.
+with a sensor of its own and a process like the ground's: its errors are common to all modes. So it is where a load cell
+has a gain in doubt, a delay, or samples that are missing.
 
 Rows of first order are divided by a rate of the record, so that all of them are forces. The ground's process is flat up
 to the edge of the record's band and falls off above it: between samples it does what a band-limited signal does.
@@ -100,7 +101,7 @@ class Dynamics(Functions):
         if self.structure.shapes is not None:
             return self.on_dofs(jet)
         force = self.residual(jet, parameters)[..., : self.ndof].clone()
-        force[..., list(self.inputs.forces)] = jet.value[..., self.forces]
+        force[..., self.loaded] = jet.value[..., self.acting]
         return force
 
     def linearise(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Linearisation:
@@ -189,7 +190,7 @@ class Dynamics(Functions):
         """Which function stands in which equation, term by term."""
         branches = self.branches.matrix
         if self.is_plain:
-            return Coupling(branches, branches)
+            return Coupling(branches, branches, together=self.inputs.together)
         stretched, hidden = branches[self.structure.memory], branches[self._connections :]
         into, by = [branches, stretched, hidden], [branches, hidden, stretched]
         if self.inputs.ground:

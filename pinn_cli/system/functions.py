@@ -34,7 +34,9 @@ class Inputs:
         correlation_time: Of those forces, s.
         rate: Of the record, 1/s, that rows of first order are divided by.
         edge: Of the band of the ground's acceleration and of loads, rad/s.
-        loads: DOFs, counted from 0, whose measured force is a function to be found, where the coordinates are modes.
+        loads: DOFs, counted from 0, whose measured force is a function to be found: where the coordinates are modes, or
+            a load cell is a gauge.
+        together: Whether sensors feel functions that no equation of motion couples.
     """
 
     ground: bool = False
@@ -44,6 +46,7 @@ class Inputs:
     rate: float = 1.0
     edge: float = 1.0
     loads: tuple[int, ...] = ()
+    together: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,7 @@ class Functions:
         parts = {
             "a hidden force": self.hidden,
             "the ground's acceleration": self.ground,
-            "a force on modes": self.loads,
+            "a force": self.loads,
             "an unmeasured force": self.forces,
         }
         modes = [] if self.structure.shapes is None else ["the motion of modes"]

@@ -20,6 +20,8 @@ MASS = "m"
 # Of the linear part of every structure: what they are called, and their units.
 LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
+# Of a sensor: what it shows of what it feels, the unit of each over that of the sensor's quantity.
+CALIBRATION_UNITS = {"gain": "", "offset": "", "drift": "/s", "delay": "s"}
 _GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau")
 
 T = TypeVar("T")
@@ -27,11 +29,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a structure. Two are equal if they are the same one, whatever is believed of it.
+    """One parameter of a structure or a sensor. Two are equal if they are the same one, whatever is believed of it.
 
     Attributes:
         kind: ``m``, ``c``, ``k``, ``kappa``, ...
-        index: Whose it is among those of its kind, counted from 0: of which mass, or of which connection.
+        index: Whose it is among those of its kind, counted from 0: of which mass, connection or sensor.
         prescribed: Prior mean: the value that the user believes in, or where an unknown one starts; NaN where there is
             none.
         prior_std: Prior standard deviation, in the parameter's unit; NaN where there is none.
@@ -42,7 +44,7 @@ class Parameter:
         positive: Whether it cannot be below zero.
         unit: Powers as ``m^3``; "" where nobody has said.
         title: What a figure calls its kind; "" where it goes by its symbol.
-        label: Name of its mass or connection; "": its number.
+        label: Name of its mass, connection or sensor; "": its number.
         prior: Where its posterior distribution is wanted.
     """
 
@@ -60,12 +62,14 @@ class Parameter:
 
     @property
     def whose(self) -> str:
-        """Name or number of its mass or connection."""
+        """Name or number of its mass, connection or sensor."""
         return self.label or str(self.index + 1)
 
     @property
     def owner(self) -> str:
-        """Whose it is, as people say it: ``DOF 2``, ``connection 2``."""
+        """Whose it is, as people say it: ``DOF 2``, ``connection 2``, ``sensor a1``."""
+        if self.kind in CALIBRATION_UNITS:
+            return f"sensor {self.whose}"
         return f"{'DOF' if self.kind == MASS else 'connection'} {self.whose}"
 
     @property

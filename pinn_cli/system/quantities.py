@@ -2,3 +2,6 @@
 
 MOTION = ("displacement", "velocity", "acceleration")
 GROUND, FORCE = "ground_acceleration", "force"
+# Of a connection, the force within it.
+CONNECTION_FORCE = "connection_force"
+UNITS = {**dict(zip(MOTION, ("m", "m/s", "m/s^2"), strict=True)), FORCE: "N", GROUND: "m/s^2", CONNECTION_FORCE: "N"}

@@ -262,7 +262,7 @@ class Structure:
         local = {
             name: value.detach().expand(*e.shape[:-1], value.shape[-1]).clone().requires_grad_()
             for name, value in parameters.items()
-            if name != MASS
+            if name != MASS and name in self.parameters
         }
         with torch.enable_grad():
             force = self.connection_force(e, de, local)

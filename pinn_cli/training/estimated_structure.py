@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from pinn_cli.system.parameters import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ParameterEstimate
 
@@ -11,11 +12,15 @@ from pinn_cli.training.estimate import ParameterEstimate
 def estimated_structure(prescribed: Structure, parameters: Iterable[ParameterEstimate]) -> Structure:
     """The prescribed chain with its estimated parameters in place; those that are not listed stay as prescribed.
 
+    Those of sensors are left out.
+
     Raises:
         ValueError: A parameter that the chain does not have.
     """
     values = {}
     for found in parameters:
+        if found.kind in CALIBRATION_UNITS:
+            continue
         if found.parameter.index >= len(prescribed.parameters.get(found.kind, ())):
             raise ValueError(f"the chain of {prescribed.ndof} DOFs has no parameter {found.name}")
         values[found.parameter] = found.estimate

@@ -16,8 +16,10 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
+from pinn_cli.system.quantities import FORCE
 
 # No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error
 # rule.
@@ -25,6 +27,8 @@ FINEST_SENSOR = 1e-6
 # Where a sensor's noise starts that no spectrum shows, over the rms of its channel, unless the emptiest part of its
 # spectrum has less.
 FIRST_SENSOR = 0.1
+# Part of a step by which samples may come early or late and still have a spectrum.
+EVEN = 0.02
 # Features over samples from which on they follow whatever the samples are.
 FOLLOWS_ALL = 0.9
 
@@ -44,6 +48,8 @@ class NoiseModel:
         spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
         points_per_sample: Collocation points for every force sample: between the samples lies the noise of the samples,
             in the same band, and a point's own is so many times as large in variance.
+        taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
+            :meth:`pinn_cli.training.band.normal_equations.NormalEquations.losses`.
         further: Of further records that are solved together with this one; they share its ``spread``.
     """
 
@@ -55,6 +61,7 @@ class NoiseModel:
     occupied: float = 1.0
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
+    taken_up: np.ndarray | None = None
     further: tuple[NoiseModel, ...] = ()
 
     @property
@@ -198,6 +205,32 @@ def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
                 level = float(record.repeats.noise_of_mean(quantity)[dof])
             levels[quantity][dof] = max(level, FINEST_SENSOR * rms)
     return {quantity: levels[quantity] for quantity in record.response_quantities}, levels["force"]
+
+
+def first_level(gauge: Gauge) -> float:
+    """Where the noise of a gauge starts: what the spectrum of its samples shows, where these are even."""
+    rms, step = float(np.std(gauge.values)), _even_step(gauge)
+    level = FIRST_SENSOR * rms
+    if step:
+        level = visible_floor(gauge.values, step) or min(level, lowest_level(gauge.values, step))
+    return max(level, FINEST_SENSOR * rms)
+
+
+def finest_level(gauge: Gauge) -> float:
+    """The least noise that is looked for in a gauge; of a load cell what the spectrum of even samples shows.
+
+    Where the motion does not tell a load cell's noise, none at all would do as well, and bands would be too narrow.
+    """
+    step = _even_step(gauge) if gauge.quantity == FORCE else None
+    shown = (visible_floor(gauge.values, step) if step else None) or 0.0
+    return max(shown, FINEST_SENSOR * float(np.std(gauge.values)))
+
+
+def _even_step(gauge: Gauge) -> float | None:
+    """From sample to sample, s; None where they are uneven."""
+    steps = np.diff(gauge.time)
+    step = float(np.median(steps))
+    return step if np.ptp(steps) < EVEN * step else None
 
 
 def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -48,10 +48,13 @@ def test_a_column_of_times_in_another_unit(tmp_path, unit, per_second):
     np.testing.assert_array_equal(record.acceleration[:, 0], table()["a"][10:41])
 
 
-def test_a_jump_is_told_in_the_columns_own_unit(tmp_path):
+def test_rows_that_are_missing_leave_the_others_at_their_times(tmp_path, caplog):
     table(10.0).drop(index=40).to_csv(tmp_path / "rig.csv", index=False)
-    with pytest.raises(InputError, match="column 't', line 42=410.0: must be one step of 10 ms after the line before"):
-        read(tmp_path, time_unit="ms")
+    record = read(tmp_path, time_unit="ms")
+    assert "times are uneven" in caplog.text
+    expected = np.delete(0.01 * np.arange(len(table())), 40)
+    for gauge in record.gauges:
+        np.testing.assert_allclose(gauge.time, expected)
 
 
 def test_a_sampling_rate_stands_in_place_of_times(tmp_path):

@@ -89,12 +89,13 @@ def test_a_setting_that_cannot_be_used(quake, expected, changes):
     assert str(error.value).startswith(expected)
 
 
-def test_a_gap_is_told_by_its_line(tmp_path):
+def test_a_sample_of_the_ground_may_be_missing(tmp_path):
     values = table()
     values.loc[7, "ground"] = np.nan
     values.to_csv(tmp_path / "quake.csv", index=False)
-    with pytest.raises(InputError, match="column 'ground', line 9=empty or NaN"):
-        read(tmp_path)
+    (gauge,) = read(tmp_path).gauges
+    assert gauge.quantity == "ground_acceleration"
+    np.testing.assert_array_equal(gauge.values, values["ground"].dropna())
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,10 @@ class BorderedFactor:
         x = self.of_parameters(right, lower)
         return -free - self.solved_border @ x, x
 
+    def readout_step(self, system: BorderedSystem) -> np.ndarray:
+        """W (size,) of the system's solution with the parameters held."""
+        return -_band_solve(self.band, self.scale, system.gradient)
+
     def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
         """A^-1 g (size,), and the right-hand side (p,) of the parameters with the readout weights eliminated."""
         free = _band_solve(self.band, self.scale, system.gradient)

@@ -89,6 +89,11 @@ class DofMajorSums(RowSums):
         place = self.layout.positions(segments.feature.cpu().numpy(), np.array(function))
         np.add.at(self._moments, place, moment.cpu().numpy())
 
+    def add_border(self, segments: Segments, moment: Tensor, function: int, place: int) -> None:
+        """See :meth:`RowSums.add_border`."""
+        position = self.layout.positions(segments.feature.cpu().numpy(), np.array(function))
+        np.add.at(self.border[:, place], position, moment.cpu().numpy())
+
     @property
     def band(self) -> np.ndarray:
         """See :attr:`RowSums.band`."""

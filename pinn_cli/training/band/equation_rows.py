@@ -11,7 +11,7 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.linearisation import Linearisation
-from pinn_cli.system.parameters import MASS, ParameterVector
+from pinn_cli.system.parameters import CALIBRATION_UNITS, MASS, ParameterVector
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
 # and no more than that for Fourier features.
@@ -33,6 +33,7 @@ class RowPattern:
         order: (N,), the functions in the order that the band has them in; offsets are counted in it.
         offsets: (D,), from a function to those of its slots.
         coupled: (N, D) bool, the slots that are used; the others hold zeros.
+        kinds: Of the parameters in the equations.
         places: (N, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
         count: Members of all the vector's kinds.
     """
@@ -43,6 +44,8 @@ class RowPattern:
         self.offsets, self.coupled, self.reach = coupling.offsets, coupling.coupled, coupling.reach
         self.order, self.rank = coupling.order, coupling.rank
         self.own = self.offsets.index(0)
+        # Those of sensors are in no equation of motion.
+        self.kinds = tuple(kind for kind in vector.kinds if kind not in CALIBRATION_UNITS)
         self.count = vector.places
         self.places = self._places()
         beside = np.where(self.coupled, coupling.neighbours, dynamics.size)
@@ -53,7 +56,7 @@ class RowPattern:
         self._by_offset, self._sign = (torch.as_tensor(x).to(like) for x in (coupling.by_offset, self._signs()))
 
     def _places(self) -> np.ndarray:
-        touching, kinds, n = self.dynamics.branches.touching, self.vector.kinds, self.dynamics.ndof
+        touching, kinds, n = self.dynamics.branches.touching, self.kinds, self.dynamics.ndof
         places = np.full((len(touching), len(kinds), touching.shape[1]), -1, dtype=np.int64)
         for number, kind in enumerate(kinds):
             if kind == MASS:
@@ -67,8 +70,8 @@ class RowPattern:
 
     def _signs(self) -> np.ndarray:
         """(N, kinds, F), the weight of each parameter's branch in the row."""
-        signs = np.repeat(self.dynamics.branches.sign[:, None], len(self.vector.kinds), axis=1)
-        for number, kind in enumerate(self.vector.kinds):
+        signs = np.repeat(self.dynamics.branches.sign[:, None], len(self.kinds), axis=1)
+        for number, kind in enumerate(self.kinds):
             if kind == MASS:
                 signs[:, number] = np.eye(1, signs.shape[2])
         return signs
@@ -167,7 +170,9 @@ def own_by_parameter(slope: Linearisation, acceleration: Tensor, spread: dict[st
         acceleration: What a mass parameter multiplies.
         spread: Kind to prior standard deviations of all its members, 0 of those that are held fixed.
     """
-    blocks = [(acceleration if kind == MASS else slope.by_parameter[kind]) * by for kind, by in spread.items()]
+    none = acceleration.new_zeros((*acceleration.shape[:-1], 1))  # of sensors
+    by_kind = {**dict.fromkeys(CALIBRATION_UNITS, none), **slope.by_parameter, MASS: acceleration}
+    blocks = [by_kind[kind] * by for kind, by in spread.items()]
     return torch.cat(blocks, -1) if blocks else acceleration.new_zeros((*acceleration.shape[:-1], 0))
 
 

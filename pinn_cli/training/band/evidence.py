@@ -11,6 +11,7 @@ import torch
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.physics import observation_masks
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.discrepancy_search import DiscrepancySearch, Trained
@@ -68,7 +69,7 @@ class Evidence(DiscrepancySearch):
         equations = self.equations
         losses = equations.losses(point, noise)
         forces = self.force_residuals(point, noise)
-        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior"))
+        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain"))
         # What physics says of a motion is a density of accelerations, not of forces: else a massless chain, on which
         # every motion balances, would be the most probable of all.
         moving = equations.target.equation[: equations.dynamics.ndof]
@@ -95,7 +96,11 @@ class Evidence(DiscrepancySearch):
         """Of the response sensors; those of an observer equation stand with the forces."""
         masks = observation_masks(self.equations.target, self.equations.problem.acceleration_through)
         samples = len(self.equations.problem.record.time)
-        return sum(
+        of_gauges = sum(
+            2.0 * rows.samples * float(np.log(sigma))
+            for rows, sigma in zip(self.equations.gauge_rows, noise.response.get(GAUGE, ()), strict=True)
+        )
+        return of_gauges + sum(
             2.0 * samples * float(np.log(noise.response[name][mask.cpu().numpy()]).sum())
             for name, mask in masks.items()
             if name != "observer"

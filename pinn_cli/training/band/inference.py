@@ -11,6 +11,7 @@ import numpy as np
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
@@ -24,7 +25,7 @@ from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel, starting_levels
+from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
@@ -181,7 +182,11 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     response, sensors = starting_levels(problem.record)
     points, dynamics, shapes = evidence.equations.refinement, problem.dynamics, problem.structure.shapes
     driving = np.full(dynamics.size, np.nan)
-    if shapes is not None:
+    for quantity, levels in (*response.items(), (FORCE, sensors)):
+        levels[problem.record.gauged(quantity)] = np.nan
+    if problem.record.gauges:
+        response[GAUGE] = np.array([first_level(gauge) for gauge in problem.record.gauges])
+    if shapes is not None or dynamics.inputs.loads:
         response |= {FORCE: sensors} if dynamics.inputs.loads else {}
         sensors = np.full(dynamics.ndof, np.nan)
     sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)

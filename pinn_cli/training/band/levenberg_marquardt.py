@@ -79,7 +79,8 @@ def minimise(
 ) -> Solution:
     """Levenberg-Marquardt from a starting point.
 
-    A step is taken when the loss does not rise; otherwise the damping grows tenfold. After an accepted step it falls
+    A step is taken when the loss does not rise, if need be after the motion has followed the parameters
+    (:func:`followed`); otherwise the damping grows tenfold. After an accepted step it falls
     tenfold, and to zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
 
     Args:
@@ -108,6 +109,10 @@ def minimise(
                 terms = equations.losses(moved, noise)
                 if sum(terms.values()) <= loss * (1.0 + 1e-12):
                     break
+                moved = followed(equations, moved, noise)
+                terms = equations.losses(moved, noise)
+                if sum(terms.values()) <= loss * (1.0 + 1e-12):
+                    break
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > LARGEST_DAMPING:
                 return Solution(point, loss, iteration, False)
@@ -119,3 +124,19 @@ def minimise(
         if decrease <= enough and damping == 0.0:
             return Solution(point, loss, iteration + 1, True, factor if undamped else None)
     return Solution(point, loss, iterations, False)
+
+
+def followed(equations: LeastSquares, point: Point, noise: NoiseModel) -> Point:
+    """The point whose motion has made a step of its own, parameters held.
+
+    Where physics is stiff, a step of motion and parameters together leaves the narrow valley of what solves it by the
+    product of both changes. The motion is (nearly) linear given the parameters: one step brings it back (variable
+    projection; Golub and Pereyra 1973).
+    """
+    if not len(point.parameters):
+        return point
+    system = equations.assemble(point, noise)
+    factor = system.factor()
+    if factor is None:
+        return point
+    return equations.moved(point, (factor.readout_step(system), np.zeros(len(point.parameters))))

@@ -14,13 +14,14 @@ import numpy as np
 import torch
 
 from pinn_cli.physics import observation_masks
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel
+from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
@@ -57,7 +58,9 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
         levels = trained.noise.by_record
         change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
         moves = zip(levels, map(_stride, before, change), floors, strict=True)
-        noise = NoiseModel.of_records([_moved(*each) for each in moves]).with_spread(evidence.learned_spread(trained))
+        noise = NoiseModel.of_records(
+            [replace(_moved(*each), taken_up=new.taken_up) for each, new in zip(moves, found, strict=True)]
+        ).with_spread(evidence.learned_spread(trained))
         again = evidence.train(noise, trained.solution.point)
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
@@ -102,8 +105,13 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
         drawn = Point(*(torch.as_tensor(v).to(point.unknowns) for v in (w, x)))
         seen = equations.jet(equations.observation, drawn)
         for quantity in response:
+            if quantity == GAUGE:
+                continue
             values = equations.dynamics.sensed(quantity, seen)
             response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+        moved = equations.moved_gauges(point, drawn)
+        if moved:
+            response[GAUGE] += np.array([float(values.square().sum()) for values in moved]) / DRAWS
         force = equations.moved_force(rows, drawn)
         enforced += (force.square() * physics).sum((0, 1)).cpu().numpy() / DRAWS
     return Taken({q: square / noise.response[q] ** 2 for q, square in response.items()}, enforced)
@@ -130,6 +138,13 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
         level = _limited(np.sqrt(found), noise.response[name])
         response[name] = np.where(there, np.maximum(level, least.response[name]), noise.response[name])
+    if GAUGE in response:
+        noise = replace(noise, taken_up=taken.response[GAUGE])
+        square = np.array([float(r.square().sum()) for r in equations.gauge_residuals(trained.solution.point)])
+        shown = np.array([rows.samples for rows in equations.gauge_rows])
+        left = np.maximum(shown - taken.response[GAUGE], FEWEST_LEFT * shown)
+        level = _limited(np.sqrt(square / left), noise.response[GAUGE])
+        response[GAUGE] = np.maximum(level, least.response[GAUGE])
     force = np.maximum(_limited(force, noise.force), least.force)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
@@ -185,7 +200,11 @@ def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarr
 def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     """The least levels that are looked for."""
     record, noise = evidence.equations.problem.record, trained.noise
-    finest = {q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in noise.response}
+    finest = {
+        q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in noise.response if q != GAUGE
+    }
+    if GAUGE in noise.response:
+        finest[GAUGE] = np.array([finest_level(gauge) for gauge in record.gauges])
     of_force = np.full(len(noise.force), np.nan)
     if np.isfinite(noise.force).any():
         of_force[: record.ndof] = FINEST_SENSOR * np.sqrt(np.mean(record.force**2, axis=0))
@@ -196,7 +215,7 @@ def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     response = {q: np.fmin(finest[q], level) for q, level in noise.response.items()}
     # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
     # do as well, and bands would be too narrow.
-    for dof in np.flatnonzero(record.sensors("force")):
+    for dof in np.flatnonzero(record.sensors("force") & ~record.gauged("force")):
         shown = visible_floor(record.force[:, dof], record.step)
         if FORCE in response:
             response[FORCE][dof] = max(response[FORCE][dof], shown or 0.0)

@@ -18,14 +18,16 @@ from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, targets
+from pinn_cli.record.gauge import GAUGE, calibrations
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.parameters import CALIBRATION_UNITS, ParameterVector
 from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
+from pinn_cli.training.band.gauge_rows import GaugeRows
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Bounded, Point
@@ -75,12 +77,14 @@ class NormalEquations(Bounded):
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
         local = isinstance(network, SplineNetwork)
-        self.prescribed = {name: value.to(self.target.force) for name, value in problem.structure.parameters.items()}
+        prescribed = problem.structure.parameters | calibrations(problem.record.gauges)
+        self.prescribed = {name: value.to(self.target.force) for name, value in prescribed.items()}
         self._place_parameters()
         self.pattern = RowPattern(self.dynamics, self.vector, self.target.force)
         self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern, True if local else None)
         self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
         self.sensor_rows = self._sensor_rows()
+        self.gauge_rows = self._gauge_rows()
         self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
         self.ridge: float | np.ndarray | None = None
         self._kept_point: Point | None = None
@@ -98,7 +102,9 @@ class NormalEquations(Bounded):
         self.vector = ParameterVector(self.prescribed, self.problem.uncertain)
         self.scale = torch.as_tensor(self.vector.each("prior_std"), dtype=like.dtype, device=like.device)
         self.uncertain, self.columns = self.problem.uncertain, [np.arange(len(self.problem.uncertain))]
-        self.unknown = torch.as_tensor(self.vector.each("unknown"), dtype=torch.bool, device=like.device)
+        # What is believed of a sensor has nothing to do with how well the structure is known.
+        alone = [p.unknown or p.kind in CALIBRATION_UNITS for p in self.problem.uncertain]
+        self.unknown = torch.as_tensor(alone, dtype=torch.bool, device=like.device)
         self.lower = self.vector.each("lower") / self.vector.each("prior_std")
         # 0 where a parameter is held fixed: its column then vanishes.
         self.spread = self.vector.scattered(self.scale)
@@ -120,6 +126,25 @@ class NormalEquations(Bounded):
             for name, mask in masks.items()
             if name != "observer" and not self.dynamics.feels_own(name)
         }
+
+    def _gauge_rows(self) -> list[GaugeRows]:
+        """Residuals of sensors with samples and a calibration of their own."""
+        return [
+            GaugeRows(gauge, i, self.network, self.dynamics, self.layout, self.vector, self.target.force)
+            for i, gauge in enumerate(self.problem.record.gauges)
+        ]
+
+    def gauge_residuals(self, point: Point) -> list[Tensor]:
+        """Of every gauge, what it would show without noise minus what it shows, (I, S), 0 at padding."""
+        parameters = self.parameters(point)
+        return [rows.residual(point.unknowns, parameters) for rows in self.gauge_rows]
+
+    def moved_gauges(self, point: Point, step: Point) -> list[Tensor]:
+        """Change of what every gauge would show with a small step of weights and parameters, each (I, S)."""
+        parameters = self.parameters(point)
+        spread = torch.cat(list(self.spread.values())) if self.spread else point.parameters
+        by = torch.cat(list(self.vector.scattered(step.parameters).values())) if self.spread else step.parameters
+        return [rows.moved(point.unknowns, parameters, step.unknowns, by, spread) for rows in self.gauge_rows]
 
     def start(self) -> Point:
         """The structure at rest with its prescribed parameters."""
@@ -197,15 +222,34 @@ class NormalEquations(Bounded):
         return out
 
     def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
-        """Weighted sum of squares of every residual, of the parameters' prior and of the ridge."""
+        """Weighted sum of squares of every residual, of the parameters' prior and of the ridge.
+
+        And ``gain``: what is most probable together with one motion is a gain that is too large, since smaller motions
+        are more probable by their prior. Over all motions the density of a gain has a factor gain^-taken, with the
+        values of its sensor that the motion has taken up (the determinant of the motion's Hessian).
+        """
         residuals = self.residuals(point)
         weights = self.weights(noise)
         out = {name: float((weights[name] * r.square()).sum()) for name, r in residuals.items()}
+        if self.gauge_rows:
+            squares = [float(r.square().sum()) for r in self.gauge_residuals(point)]
+            out[GAUGE] = float(np.sum(squares / noise.response[GAUGE] ** 2))
+            out["gain"] = self._of_gains(point, noise)
         out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
         if self.begins is not None:
             out["initial"] = self.begins.loss(point.unknowns)
         out["ridge"] = ridge_loss(self.ridge, point.unknowns)
         return out
+
+    def _of_gains(self, point: Point, noise: NoiseModel) -> float:
+        if noise.taken_up is None:
+            return 0.0
+        gain = self.parameters(point)["gain"].abs().log().cpu().numpy()
+        return 2.0 * sum(
+            float(taken * gain[rows.number])
+            for rows, taken in zip(self.gauge_rows, noise.taken_up, strict=True)
+            if "gain" in rows.places
+        )
 
     def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
         """Normal matrix and gradient at a point."""
@@ -226,7 +270,20 @@ class NormalEquations(Bounded):
                 sums.add_own_rows(segments, self.grams[name], moment, weight)
             else:
                 self.sensor_rows[name].add_to(sums, residual, weights[name])
+        self._add_gauges(sums, point, noise)
         return self._system(sums, point, self.precision(noise))
+
+    def _add_gauges(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """Add what sensors with a calibration of their own say."""
+        if not self.gauge_rows:
+            return
+        parameters = self.parameters(point)
+        spread = torch.cat(list(self.spread.values())) if self.spread else point.parameters
+        for rows, sigma in zip(self.gauge_rows, noise.response[GAUGE], strict=True):
+            rows.add_to(sums, point.unknowns, parameters, float(sigma) ** -2, spread)
+            if noise.taken_up is not None and "gain" in rows.places:
+                place = rows.places["gain"]
+                sums.slope[place] += noise.taken_up[rows.number] * spread[place] / rows.value("gain", parameters)
 
     def _sums(self) -> RowSums:
         """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""

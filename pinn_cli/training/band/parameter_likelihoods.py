@@ -97,7 +97,7 @@ def _level(evidence: Evidence, trained: Trained, s: float) -> float:
     equations, noise, record = evidence.equations, trained.noise, evidence.equations.problem.record
     losses = equations.losses(trained.solution.point, noise)
     total = evidence.force_residuals(trained.solution.point, noise).misfit(noise)
-    total += sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior"))
+    total += sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain"))
     total += trained.factor.readout_log_determinant
     if record.repeats is not None:
         forced = record.sensors("force")

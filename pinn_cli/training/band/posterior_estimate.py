@@ -10,6 +10,7 @@ import torch
 from scipy.sparse import csr_matrix
 
 from pinn_cli.physics import estimated_response
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
@@ -55,10 +56,22 @@ def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
         "effective_parameters": _effective_parameters(evidence, trained),
         "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
         "sigma_force": _listed(trained.noise.force[: equations.problem.record.ndof]),
-        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in trained.noise.response.items()},
+        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in _noise_felt(equations, trained).items()},
     }
     summary |= _of_unknown_forces(equations, trained)
     return Estimate(response, std, [], pd.DataFrame(), summary, connections=_connections(posterior, response))
+
+
+def _noise_felt(equations: NormalEquations, trained: Trained) -> dict[str, np.ndarray]:
+    """Quantity to the noise of its sensors; of a gauge over its gain, and as it shows it under a name of their own."""
+    levels = {quantity: sigma.copy() for quantity, sigma in trained.noise.response.items()}
+    if GAUGE not in levels:
+        return levels
+    gain = equations.parameters(trained.solution.point)["gain"].cpu().numpy()
+    for gauge, sigma, factor in zip(equations.problem.record.gauges, levels[GAUGE], gain, strict=True):
+        if gauge.dof is not None:
+            levels[gauge.quantity][gauge.dof] = sigma / abs(factor)
+    return levels
 
 
 def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str, float]:
@@ -98,9 +111,8 @@ def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
         force = posterior.force(equations.forces)
     else:
         force = torch.zeros_like(sensed["displacement"])
-        force[:, list(dynamics.inputs.loads)] = functions[:, dynamics.loads]  # type: ignore[index]
     if functions is not None:
-        force[:, list(dynamics.inputs.forces)] = functions[:, dynamics.forces]
+        force[:, dynamics.loaded] = functions[:, dynamics.acting]
     displacement, velocity, acceleration = (sensed[quantity].numpy() for quantity in RESPONSE_QUANTITIES)
     return Response(
         response.time,
@@ -133,7 +145,12 @@ def _effective_parameters(evidence: Evidence, trained: Trained) -> dict[str, lis
     """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
     record = evidence.equations.problem.record
     taken = values_taken(evidence, trained).response
-    sensors = {quantity: record.sensors(quantity) for quantity in evidence.equations.dynamics.observed}
+    sensors = {
+        quantity: record.sensors(quantity) & ~record.gauged(quantity)
+        for quantity in evidence.equations.dynamics.observed
+    }
+    if GAUGE in taken:
+        sensors[GAUGE] = np.ones(len(record.gauges), dtype=bool)
     return {q: _listed(np.where(there, taken[q], np.nan)) for q, there in sensors.items() if there.any()}
 
 

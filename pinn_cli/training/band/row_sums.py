@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 from torch import Tensor
@@ -59,6 +60,21 @@ class RowSums(ABC):
     @abstractmethod
     def add_moment(self, segments: Segments, moment: Tensor, function: int) -> None:
         """Add features against residual (I, B) of one function to the gradient."""
+
+    @abstractmethod
+    def add_border(self, segments: Segments, moment: Tensor, function: int, place: int) -> None:
+        """Add features of one function against what a parameter does, (I, B), to that parameter's column."""
+
+    def add_parameters(self, places: Sequence[int], products: Tensor, moments: Tensor) -> None:
+        """Add products of parameters among themselves and with the residual.
+
+        Args:
+            places: Of p parameters.
+            products: (p, p).
+            moments: (p,).
+        """
+        self.corner[np.ix_(places, places)] += products.cpu().numpy()
+        self.slope[list(places)] += moments.cpu().numpy()
 
     @property
     @abstractmethod

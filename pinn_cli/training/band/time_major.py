@@ -126,6 +126,14 @@ class TimeMajorSums(RowSums):
                 line = self._line(self._gradient, start + a * self.n + rank, length)
                 line += values[group : group + length, a]
 
+    def add_border(self, segments: Segments, moment: Tensor, function: int, place: int) -> None:
+        """See :meth:`RowSums.add_border`."""
+        values, rank = moment.cpu().numpy(), int(self.pattern.rank[function])
+        for group, start, length in self._placed(segments):
+            for a in range(self.features):
+                line = self._line(self._border[place], start + a * self.n + rank, length)
+                line += values[group : group + length, a]
+
     def _placed(self, segments: Segments) -> list[tuple[int, int, int]]:
         """Runs of groups whose features follow one another: first group, where its first weight stands, how many."""
         first = (segments.feature[:, 0] // self.stride).cpu().numpy()

@@ -184,6 +184,11 @@ class JointFactor(BorderedFactor):
         steps = self.equations.members.each(member.readout_step, self.keys, system.keys, own)
         return np.concatenate(steps), x
 
+    def readout_step(self, system: JointSystem) -> np.ndarray:  # type: ignore[override]
+        """See :meth:`BorderedFactor.readout_step`, of all records."""
+        still = [np.zeros(len(columns)) for columns in self.equations.columns]
+        return np.concatenate(self.equations.members.each(member.readout_step, self.keys, system.keys, still))
+
     @property
     def readout_log_determinant(self) -> float:
         """Over all records."""

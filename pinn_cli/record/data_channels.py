@@ -1,0 +1,230 @@
+"""What every channel of a measured record is: ``data.channels``, the long form behind ``data.acceleration={1: a1}``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.units import si_factor
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, finite_number, is_finite_number, is_whole_number, one_of
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.parameters import CALIBRATION_UNITS
+from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, MOTION
+
+SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
+PLACES = ("dof", "between", "weights", "connection")
+KEYS = ("sensor", "column", "unit", *PLACES, *CALIBRATION_UNITS)
+UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class DataChannel:
+    """One channel of a file.
+
+    Attributes:
+        setting: Where the user gives it.
+        name: Of the channel.
+        column: Of the file.
+        sensor: One of `SENSORS`.
+        weights: DOF, counted from 0, to its weight; none of the ground or of a connection.
+        connection: Name or number of the connection whose force it measures.
+        factor: SI units that one of its units is.
+        calibration: ``gain``, ``offset``, ``drift`` and ``delay`` where they are given: a number, ``unknown``, or value
+            and uncertainty; offset and drift in the channel's unit, the delay in s.
+    """
+
+    setting: str
+    name: str
+    column: str
+    sensor: str
+    weights: Mapping[int, float] = field(default_factory=dict)
+    connection: str | int | None = None
+    factor: float = 1.0
+    calibration: Mapping[str, float | str | tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def dof(self) -> int | None:
+        """The one DOF, counted from 0, that it measures by itself; None: it measures something else."""
+        return next(iter(self.weights)) if list(self.weights.values()) == [1.0] else None
+
+    @property
+    def group(self) -> str:
+        """The setting that lists it."""
+        return self.setting.removeprefix("data.").rpartition(".")[0] or self.setting.removeprefix("data.")
+
+    @property
+    def place(self) -> tuple[str, int] | None:
+        """Quantity and DOF, counted from 1, or the ground with 0; None: it is no column of a record."""
+        if self.sensor == GROUND:
+            return GROUND, 0
+        return None if self.dof is None else (self.sensor, self.dof + 1)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its samples, calibrated as is known, are what the structure does at their times."""
+        return self.place is not None and not any(
+            isinstance(given, str | tuple) or (kind == "delay" and given != 0.0)
+            for kind, given in self.calibration.items()
+        )
+
+    def calibrated(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Samples (J,) of a plain channel in SI units, with what is known of its calibration taken out."""
+        gain, offset, drift = (
+            self._given(kind, 1.0 if kind == "gain" else 0.0) for kind in ("gain", "offset", "drift")
+        )
+        if not self.calibration:
+            return values if self.factor == 1.0 else self.factor * values
+        return np.asarray(self.factor * (values - offset - drift * (time - time[0])) / gain)
+
+    def _given(self, kind: str, default: float) -> float:
+        given = self.calibration.get(kind, default)
+        assert isinstance(given, float)
+        return given
+
+    def gauge(self, time: np.ndarray, values: np.ndarray, connections: Sequence[str], fills: bool) -> Gauge:
+        """A sensor with samples of its own.
+
+        Args:
+            time: (J,), s, of its samples.
+            values: (J,), as the file has them.
+            connections: Names of the structure's connections.
+            fills: Whether its DOF has no other sensor of the kind.
+
+        Raises:
+            InputError: A connection that does not exist, a delay longer than the record.
+        """
+        shown, both = self.factor * values, self._is_unknown("offset") and self._is_unknown("drift")
+        calibration = {
+            kind: self._calibration(kind, given, time, shown, both) for kind, given in self.calibration.items()
+        }
+        late, duration = calibration.get("delay", Calibration(0.0)), float(time[-1] - time[0])
+        if abs(late.value) >= duration:
+            allowed = f"shorter than the record, {duration:.6g} s"
+            raise InputError(f"{self.setting}.delay", late.value, allowed, "delays are in s")
+        connection = -1 if self.connection is None else self._connection(connections)
+        return Gauge(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills)
+
+    def _is_unknown(self, kind: str) -> bool:
+        return self.calibration.get(kind) == UNKNOWN
+
+    def _calibration(
+        self, kind: str, given: float | str | tuple[float, float], time: np.ndarray, shown: np.ndarray, both: bool
+    ) -> Calibration:
+        factor = self.factor if kind in ("offset", "drift") else 1.0
+        if isinstance(given, str):
+            return unknown_calibration(kind, time, shown, both)
+        value, std = given if isinstance(given, tuple) else (given, 0.0)
+        return Calibration(factor * value, factor * std)
+
+    def _connection(self, connections: Sequence[str]) -> int:
+        if self.connection in connections:
+            return connections.index(str(self.connection))
+        numbers = range(1, len(connections) + 1)
+        if is_whole_number(self.connection) and self.connection in numbers:
+            return int(self.connection) - 1  # type: ignore[arg-type]
+        allowed = f"a connection: {', '.join(connections)}"
+        raise InputError(
+            f"{self.setting}.connection", self.connection, allowed, suggestion(str(self.connection), connections)
+        )
+
+
+def data_channels(given: Any) -> tuple[DataChannel, ...]:
+    """``data.channels`` as channels.
+
+    Args:
+        given: Name to what the channel is; DOFs as numbers from 1.
+
+    Raises:
+        InputError: Naming ``data.channels.<name>.<key>``.
+    """
+    if given is None:
+        return ()
+    if not isinstance(given, Mapping):
+        raise InputError("data.channels", given, "a map of channel: {sensor: ..., dof: ...}")
+    return tuple(_channel(str(name), node) for name, node in given.items())
+
+
+def _channel(name: str, node: Any) -> DataChannel:
+    setting = f"data.channels.{name}"
+    if not isinstance(node, Mapping):
+        raise InputError(setting, node, "a map such as {sensor: acceleration, dof: 1, unit: g}")
+    for key in node:
+        if key not in KEYS:
+            raise InputError(
+                f"{setting}.{key}", node[key], f"one of the keys {', '.join(KEYS)}", suggestion(str(key), KEYS)
+            )
+    sensor = one_of(f"{setting}.sensor", node.get("sensor"), SENSORS)
+    column = name if node.get("column") is None else node["column"]
+    if not isinstance(column, str) or not column:
+        raise InputError(f"{setting}.column", column, "the name of a column")
+    weights, connection = _where(setting, sensor, node)
+    factor = si_factor(f"{setting}.unit", node.get("unit"), sensor)
+    calibration = {
+        kind: _number(f"{setting}.{kind}", kind, node[kind]) for kind in CALIBRATION_UNITS if node.get(kind) is not None
+    }
+    return DataChannel(setting, name, column, sensor, weights, connection, factor, calibration)
+
+
+def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> tuple[dict[int, float], str | int | None]:
+    """Weights of DOFs, counted from 0, and the connection of a channel."""
+    given = [key for key in PLACES if node.get(key) is not None]
+    wanted = {GROUND: (), CONNECTION_FORCE: ("connection",), FORCE: ("dof",)}.get(sensor, ("dof", "between", "weights"))
+    if len(given) != min(len(wanted), 1) or any(key not in wanted for key in given):
+        shown = "{" + ", ".join(f"{key}: {node[key]}" for key in given) + "}"
+        allowed = f"one of {', '.join(wanted)}" if wanted else "no dof, between, weights or connection"
+        raise InputError(setting, shown, f"{allowed} with sensor: {sensor}")
+    if not given:
+        return {}, None
+    place = node[given[0]]
+    if given[0] == "connection":
+        return {}, place
+    if given[0] == "dof":
+        return {_dof(f"{setting}.dof", place): 1.0}, None
+    if given[0] == "between":
+        ends = entries(place)
+        if len(ends) != 2 or isinstance(place, str) or ends[0] == ends[1]:
+            raise InputError(
+                f"{setting}.between", place, "two DOFs [a, b]: the sensor feels u_a - u_b, and ground is 0"
+            )
+        each = zip(ends, (1.0, -1.0), strict=True)
+        return {_dof(f"{setting}.between", end): sign for end, sign in each if end not in ("ground", 0)}, None
+    if not isinstance(place, Mapping) or not place:
+        raise InputError(f"{setting}.weights", place, "a map of DOF: weight, such as {1: 0.4, 2: -0.2}")
+    return {
+        _dof(f"{setting}.weights", dof): float(finite_number(f"{setting}.weights.{dof}", weight))
+        for dof, weight in place.items()
+    }, None
+
+
+def _dof(setting: str, dof: Any) -> int:
+    """A DOF, counted from 1 or as text, counted from 0."""
+    number = int(dof) if isinstance(dof, str) and dof.isdecimal() else dof
+    if not is_whole_number(number) or number < 1:
+        raise InputError(setting, dof, "a DOF, counted from 1")
+    return int(number) - 1
+
+
+def _number(setting: str, kind: str, given: Any) -> float | str | tuple[float, float]:
+    """One number of a calibration: known, ``unknown``, or value and uncertainty."""
+    if given == UNKNOWN:
+        return UNKNOWN
+    allowed = "a number, unknown, or {value: ..., uncertainty: ...}"
+    if isinstance(given, Mapping):
+        if set(given) != {"value", "uncertainty"} or not all(map(is_finite_number, given.values())):
+            raise InputError(setting, dict(given), allowed)
+        if given["uncertainty"] < 0:
+            raise InputError(f"{setting}.uncertainty", given["uncertainty"], ">= 0: a standard deviation")
+        value, std = float(given["value"]), float(given["uncertainty"])
+    else:
+        if not is_finite_number(given):
+            raise InputError(setting, given, allowed)
+        value, std = float(given), 0.0
+    if kind == "gain" and (value == 0.0 or math.isnan(value)):
+        raise InputError(setting, given, "a gain that is not 0", "a sensor that shows nothing is no sensor")
+    return (value, std) if std else value

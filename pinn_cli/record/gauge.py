@@ -1,0 +1,169 @@
+"""Sensors that take more to describe than one even history of one DOF.
+
+A gauge feels a sum of DOFs or the force of a connection, has a gain, an offset, a drift or a delay that may be in
+doubt, and samples of its own: some may be missing, and its rate may differ from the record's.
+
+    y(t) = gain x(t - delay) + offset + drift (t - start) + noise
+
+with x what it feels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from pinn_cli.system.parameters import CALIBRATION_UNITS, Parameter
+from pinn_cli.system.quantities import CONNECTION_FORCE, GROUND, UNITS
+
+# Of the residuals and noise levels of all gauges.
+GAUGE = "gauge"
+
+# Prior standard deviation of what is unknown: of a gain, which is about one; of an offset or of a drift over the whole
+# record, in rms of the channel; of a delay, in samples of the channel.
+WIDEST_GAIN, WIDEST_OFFSET, WIDEST_DELAY = 10.0, 10.0, 5.0
+# Standard deviations of its delay by which a gauge may ask for motion before or after the record.
+DELAYS_ALLOWED = 3.0
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One number of a sensor.
+
+    Attributes:
+        value: That is known or believed, or where an unknown one starts.
+        std: Prior standard deviation; 0: it is known.
+        unknown: Whether it is to be found from the record.
+    """
+
+    value: float
+    std: float = 0.0
+    unknown: bool = False
+
+    @property
+    def is_known(self) -> bool:
+        """Whether nothing about it is in doubt."""
+        return not self.unknown and self.std == 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Gauge:
+    """A sensor with samples and a calibration of its own.
+
+    Attributes:
+        name: Of its channel.
+        quantity: A motion, ``force``, the ground's acceleration, or ``connection_force``.
+        weights: DOF, counted from 0, to its weight in what a motion or force gauge feels.
+        time: (J,), s, of its samples, ascending.
+        values: (J,), SI units.
+        calibration: ``gain``, ``offset``, ``drift`` (per second) and ``delay`` (s), by name.
+        connection: Whose force it feels, counted from 0; -1: of none.
+        fills: Whether a column of the record shows it: its DOF has no other sensor of the quantity.
+    """
+
+    name: str
+    quantity: str
+    weights: Mapping[int, float]
+    time: np.ndarray
+    values: np.ndarray
+    calibration: Mapping[str, Calibration] = field(default_factory=dict)
+    connection: int = -1
+    fills: bool = True
+
+    def of(self, kind: str) -> Calibration:
+        """One of its numbers, by default that of a perfect sensor."""
+        return self.calibration.get(kind, Calibration(float(kind == "gain")))
+
+    @property
+    def dof(self) -> int | None:
+        """The channel of its quantity that it fills: a DOF, counted from 0; 0 of the ground; None: it fills none."""
+        if not self.fills:
+            return None
+        if self.quantity == GROUND:
+            return 0
+        if self.quantity == CONNECTION_FORCE or len(self.weights) != 1:
+            return None
+        (dof, weight), *_ = self.weights.items()
+        return dof if weight == 1.0 else None
+
+    @property
+    def feels_one(self) -> bool:
+        """Whether it feels one function of time alone, or those of one equation."""
+        return self.quantity == GROUND or (self.quantity != CONNECTION_FORCE and len(self.weights) == 1)
+
+    @property
+    def start(self) -> float:
+        """The time from which its drift counts, s."""
+        return float(self.time[0])
+
+    def parameters(self, number: int) -> tuple[Parameter, ...]:
+        """Of its calibration, those that are not known.
+
+        Args:
+            number: Its own among all gauges, counted from 0.
+        """
+        return tuple(
+            Parameter(
+                kind,
+                number,
+                prescribed=self.of(kind).value,
+                prior_std=self.of(kind).std,
+                unknown=self.of(kind).unknown,
+                unit=unit if kind in ("gain", "delay") else UNITS[self.quantity] + unit,
+                title=kind.capitalize(),
+                label=self.name,
+            )
+            for kind, unit in CALIBRATION_UNITS.items()
+            if not self.of(kind).is_known
+        )
+
+    def calibrated(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Times (J,) at which it felt, s, and what it felt there (J,), noise included.
+
+        Args:
+            found: Kind to the value that was found; others are as they were believed.
+        """
+        value = {kind: self.of(kind).value for kind in CALIBRATION_UNITS} | dict(found or {})
+        felt = self.values - value["offset"] - value["drift"] * (self.time - self.start)
+        return self.time - value["delay"], felt / (value["gain"] or 1.0)
+
+    def history(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
+        """(N,), what it felt at other times, by straight lines between its samples; see :meth:`calibrated`."""
+        return np.interp(time, *self.calibrated(found))
+
+    def until(self, time: float) -> Gauge:
+        """The same without samples after a time, s."""
+        kept = self.time <= time
+        return replace(self, time=self.time[kept], values=self.values[kept])
+
+
+def calibrations(gauges: Sequence[Gauge]) -> dict[str, torch.Tensor]:
+    """Kind to the numbers of all gauges as they are known or believed, (gauges,); none without gauges."""
+    if not gauges:
+        return {}
+    values = {kind: [gauge.of(kind).value for gauge in gauges] for kind in CALIBRATION_UNITS}
+    return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
+
+
+def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: bool = False) -> Calibration:
+    """Where an unknown number of a gauge starts, and how wide its prior is.
+
+    Args:
+        kind: ``gain``, ``offset``, ``drift`` or ``delay``.
+        time: (J,), s, of its samples.
+        values: (J,).
+        both: Whether offset and drift are both unknown: a straight line then goes through the samples.
+    """
+    rms = float(np.std(values)) or float(np.abs(values).max()) or 1.0
+    duration = float(time[-1] - time[0])
+    slope, level = np.polyfit(time - time[0], values, 1) if both else (0.0, float(np.mean(values)))
+    start, width = {
+        "gain": (1.0, WIDEST_GAIN),
+        "offset": (float(level), WIDEST_OFFSET * rms),
+        "drift": (float(slope), WIDEST_OFFSET * rms / duration),
+        "delay": (0.0, WIDEST_DELAY * float(np.median(np.diff(time)))),
+    }[kind]
+    return Calibration(start, width, unknown=True)

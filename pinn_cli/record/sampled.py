@@ -1,0 +1,123 @@
+"""From the channels of a file to columns of a record, and to gauges where a column cannot hold what they say."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pinn_cli.record.clock import Clock
+from pinn_cli.record.data_channels import DataChannel
+from pinn_cli.record.decimation import decimate
+from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.record import MINIMUM_SAMPLES
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import FORCE
+
+log = logging.getLogger(__name__)
+
+# A channel with fewer of its samples than this is told.
+NEARLY_EMPTY = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The channels of a window.
+
+    Attributes:
+        time: (N,), s, uniform: the times of the columns.
+        columns: Quantity and DOF, counted from 1, to samples (N,); those of gauges as they are believed to be.
+        gauges: Channels with samples of their own.
+    """
+
+    time: np.ndarray
+    columns: Mapping[tuple[str, int], np.ndarray]
+    gauges: tuple[Gauge, ...]
+
+
+def sampled(
+    channels: Sequence[DataChannel], clock: Clock, window: tuple[int, int], factor: int, connections: Sequence[str] = ()
+) -> Sampled:
+    """The channels of a window of a file.
+
+    Where all times are even, a channel without gaps whose calibration is known is a column. All others are gauges.
+
+    Args:
+        channels: Of the file.
+        clock: When its samples were taken.
+        window: First row, and the row after the last.
+        factor: Every so manieth sample is kept, after an anti-alias filter.
+        connections: Names of the structure's connections.
+
+    Raises:
+        InputError: A cell that is no number, a channel with too few, a sensor that shows one value throughout; gaps
+            where samples are to be filtered.
+    """
+    first, last = window
+    values = [clock.table.numbers(channel.column, first, last) for channel in channels]
+    for channel, column in zip(channels, values, strict=True):
+        _check_samples(channel, column)
+    time, even = clock.regular(first, last)
+    whole = even and not any(np.isnan(column).any() for column in values)
+    if factor > 1:
+        if not whole:
+            hint = "an anti-alias filter needs every sample"
+            raise InputError("data.decimate", factor, "1 where samples are missing or uneven", hint)
+        values = list(decimate(np.stack(values, axis=1), factor).T)
+        time = time[::factor]
+    return _placed(channels, time, values, even, connections)
+
+
+def _placed(
+    channels: Sequence[DataChannel], time: np.ndarray, values: list[np.ndarray], even: bool, connections: Sequence[str]
+) -> Sampled:
+    columns: dict[tuple[str, int], np.ndarray] = {}
+    rest: list[tuple[DataChannel, np.ndarray]] = []
+    for channel, column in zip(channels, values, strict=True):
+        place = channel.place
+        if even and channel.is_plain and place is not None and place not in columns and not np.isnan(column).any():
+            columns[place] = channel.calibrated(column, time)
+        else:
+            rest.append((channel, column))
+    axis = time if even else _even_axis(time, values)
+    gauges: list[Gauge] = []
+    for channel, column in rest:
+        there = ~np.isnan(column)
+        fills = channel.place is not None and channel.place not in columns
+        gauge = channel.gauge(time[there], column[there], connections, fills)
+        gauges.append(gauge)
+        if channel.place is not None and fills:
+            columns[channel.place] = gauge.history(axis)
+        _tell(channel, column, time)
+    return Sampled(axis, columns, tuple(gauges))
+
+
+def _even_axis(time: np.ndarray, values: list[np.ndarray]) -> np.ndarray:
+    """(N,), even times from first to last, as close as the samples of the fastest channel."""
+    steps = [float(np.median(np.diff(time[~np.isnan(column)]))) for column in values]
+    count = max(MINIMUM_SAMPLES, round((time[-1] - time[0]) / min(steps)) + 1)
+    log.warning("the times are uneven: every sample is used at its own time, and results come at %d even ones", count)
+    return np.linspace(time[0], time[-1], count)
+
+
+def _check_samples(channel: DataChannel, column: np.ndarray) -> None:
+    there = column[~np.isnan(column)]
+    if len(there) < MINIMUM_SAMPLES:
+        allowed = f"a channel with at least {MINIMUM_SAMPLES} numbers in the window"
+        raise InputError(channel.setting, repr(channel.column), allowed, f"it has {len(there)}")
+    # A response sensor that reads one value throughout has seen nothing; a force may well be zero.
+    if channel.sensor != FORCE and np.ptp(there) == 0.0:
+        hint = f"every sample of it is {there[0]:g}: a dead sensor? Leave it out of data.{channel.group}"
+        raise InputError(channel.setting, repr(channel.column), "a column that varies", hint)
+
+
+def _tell(channel: DataChannel, column: np.ndarray, time: np.ndarray) -> None:
+    """Warn of a channel that is nearly empty, counted by its own rate."""
+    there = np.flatnonzero(~np.isnan(column))
+    own = float(np.median(np.diff(time[there])))
+    share = len(there) * own / (time[-1] - time[0] + own)
+    if share < NEARLY_EMPTY:
+        text = "%s is nearly empty: %d samples, %.2g %% of what its own rate would give"
+        log.warning(text, channel.setting, len(there), 100.0 * share)

@@ -1,0 +1,67 @@
+"""Units of channels, by pint's names, as factors to SI units."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import positive_number
+from pinn_cli.system.quantities import GROUND, MOTION, UNITS
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+# Of an accelerometer g is no gram, and Gal no gallon.
+GRAVITY = {"g": "g_0", "mg": "mg_0", "ug": "ug_0", "gal": "Gal", "mgal": "mGal"}
+
+
+def si_factor(setting: str, unit: Any, quantity: str) -> float:
+    """How many SI units of a quantity one of a unit is.
+
+    Args:
+        setting: Whose unit it is, for errors.
+        unit: A name or an expression as pint reads it, ``mm``, ``kN``, ``m/s^2``; ``g`` of an acceleration; a number is
+            the factor itself; None: SI.
+        quantity: That the channel measures.
+
+    Raises:
+        InputError: An unknown unit, or one of another quantity.
+    """
+    if unit is None or unit == UNITS[quantity]:
+        return 1.0
+    if isinstance(unit, int | float) and not isinstance(unit, bool):
+        return float(positive_number(setting, unit))
+    allowed = f"a unit such as {UNITS[quantity]}, or the number of {UNITS[quantity]} that one is"
+    if not isinstance(unit, str) or not unit.strip():
+        raise InputError(setting, unit, allowed)
+    if NUMBER.fullmatch(unit.strip()):
+        return float(positive_number(setting, float(unit)))
+    accelerates = quantity in (MOTION[2], GROUND)
+    name = GRAVITY.get(unit.strip(), unit) if accelerates else unit
+    import pint
+
+    try:
+        one = _registry().Quantity(1.0, name)
+    except (pint.errors.PintError, ValueError, TypeError, AttributeError, SyntaxError, AssertionError) as error:
+        first = str(error).splitlines()[0] if str(error) else "pint cannot read it"
+        raise InputError(setting, unit, allowed, first) from None
+    try:
+        return float(one.to(UNITS[quantity]).magnitude)
+    except pint.errors.PintError:
+        hint = f"{unit} measures {_meaning(one)}, and the channel's sensor is one of {quantity}"
+        raise InputError(setting, unit, allowed, hint) from None
+
+
+def _meaning(one: Any) -> str:
+    return f"[{one.units:~}]" if one.dimensionless else str(one.dimensionality)
+
+
+@cache
+def _registry() -> UnitRegistry[Any]:
+    """Made once, and only where a channel has a unit of its own: it takes half a second."""
+    import pint
+
+    return pint.UnitRegistry()

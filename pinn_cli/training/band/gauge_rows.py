@@ -1,0 +1,250 @@
+"""Rows of sensors that take more to describe than a column of the record: gauges, with their calibration."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import LinearReadout, Segments
+from pinn_cli.record.gauge import DELAYS_ALLOWED, Gauge
+from pinn_cli.record.record import GROUND
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.parameters import CALIBRATION_UNITS, ParameterVector
+from pinn_cli.system.quantities import CONNECTION_FORCE
+from pinn_cli.training.band.row_sums import RowSums
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pinn_cli.training.band.layout import BandLayout
+
+
+class Moment(NamedTuple):
+    """The features at a gauge's samples, each looked at so much earlier as the gauge is late.
+
+    Attributes:
+        delay: s.
+        segments: I groups of S samples.
+        third: (I, S, B), third derivative of the features.
+    """
+
+    delay: float
+    segments: Segments
+    third: Tensor
+
+    def derivative(self, order: int) -> Tensor:
+        """(I, S, B), a derivative of the features."""
+        s = self.segments
+        return (s.displacement, s.velocity, s.acceleration, self.third)[order]
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """What a gauge feels at its samples, and what that is made of.
+
+    Attributes:
+        value: (I, S).
+        rate: (I, S), its derivative in time.
+        parts: Function, order of its derivative, and factor, a number or (I, S): the derivative of the value.
+        by_parameter: Place of a parameter of the structure to the derivative (I, S) by it.
+    """
+
+    value: Tensor
+    rate: Tensor
+    parts: list[tuple[int, int, Tensor | float]]
+    by_parameter: dict[int, Tensor]
+
+
+class GaugeRows:
+    """The rows of one gauge, linear in the readout where what it feels is.
+
+    Args:
+        gauge: Which.
+        number: Its own among all gauges, counted from 0.
+        network: Fixed features, linear readout.
+        dynamics: The unknown functions of time.
+        layout: Of the readout weights.
+        vector: Of all uncertain parameters.
+        like: A tensor of the dtype and device wanted.
+    """
+
+    def __init__(
+        self,
+        gauge: Gauge,
+        number: int,
+        network: LinearReadout,
+        dynamics: Dynamics,
+        layout: BandLayout,
+        vector: ParameterVector[Tensor],
+        like: Tensor,
+    ) -> None:
+        self.gauge, self.number, self.network, self.dynamics = gauge, number, network, dynamics
+        self.layout, self.vector = layout, vector
+        self.places = {
+            p.kind: vector.first[p.kind] + number
+            for p in vector.moving
+            if p.kind in CALIBRATION_UNITS and p.index == number
+        }
+        kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
+        self.time, self.measured = (torch.as_tensor(x[kept]).to(like) for x in (gauge.time, gauge.values))
+        self.since = self.time - gauge.start
+        self.parts = [] if gauge.quantity == CONNECTION_FORCE else self._constant_parts()
+        self._moment: Moment | None = None
+
+    def _inside(self, start: float, stop: float) -> np.ndarray:
+        """(J,) bool, samples at which it felt a motion within the record, whatever its delay may turn out to be."""
+        delay, margin = self.gauge.of("delay"), 1e-9 * (stop - start)
+        first, last = (delay.value + sign * DELAYS_ALLOWED * delay.std for sign in (-1.0, 1.0))
+        kept: np.ndarray = (self.gauge.time - last >= start - margin) & (self.gauge.time - first <= stop + margin)
+        return kept
+
+    @property
+    def samples(self) -> int:
+        """Those that are compared with the motion."""
+        return len(self.time)
+
+    def _constant_parts(self) -> list[tuple[int, int, Tensor | float]]:
+        """Function, order of its derivative and weight, of sensors that feel a weighted sum."""
+        weights: defaultdict[tuple[int, int], float] = defaultdict(float)
+        channels = {0: 1.0} if self.gauge.quantity == GROUND else self.gauge.weights
+        for order, matrix in self.dynamics.sensing(self.gauge.quantity):
+            for channel, weight in channels.items():
+                row = matrix[channel]
+                for function, share in zip(row.indices.tolist(), row.data.tolist(), strict=True):
+                    weights[function, order] += weight * share
+        return [(function, order, weight) for (function, order), weight in weights.items() if weight]
+
+    def moment(self, delay: float) -> Moment:
+        """The features as a delay has them; kept until it changes."""
+        if self._moment is None or self._moment.delay != delay:
+            time = self.time - delay
+            sample, mask, feature, jet = self.network.groups(time, 3)
+            count = self.network.count
+            segments = Segments(sample, mask, feature, jet[0], jet[1], jet[2], None, count, len(time))
+            self._moment = Moment(delay, segments, jet[3])
+        return self._moment
+
+    def value(self, kind: str, parameters: Mapping[str, Tensor]) -> Tensor:
+        """One number of the calibration."""
+        return parameters[kind][self.number]
+
+    def residual(self, unknowns: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """(I, S), what it would show without noise minus what it shows."""
+        moment = self.moment(float(self.value("delay", parameters)))
+        return self._residual(moment, self.felt(moment, unknowns, parameters), parameters)
+
+    def _residual(self, moment: Moment, felt: Felt, parameters: Mapping[str, Tensor]) -> Tensor:
+        gain, offset, drift = (self.value(kind, parameters) for kind in ("gain", "offset", "drift"))
+        gather = moment.segments.gather
+        shown = gain * felt.value + offset + drift * gather(self.since)
+        return (shown - gather(self.measured)) * moment.segments.mask
+
+    def felt(self, moment: Moment, unknowns: Tensor, parameters: Mapping[str, Tensor]) -> Felt:
+        """What it feels at a point."""
+        local = self.layout.weights(unknowns)[moment.segments.feature]  # (I, B, functions)
+        if self.gauge.quantity == CONNECTION_FORCE:
+            return self._connection(moment, local, parameters)
+        value, rate = (self._summed(moment, local, self.parts, more) for more in (0, 1))
+        return Felt(value, rate, self.parts, {})
+
+    @staticmethod
+    def _summed(moment: Moment, local: Tensor, parts: list[tuple[int, int, Tensor | float]], more: int = 0) -> Tensor:
+        """(I, S), a sum of functions, or with one derivative more."""
+        out = local.new_zeros(moment.segments.mask.shape)
+        for function, order, weight in parts:
+            out = out + weight * (moment.derivative(order + more) @ local[..., function, None])[..., 0]
+        return out
+
+    def _connection(self, moment: Moment, local: Tensor, parameters: Mapping[str, Tensor]) -> Felt:
+        """The force of a connection, linearised."""
+        dynamics, structure, c = self.dynamics, self.dynamics.structure, self.gauge.connection
+        jet = Jet(*(moment.derivative(order) @ local for order in range(3)))
+        u, v = (x[..., : dynamics.ndof] for x in (jet.value, jet.rate))
+        z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
+        force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)[..., c]
+        slope = structure.linearise(u, v, parameters)
+        stretch = structure.incidence.matrix[c]
+        parts: list[tuple[int, int, Tensor | float]] = []
+        for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
+            parts += [(function, 0, weight * slope.stiffness[..., c]), (function, 1, weight * slope.damping[..., c])]
+        if c in structure.memory:
+            parts.append((dynamics.hidden.start + int(np.searchsorted(structure.memory, c)), 0, 1.0))
+        by = {
+            self.vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., p.index]
+            for p in self.vector.moving
+            if p.kind in slope.by_parameter and dynamics.branch(p.kind)[p.index] == c
+        }
+        return Felt(force, self._summed(moment, local, parts, 1), parts, by)
+
+    def moved(
+        self, unknowns: Tensor, parameters: Mapping[str, Tensor], step: Tensor, by: Tensor, spread: Tensor
+    ) -> Tensor:
+        """(I, S), change of what it shows with a small step.
+
+        Args:
+            unknowns: (size,), readout weights where the step begins.
+            parameters: Kind to values there.
+            step: (size,), of the readout weights.
+            by: (places,), of the parameters, in prior standard deviations.
+            spread: See :meth:`add_to`.
+        """
+        moment = self.moment(float(self.value("delay", parameters)))
+        felt, gain = self.felt(moment, unknowns, parameters), self.value("gain", parameters)
+        local = self.layout.weights(step)[moment.segments.feature]
+        out = gain * self._summed(moment, local, felt.parts) * moment.segments.mask
+        for place, column in self._columns(moment, felt, gain, spread).items():
+            out = out + by[place] * column
+        return out
+
+    def add_to(
+        self, sums: RowSums, unknowns: Tensor, parameters: Mapping[str, Tensor], weight: float, spread: Tensor
+    ) -> None:
+        """Add the weighted products of its rows at a point.
+
+        Args:
+            sums: What they are added to.
+            unknowns: (size,), readout weights.
+            parameters: Kind to values.
+            weight: Of every sample.
+            spread: (places,), prior standard deviation of every parameter, 0 of those that are held.
+        """
+        moment = self.moment(float(self.value("delay", parameters)))
+        felt, segments = self.felt(moment, unknowns, parameters), moment.segments
+        residual = self._residual(moment, felt, parameters)
+        gain = self.value("gain", parameters)
+        features: dict[int, Tensor] = {}
+        for function, order, factor in felt.parts:
+            part = factor[..., None] if isinstance(factor, Tensor) else factor
+            added = gain * part * moment.derivative(order)
+            features[function] = features[function] + added if function in features else added
+        columns = self._columns(moment, felt, gain, spread)
+        held = torch.stack(list(columns.values()), -1) if columns else residual.new_zeros((*residual.shape, 0))
+        for number, (function, phi) in enumerate(features.items()):
+            weighted = weight * phi.mT
+            sums.add_moment(segments, (weighted @ residual[..., None])[..., 0], function)
+            for other, its in list(features.items())[: number + 1]:
+                sums.add_pair(segments, weighted @ its, function, other)
+            pulled = weighted @ held
+            for i, place in enumerate(columns):
+                sums.add_border(segments, pulled[..., i], function, place)
+        flat = held.flatten(0, 1)
+        sums.add_parameters(list(columns), weight * flat.mT @ flat, weight * flat.mT @ residual.flatten())
+
+    def _columns(self, moment: Moment, felt: Felt, gain: Tensor, spread: Tensor) -> dict[int, Tensor]:
+        """Place of every uncertain parameter that it feels to what that does to it (I, S), per prior deviation."""
+        mask = moment.segments.mask
+        by_kind = {
+            "gain": felt.value,
+            "offset": torch.ones_like(mask),
+            "drift": moment.segments.gather(self.since),
+            "delay": -gain * felt.rate,
+        }
+        own = {place: by_kind[kind] for kind, place in self.places.items()}
+        every = own | {place: gain * by for place, by in felt.by_parameter.items()}
+        return {place: spread[place] * by * mask for place, by in every.items()}

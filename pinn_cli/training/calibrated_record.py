@@ -1,0 +1,72 @@
+"""The record as its sensors turned out to be calibrated."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.record import GROUND, QUANTITIES, Record, Response
+from pinn_cli.system.parameters import CALIBRATION_UNITS
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
+
+# Of the spline that goes through an estimate to see it between its samples.
+DEGREE = 5
+
+
+def as_calibrated(record: Record, estimate: Estimate) -> Record:
+    """The record whose columns show what gauges felt, with the gains, offsets, drifts and delays that were found.
+
+    A report and a verdict compare an estimate with this. What a gauge leaves unexplained at one of its own times stands
+    at the record's nearest one; where it has no sample, the column shows the estimate, and `Record.missing` says so.
+    A record without gauges stays as it is.
+    """
+    if not record.gauges:
+        return record
+    found = _by_gauge(record, estimate.parameters)
+    columns: dict[str, Any] = {quantity: getattr(record, quantity).copy() for quantity in QUANTITIES}
+    columns[GROUND] = None if record.ground_acceleration is None else record.ground_acceleration[:, None].copy()
+    missing = {quantity: np.zeros(values.shape, bool) for quantity, values in columns.items() if values is not None}
+    for gauge in record.gauges:
+        if gauge.dof is not None:
+            shown, there = _shown(gauge, found[gauge.name], record.time, _estimated(estimate.response, gauge))
+            columns[gauge.quantity][:, gauge.dof], missing[gauge.quantity][:, gauge.dof] = shown, ~there
+    if columns[GROUND] is not None:
+        columns[GROUND] = columns[GROUND][:, 0]
+    return replace(record, **columns, missing=missing)
+
+
+def _by_gauge(record: Record, parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
+    """Name of a gauge to the numbers of its calibration that were found, by kind."""
+    found: defaultdict[str, dict[str, float]] = defaultdict(dict)
+    for one in parameters:
+        if one.kind in CALIBRATION_UNITS:
+            found[record.gauges[one.parameter.index].name][one.kind] = one.estimate
+    return found
+
+
+def _estimated(response: Response, gauge: Gauge) -> np.ndarray:
+    """(N,), what the gauge feels by the estimate, at the record's times."""
+    values: np.ndarray = getattr(response, gauge.quantity)
+    return values if gauge.quantity == GROUND else values[:, gauge.dof]
+
+
+def _shown(
+    gauge: Gauge, found: dict[str, float], time: np.ndarray, estimated: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,), the estimate with the gauge's residuals on it, and (N,) bool, where it has one."""
+    from scipy.interpolate import make_interp_spline
+
+    felt_at, felt = gauge.calibrated(found)
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    place = np.rint((felt_at - time[0]) / step).astype(np.int64)
+    inside = (place >= 0) & (place < len(time)) & (felt_at >= time[0]) & (felt_at <= time[-1])
+    shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
+    left = felt[inside] - make_interp_spline(time, estimated, DEGREE)(felt_at[inside])
+    shown[place[inside]] += left
+    there[place[inside]] = True
+    return shown, there
