@@ -51,6 +51,10 @@ class KalmanSmoother(Estimator):
             allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
             raise InputError("baseline", self.name, allowed, "the smoother's state is the motion of the DOFs alone")
 
+        if problem.record.gauges:
+            allowed = "baseline=none where samples are missing or a sensor is in doubt"
+            raise InputError("baseline", self.name, allowed, f"channel {problem.record.gauges[0].name} is such")
+
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""
         response, force = inferred_sensor_noise(problem, run.device)

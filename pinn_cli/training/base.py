@@ -92,6 +92,9 @@ class TrainedNetwork(Estimator):
             allowed = f"network=spline with training=gauss_newton where {problem.dynamics.beside_motion} is to be found"
             hint = "scheme.unknown_force=free leaves an unmeasured force to the motion" if problem.inputs.forces else ""
             raise InputError("network", self.design.name, allowed, hint)
+        if problem.record.gauges and not self.training.solves_inputs(self.design):
+            allowed = "network=spline with training=gauss_newton where samples are missing or a sensor is in doubt"
+            raise InputError("network", self.design.name, allowed, f"channel {problem.record.gauges[0].name} is such")
         if not problem.dynamics.is_plain and problem.acceleration_through != "derivative":
             hint = f"with {problem.dynamics.beside_motion} the observer equation has no one force"
             raise InputError("scheme.acceleration_through", problem.acceleration_through, "derivative", hint)

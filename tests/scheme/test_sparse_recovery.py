@@ -129,6 +129,7 @@ def test_a_problem_has_no_way_to_the_truth():
         "initial_motion",
         "alternatives",
         "inputs",
+        "further",
     }
     record = hints(Problem)["record"]
     assert not {Truth, Measurements} & reachable(record, set())
