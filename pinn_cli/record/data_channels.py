@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ class DataChannel:
         sensor: One of `SENSORS`.
         weights: DOF, counted from 0, to its weight; none of the ground or of a connection.
         connection: Name or number of the connection whose force it measures.
-        factor: SI units that one of its units is.
+        factor: SI units that one of its units is; None: of the unit that the file's header tells, or SI units.
         calibration: ``gain``, ``offset``, ``drift`` and ``delay`` where they are given: a number, ``unknown``, or value
             and uncertainty; offset and drift in the channel's unit, the delay in s.
     """
@@ -45,7 +45,7 @@ class DataChannel:
     sensor: str
     weights: Mapping[int, float] = field(default_factory=dict)
     connection: str | int | None = None
-    factor: float = 1.0
+    factor: float | None = None
     calibration: Mapping[str, float | str | tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -73,8 +73,25 @@ class DataChannel:
             for kind, given in self.calibration.items()
         )
 
+    def in_unit(self, header: str) -> DataChannel:
+        """The same with its unit settled: what the user gives, else what the file's header tells, else SI.
+
+        Raises:
+            InputError: The header tells a unit that pint cannot read, or one of another quantity.
+        """
+        if self.factor is not None:
+            return self
+        if not header:
+            return replace(self, factor=1.0)
+        try:
+            return replace(self, factor=si_factor(self.setting, header, self.sensor))
+        except InputError as error:
+            allowed = f"a channel whose unit is known: give data.channels.{self.name}.unit"
+            raise InputError(self.setting, repr(self.column), allowed, f"its header says {header!r}") from error
+
     def calibrated(self, values: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Samples (J,) of a plain channel in SI units, with what is known of its calibration taken out."""
+        assert self.factor is not None
         gain, offset, drift = (
             self._given(kind, 1.0 if kind == "gain" else 0.0) for kind in ("gain", "offset", "drift")
         )
@@ -99,6 +116,7 @@ class DataChannel:
         Raises:
             InputError: A connection that does not exist, a delay longer than the record.
         """
+        assert self.factor is not None
         shown, both = self.factor * values, self._is_unknown("offset") and self._is_unknown("drift")
         calibration = {
             kind: self._calibration(kind, given, time, shown, both) for kind, given in self.calibration.items()
@@ -116,7 +134,7 @@ class DataChannel:
     def _calibration(
         self, kind: str, given: float | str | tuple[float, float], time: np.ndarray, shown: np.ndarray, both: bool
     ) -> Calibration:
-        factor = self.factor if kind in ("offset", "drift") else 1.0
+        factor = (self.factor or 1.0) if kind in ("offset", "drift") else 1.0
         if isinstance(given, str):
             return unknown_calibration(kind, time, shown, both)
         value, std = given if isinstance(given, tuple) else (given, 0.0)
@@ -164,7 +182,7 @@ def _channel(name: str, node: Any) -> DataChannel:
     if not isinstance(column, str) or not column:
         raise InputError(f"{setting}.column", column, "the name of a column")
     weights, connection = _where(setting, sensor, node)
-    factor = si_factor(f"{setting}.unit", node.get("unit"), sensor)
+    factor = None if node.get("unit") is None else si_factor(f"{setting}.unit", node["unit"], sensor)
     calibration = {
         kind: _number(f"{setting}.{kind}", kind, node[kind]) for kind in CALIBRATION_UNITS if node.get(kind) is not None
     }

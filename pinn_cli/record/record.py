@@ -5,6 +5,7 @@ Arrays are numpy float64 (time, dof), SI units. DOFs are counted from 1 wherever
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -17,7 +18,7 @@ from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system import quantities
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
 RESPONSE_QUANTITIES = quantities.MOTION
 QUANTITIES = (*RESPONSE_QUANTITIES, "force")

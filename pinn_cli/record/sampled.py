@@ -56,6 +56,8 @@ def sampled(
             where samples are to be filtered.
     """
     first, last = window
+    hints = clock.table.hints
+    channels = [c.in_unit(hints[c.column].unit if c.column in hints else "") for c in channels]
     values = [clock.table.numbers(channel.column, first, last) for channel in channels]
     for channel, column in zip(channels, values, strict=True):
         _check_samples(channel, column)
