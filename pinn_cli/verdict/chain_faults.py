@@ -16,10 +16,10 @@ import torch
 from pinn_cli.record.channels import channels
 from pinn_cli.record.runge_kutta import runge_kutta_step
 from pinn_cli.record.steps import substeps_needed
+from pinn_cli.system.modes import modes_of
 from pinn_cli.verdict.channel_faults import MENDS_BY_MOVING, REPRODUCED
 from pinn_cli.verdict.comparison import worst_misfit
 from pinn_cli.verdict.finding import Finding
-from pinn_cli.verdict.modes import modes_of
 from pinn_cli.verdict.prediction import between_samples, predicted
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import mass_fault, time_unit_fault
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.input_findings import input_findings
-from pinn_cli.verdict.modes import modes_of
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import Prediction, is_linear, predicted

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.system.modes import modes_of
 from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.finding import Finding, failed_if
-from pinn_cli.verdict.modes import modes_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

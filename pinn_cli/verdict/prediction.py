@@ -11,8 +11,9 @@ from scipy.interpolate import make_interp_spline
 
 from pinn_cli.record.simulation import OverflowsError, simulate
 from pinn_cli.record.steps import substeps_needed
+from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
-from pinn_cli.verdict.modes import Modes, modes_of
+from pinn_cli.verdict.linear_response import linear_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +61,7 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
     modes = modes_of(structure)
     # A body that nothing holds has no response that repeats itself: it is simulated.
     if is_linear(structure) and not loose_dofs(structure):
-        response = modes.response(record)
+        response = linear_response(modes, record)
         finite = np.isfinite(response.displacement).all() and modes.stable
         return Prediction(response, record, modes) if finite else None
     substeps = substeps_needed(structure, record.step)

@@ -16,7 +16,8 @@ from scipy.optimize import least_squares
 
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.spectrum import periodogram, record_band
-from pinn_cli.verdict.modes import Modes
+from pinn_cli.system.modes import Modes
+from pinn_cli.verdict.linear_response import decays, linear_response
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
@@ -157,14 +158,14 @@ def _polished(
     begin = Modes.of(_moved(own, free, x))
     measured, bases = [], []
     for c in seen:
-        basis = begin.decays(c, part)
+        basis = decays(begin, c, part)
         y = c.measured[: len(part.time)] - np.mean(c.measured)
         y = y - basis @ (basis.T @ y)
         measured.append(y / np.linalg.norm(y))
         bases.append(basis)
 
     def residuals(at: np.ndarray) -> list[np.ndarray]:
-        response, out = Modes.of(_moved(own, free, at)).response(part), []
+        response, out = linear_response(Modes.of(_moved(own, free, at)), part), []
         for c, y, basis in zip(seen, measured, bases, strict=True):
             p = c.of(response)
             p = p - basis @ (basis.T @ p)

@@ -9,8 +9,8 @@ from small_estimates import make_estimate
 from small_problems import measured
 
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.system.modes import modes_of
 from pinn_cli.system.topology import build_structure
-from pinn_cli.verdict.modes import modes_of
 from pinn_cli.verdict.parameter_findings import parameter_findings
 from pinn_cli.verdict.prediction import predicted
 
