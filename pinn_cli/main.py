@@ -164,6 +164,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         score,
         replace(problem, record=record),
         linear,
+        prepared.problem.true if config.source.simulated else None,
     )
     return write_report(results, directory, stages, drawn, config.exports)
 

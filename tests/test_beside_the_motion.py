@@ -16,6 +16,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation, simulate
 from pinn_cli.report.connection_forces import ConnectionForces
+from pinn_cli.report.energy import DissipatedEnergy
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
@@ -54,6 +55,9 @@ def test_a_hidden_force():
         for r, e in ((forces.estimate, forces.elongation), (forces.true, forces.true_elongation))
     ]
     np.testing.assert_allclose(*loops, rtol=0.05)
+    energy = DissipatedEnergy.of(structure, estimate, truth, structure)
+    assert np.all(np.abs(energy.estimate - energy.true) < 3.0 * energy.std)
+    assert np.all(energy.std < 0.1 * energy.true)
 
 
 @pytest.mark.parametrize("frame", ["absolute", "relative"])

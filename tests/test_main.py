@@ -13,7 +13,8 @@ import pytest
 import xarray as xr
 from calls import MEASURED, SMALL, PinnRun
 
-FILES = {f"{name}.csv" for name in ("fitness", "drift", "free_run", "parameters", "residuals", "history")}
+TABLES = [f"{name}.csv" for name in ("fitness", "modes", "drift", "energy", "free_run", "parameters", "residuals")]
+FILES = {*TABLES, "history.csv"}
 FILES |= {"response.nc", "run.json", "figures", ".hydra", "pinn-run.log"}
 LABELS = ["case", "estimator", "scheme", "ndof", "nonlinearity", "model_error", "snr_db", "seed"]
 
@@ -78,14 +79,14 @@ def test_the_response_is_labelled(small_run: FinishedRun) -> None:
 
 def test_the_same_seed_gives_the_same_bytes(small_run: FinishedRun, pinn_run: PinnRun) -> None:
     again = pinn_run(*SMALL, "case=small", "seed=0").directory
-    for name in ("fitness.csv", "drift.csv", "free_run.csv", "parameters.csv", "residuals.csv"):
+    for name in TABLES:
         assert (small_run.directory / name).read_bytes() == (again / name).read_bytes()
 
 
 def test_a_sweep_joins_its_tables(pinn_run: PinnRun) -> None:
     outcome = pinn_run("--multirun", *SMALL, "noise.snr_db=40,30")
     assert outcome.status == 0, outcome.err
-    for name in ("fitness.csv", "drift.csv", "free_run.csv", "parameters.csv", "residuals.csv"):
+    for name in TABLES:
         joined = pd.read_csv(outcome.directory / name)
         assert joined.columns[0] == "noise.snr_db"
         joined = joined.drop(columns=["status", "reason"], errors="ignore")

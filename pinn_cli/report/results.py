@@ -83,6 +83,7 @@ class Results:
         problem: That was solved; without it there is no verdict.
         linear_response: Of the structure without its nonlinearity under the same force, for the figure of a linear
             model error (paper, Fig. 6).
+        true: The structure that a simulated record comes from, for scoring; None of a measured record.
     """
 
     run: RunDescription
@@ -95,3 +96,4 @@ class Results:
     score: Score | None = None
     problem: Problem | None = None
     linear_response: Response | None = None
+    true: Structure | None = None

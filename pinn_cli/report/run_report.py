@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 from pinn_cli.report.connection_forces import ConnectionForces
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.drift import Drifts, drift_table
+from pinn_cli.report.energy import DissipatedEnergy, energy_table
 from pinn_cli.report.free_run import free_run, free_run_table
+from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table
 from pinn_cli.report.posterior import (
     diagnostics_table,
@@ -64,6 +66,8 @@ def write_report(
         labels, named = run.labels_of(estimator="pinn"), (run.baseline, other) if other else None
         drifts = Drifts.of(results.prescribed, estimate, truth.response)
         write_table(drift_table(drifts, labels), directory / "drift.csv")
+        energy = DissipatedEnergy.of(results.prescribed, estimate, truth.response, results.true)
+        write_table(energy_table(energy, labels), directory / "energy.csv")
         forces = ConnectionForces.of(results.prescribed, estimate, truth)
         dataset = response_dataset(estimate, record, truth.response, labels, free.response, named, drifts, forces)
         write_dataset(dataset, directory / "response.nc")
@@ -95,6 +99,9 @@ def _write_tables(results: Results, tables: EstimatorTables, directory: Path) ->
         "fitness": tables.fitness, "parameters": tables.parameters, "residuals": tables.residuals,
         "history": estimate.history,
     }  # fmt: skip
+    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
+    if modes is not None:
+        files["modes"] = mode_table(modes, labels)
     if results.score is not None:
         files["score"] = results.score.table
     if any_unknown(parameters):

@@ -98,6 +98,7 @@ def build_finite_elements(
             reduced.vectors[places],
             None if moved is None else moved[places],
             csr_matrix((0, len(names))) if own is None else own.incidence.matrix,
+            structure.coordinates - reduced.modes,
         ),
     )
     check_parameters_differ(structure)

@@ -20,11 +20,13 @@ class Shapes:
         matrix: (dofs, n), how far every DOF moves with every coordinate.
         with_ground: (dofs,), how far every DOF moves with the ground; None: nobody has said.
         stretch: (C', dofs), how the DOFs stretch the connections that were added to the modes, the last C' of all.
+        residual: How many of the coordinates, the last ones, are static responses and no modes.
     """
 
     matrix: np.ndarray
     with_ground: np.ndarray | None = None
     stretch: csr_matrix | None = None
+    residual: int = 0
 
     def of_dofs(self, q: Array) -> Array:
         """Motion of the DOFs (..., dofs), from that of the coordinates (..., n)."""

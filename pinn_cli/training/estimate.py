@@ -91,12 +91,16 @@ class ConnectionHistories:
         elongation_std: (N, C), m, its posterior standard deviation.
         force: (N, C), N, internal forces, those of memory included.
         force_std: (N, C), N.
+        dissipated: (C,), J, energy dissipated over the record; None where the training does not say.
+        dissipated_std: (C,), J.
     """
 
     elongation: np.ndarray
     elongation_std: np.ndarray
     force: np.ndarray
     force_std: np.ndarray
+    dissipated: np.ndarray | None = None
+    dissipated_std: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

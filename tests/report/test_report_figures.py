@@ -44,7 +44,7 @@ def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
     paths = write_figures(results(case), tmp_path / "figures")
-    figures = ("response", "residuals", "error_map", "drift", "history", "parameters")
+    figures = ("response", "residuals", "error_map", "drift", "modes", "history", "parameters")
     names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
     assert [path.name for path in paths] == names
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
@@ -56,7 +56,7 @@ def test_nothing_to_draw_is_no_figure(make_case, tmp_path):
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
     paths = write_figures(results(case, estimate), tmp_path)
-    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "drift"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "drift", "modes"}
 
 
 def test_the_same_figure_gives_the_same_bytes(make_case, tmp_path):
@@ -269,10 +269,18 @@ def test_the_correlation_is_drawn_for_unknown_parameters_only(make_case, tmp_pat
     case = make_case(ndof=1, observed=1)
     estimate = replace(case.estimate, history=pd.DataFrame({"iteration": [0]}), correlation=np.eye(3))
     paths = write_figures(results(case, estimate), tmp_path / "prescribed")
-    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "drift", "parameters"}
+    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "drift", "modes", "parameters"}
     estimate = replace(estimate, parameters=_identified(case, "k_1"))
     paths = write_figures(results(case, estimate), tmp_path / "unknown")
-    assert {path.stem for path in paths} == {"response", "residuals", "error_map", "drift", "parameters", "correlation"}
+    assert {path.stem for path in paths} == {
+        "response",
+        "residuals",
+        "error_map",
+        "drift",
+        "modes",
+        "parameters",
+        "correlation",
+    }
 
 
 def test_decimation_keeps_extremes_and_ends():

@@ -12,12 +12,14 @@ from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.force_predictive import force_predictive_figure
 from pinn_cli.report.figures.history import history_figure
 from pinn_cli.report.figures.hysteresis import hysteresis_figure
+from pinn_cli.report.figures.modes import modes_figure
 from pinn_cli.report.figures.parameters import parameters_figure
 from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure, rank_figure, trace_figure
 from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
+from pinn_cli.report.modes import ModeEstimates
 from pinn_cli.report.parameters import any_unknown
 from pinn_cli.report.posterior import worst_sampled
 
@@ -46,6 +48,9 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
         "error_map": error_map_figure(estimate, record, truth.response),
         "drift": drift_figure(Drifts.of(results.prescribed, estimate, truth.response), run.truth_label),
     }
+    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
+    if modes is not None:
+        figures["modes"] = modes_figure(modes, run.truth_label)
     forces = ConnectionForces.of(results.prescribed, estimate, truth)
     if forces is not None and forces.memory.size:
         figures["hysteresis"] = hysteresis_figure(forces, run.truth_label)

@@ -176,6 +176,18 @@ class BorderedFactor:
         w, _ = dtbtrs(self.band, normals[:size], uplo="L", trans="T")
         return w / self.scale[:, None] - self.solved_border @ x, x
 
+    def deviations(self, rows: np.ndarray, by_parameter: np.ndarray) -> np.ndarray:
+        """(q,), standard deviations of linear functions of weights and parameters, with the inverse as covariance.
+
+        Args:
+            rows: (size, q), by the readout weights.
+            by_parameter: (p, q).
+        """
+        own, _ = dtbtrs(self.band, rows / self.scale[:, None], uplo="L")
+        through = solve_triangular(self.schur, by_parameter - self.solved_border.T @ rows, lower=True)
+        deviation: np.ndarray = np.sqrt(np.sum(own**2, axis=0) + np.sum(through**2, axis=0))
+        return deviation
+
     def inverse_band(self) -> np.ndarray:
         """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.
 

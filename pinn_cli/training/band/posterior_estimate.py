@@ -15,6 +15,7 @@ from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.dissipated_energy import dissipated_energy
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import values_taken
@@ -94,11 +95,12 @@ def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionH
     motion = response.displacement if response.coordinates is None else response.coordinates[:, 0]
     elongation = structure.elongation(motion)[:, added]
     if not len(added):
-        return ConnectionHistories(*[np.zeros((len(motion), 0))] * 4)
+        return ConnectionHistories(*[np.zeros((len(motion), 0))] * 4, *[np.zeros(0)] * 2)
     stretch = structure.incidence.matrix[added]
     by_function = csr_matrix((stretch.data, stretch.indices, stretch.indptr), (len(added), dynamics.size))
     std = posterior.combined(segments, [(0, by_function)])
-    return ConnectionHistories(elongation, std.numpy(), *connection_forces(posterior))
+    forces, energy = connection_forces(posterior), dissipated_energy(posterior)
+    return ConnectionHistories(elongation, std.numpy(), *forces, *energy)
 
 
 def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:

@@ -13,7 +13,9 @@ from small_problems import NONLINEARITIES, accelerations, measured, small_chain
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.energy import dissipated_power
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.band.dissipated_energy import dissipated_energy
 from pinn_cli.training.band.levenberg_marquardt import minimise
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
@@ -102,7 +104,21 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
 
     moved = torch.stack(posterior.functions(equations.observation))
     stretched = posterior.combined(equations.observation, [(0, structure.incidence.matrix)])
-    given_and_function = ((moved, states), (posterior.force(equations.physics), force), (stretched, elongation))
+
+    def energy(x):
+        motion, time = states(x), equations.problem.record.time
+        e, de = (structure.elongation(each) for each in motion[:2])
+        parameters = equations.parameters(Point(x[:size], x[size:]))
+        return torch.trapezoid(dissipated_power(structure, e, de, parameters), torch.as_tensor(time), dim=0)
+
+    value, std = (torch.as_tensor(x) for x in dissipated_energy(posterior))
+    torch.testing.assert_close(value, energy(z), rtol=1e-9, atol=0.0)
+    given_and_function = (
+        (std, energy),
+        (moved, states),
+        (posterior.force(equations.physics), force),
+        (stretched, elongation),
+    )
     for given, function in given_and_function:
         rows = jacobian(function, z)
         expected = ((rows @ covariance) * rows).sum(-1).sqrt().reshape(given.shape)
