@@ -91,6 +91,10 @@ class NetworkDesign(ABC):
         """The same for a problem with unknown parameters, which a network too coarse for the motion would bias."""
         return self
 
+    def within_band(self) -> NetworkDesign:
+        """The design where forces are unknown: features that reach little beyond the frequencies of the record."""
+        return self
+
     def finer(self, factor: float) -> NetworkDesign | None:
         """The same with so many times as many features; None where the user has said how many, or none are counted."""
         return None

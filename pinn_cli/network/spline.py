@@ -21,6 +21,9 @@ from pinn_cli.settings.legal_values import is_whole_number, one_of, positive_num
 # a few parts in ten thousand. What they cannot follow of a cubic spring's motion passes for a weaker spring: with four,
 # unknown parameters were off by 0.8 standard deviations on average over 20 records, with five by 0.2.
 KNOTS_PER_PERIOD, REFINED_KNOTS_PER_PERIOD = 4.0, 5.0
+# With forces that nobody measured: a spline follows frequencies up to half its knots a second. What it could follow
+# beyond the record's, nobody has measured either, and near the Nyquist frequency it passes for motion in the band.
+KNOTS_WITHIN_BAND = 3.0
 
 
 def piece_coefficients(degree: int) -> np.ndarray:
@@ -109,7 +112,8 @@ class Spline(NetworkDesign):
     Attributes:
         degree: Polynomial degree; accelerations are splines of degree - 2. 5 leaves them smooth.
         knots_per_period: Knots in one period of the highest frequency that stands out of the noise in any channel;
-            None: `KNOTS_PER_PERIOD`, or `REFINED_KNOTS_PER_PERIOD` where parameters are unknown.
+            None: `KNOTS_PER_PERIOD`, `REFINED_KNOTS_PER_PERIOD` where parameters are unknown, `KNOTS_WITHIN_BAND` where
+            forces are.
         intervals: Number of knot intervals; None: chosen by ``knots_per_period``.
         continuity: See :class:`pinn_cli.network.base.Network`.
         least_knots: Knots in one period where ``knots_per_period`` leaves them to be chosen.
@@ -149,6 +153,10 @@ class Spline(NetworkDesign):
     def refined(self) -> Spline:
         """See :meth:`NetworkDesign.refined`."""
         return replace(self, least_knots=max(self.least_knots, REFINED_KNOTS_PER_PERIOD))
+
+    def within_band(self) -> Spline:
+        """See :meth:`NetworkDesign.within_band`."""
+        return replace(self, least_knots=KNOTS_WITHIN_BAND)
 
     def finer(self, factor: float) -> Spline | None:
         """See :meth:`NetworkDesign.finer`."""

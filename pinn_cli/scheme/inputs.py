@@ -9,7 +9,7 @@ import numpy as np
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.functions import Inputs
+from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
@@ -17,8 +17,8 @@ from pinn_cli.system.structure import Structure
 GAUSSIAN_PROCESS, FREE = "gaussian_process", "free"
 # How a force that nobody measured is estimated: as a Gaussian process, or as whatever the motion takes.
 UNKNOWN_FORCES = (GAUSSIAN_PROCESS, FREE)
-# Periods of the record's highest frequency that the correlation time of an unknown force starts at: white, nearly.
-FIRST_CORRELATION = 0.25
+# Periods of the record's highest frequency that the correlation time of an unknown force starts at: its edge is there.
+FIRST_CORRELATION = FLAT / math.pi
 
 
 def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIAN_PROCESS) -> Inputs:
@@ -48,10 +48,10 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         record.frame == "absolute",
         forces,
         FIRST_CORRELATION / band,
-        math.pi * band,
-        2.0 * math.pi * band,
-        loads,
-        together,
+        rate=math.pi * band,
+        edge=2.0 * math.pi * band,
+        loads=loads,
+        together=together,
     )
 
 

@@ -7,14 +7,15 @@ same number:
     m (q'' + iota a_g) + B' r(B q, B q', z) - w = f       motion, N
     (z' - h(B q, B q', z)) / rate = 0                     memory, N
     a_g'' / edge^2 + 2 a_g' / edge + a_g = white noise    the ground as a Gaussian process, m/s^2
-    (w' + w / tau) / rate = white noise                   an unknown force as a Gaussian process, N
+    (tau / 2 zeta)^2 w'' + tau w' + w = white noise       an unknown force as a Gaussian process, N
 
 Where the coordinates are modes, a force on a DOF is in all their equations. A measured one is then a function as well,
 with a sensor of its own and a process like the ground's: its errors are common to all modes. So it is where a load cell
 has a gain in doubt, a delay, or samples that are missing.
 
 Rows of first order are divided by a rate of the record, so that all of them are forces. The ground's process is flat up
-to the edge of the record's band and falls off above it: between samples it does what a band-limited signal does.
+to the edge of the record's band and falls off above it: between samples it does what a band-limited signal does. An
+unknown force's has its edge at 2 zeta / tau, which is inferred.
 """
 
 from __future__ import annotations
@@ -54,8 +55,10 @@ class Dynamics(Functions):
     def mass(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """(N,), of every function's second derivative in its own equation."""
         mass = self.padded(parameters[MASS])
-        places = torch.arange(self.smooth.start, self.smooth.stop, device=mass.device)
-        return mass.index_fill(0, places, self.inputs.edge**-2) if len(places) else mass
+        for functions, edge in ((self.smooth, self.inputs.edge), (self.forces, self.inputs.force_edge)):
+            places = torch.arange(functions.start, functions.stop, device=mass.device)
+            mass = mass.index_fill(0, places, edge**-2) if len(places) else mass
+        return mass
 
     def padded(self, values: Tensor) -> Tensor:
         """(..., n) of the coordinates as (..., N), 0 of the other functions; (..., N) as they are."""
@@ -87,8 +90,8 @@ class Dynamics(Functions):
         if self.loaded:
             rows[0] = motion - jet.value[..., self.acting] @ torch.as_tensor(self._pushed.toarray()).to(motion)
         if self.inputs.forces:
-            force = jet.value[..., self.forces]
-            rows.append((jet.rate[..., self.forces] + force / self.inputs.correlation_time) / self.inputs.rate)
+            force, rate, curvature = (x[..., self.forces] for x in jet)
+            rows.append(curvature / self.inputs.force_edge**2 + self.inputs.correlation_time * rate + force)
         return torch.cat(rows, -1)
 
     def external_force(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
@@ -131,8 +134,8 @@ class Dynamics(Functions):
             damping.append(torch.zeros_like(stiffness[-1]))
         if self.inputs.forces:
             one = torch.ones_like(jet.value[..., self.forces])
-            stiffness.append(one / (self.inputs.correlation_time * self.inputs.rate))
-            damping.append(one / self.inputs.rate)
+            stiffness.append(one)
+            damping.append(self.inputs.correlation_time * one)
         return Linearisation(own.force, torch.cat(stiffness, -1), torch.cat(damping, -1), by_parameter)
 
     def _linearised_memory(

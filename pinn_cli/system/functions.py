@@ -14,6 +14,9 @@ from torch import Tensor
 from pinn_cli.system.quantities import FORCE, GROUND, MOTION
 from pinn_cli.system.structure import Structure
 
+# Damping ratio of the process of second order whose spectrum is flattest below its edge (Butterworth).
+FLAT = 0.5**0.5
+
 
 class Jet(NamedTuple):
     """All functions at some times and their derivatives, each (..., N)."""
@@ -37,6 +40,8 @@ class Inputs:
         loads: DOFs, counted from 0, whose measured force is a function to be found: where the coordinates are modes, or
             a load cell is a gauge.
         together: Whether sensors feel functions that no equation of motion couples.
+        damping_ratio: Of the process of unknown forces: at 0.7 its spectrum is flat up to an edge; with more it falls
+            off from a corner below that.
     """
 
     ground: bool = False
@@ -47,6 +52,12 @@ class Inputs:
     edge: float = 1.0
     loads: tuple[int, ...] = ()
     together: bool = False
+    damping_ratio: float = FLAT
+
+    @property
+    def force_edge(self) -> float:
+        """Where the spectrum of the unknown forces falls off, rad/s."""
+        return 2.0 * self.damping_ratio / self.correlation_time
 
 
 @dataclass(frozen=True, eq=False)

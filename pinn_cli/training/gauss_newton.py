@@ -26,10 +26,10 @@ from pinn_cli.training.band.inference import (
     InferenceSettings,
     Inferred,
     inferred,
-    starting_noise,
 )
 from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
+from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import Training, built
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
@@ -82,7 +82,10 @@ class GaussNewton(Training):
         """See :meth:`Training.solve`."""
         if problem.priors and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
-        design = design.refined() if problem.identifies else design
+        if problem.inputs.forces:
+            design = design.within_band()
+        elif problem.identifies:
+            design = design.refined()
         network = built(design, problem)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)

@@ -80,6 +80,12 @@ class NoiseModel:
         further = tuple(other.with_discrepancy(factor * other.discrepancy) for other in self.further)
         return replace(self, discrepancy=discrepancy, further=further)
 
+    def driven_by(self, level: float, functions: slice) -> NoiseModel:
+        """The same with some functions that white noise of this standard deviation drives."""
+        innovation = np.full(len(self.force), np.nan) if self.innovation is None else self.innovation.copy()
+        innovation[functions] = level
+        return replace(self, innovation=innovation)
+
     def widened(self, occupied: float) -> NoiseModel:
         """The same model error in a part of the features' band: fewer independent values, and larger ones."""
         return replace(self, discrepancy=self.discrepancy / np.sqrt(occupied), occupied=occupied)

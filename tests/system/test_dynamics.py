@@ -11,7 +11,7 @@ from structures import braced, hysteretic, modal
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs, Jet
 
-GROUND_AND_FORCES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0)
+GROUND_AND_FORCES = Inputs(True, True, (1,), correlation_time=0.3, damping_ratio=0.6, rate=4.0, edge=11.0)
 ON_MODES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0, loads=(0, 3))
 CASES = {
     "memory": (hysteretic, Inputs(rate=4.0)),
@@ -43,7 +43,7 @@ def test_the_functions_in_their_order():
 def test_the_equations_written_out():
     dynamics = Dynamics(hysteretic(), GROUND_AND_FORCES)
     y, dy, ddy = (x[0].tolist() for x in some_jet(dynamics, 1))
-    (u1, u2, z1, z2, g, w), (v1, v2, dz1, dz2, dg, dw), (a1, a2, _, _, ddg, _) = y, dy, ddy
+    (u1, u2, z1, z2, g, w), (v1, v2, dz1, dz2, dg, dw), (a1, a2, _, _, ddg, ddw) = y, dy, ddy
     r1 = 1.0 * v1 + 15.0 * u1 + 30.0 * u1**3
     r2 = 1.2 * (v2 - v1) + 6.0 * (u2 - u1) + z1
     r3 = 0.7 * v2 + 4.0 * u2 + z2
@@ -55,7 +55,7 @@ def test_the_equations_written_out():
         (dz1 - h1) / 4.0,
         (dz2 - h2) / 4.0,
         ddg / 11.0**2 + 2.0 * dg / 11.0 + g,
-        (dw + w / 0.3) / 4.0,
+        (0.3 / (2.0 * 0.6)) ** 2 * ddw + 0.3 * dw + w,
     ]
     jet = some_jet(dynamics, 1)
     found = dynamics.residual(jet, dynamics.structure.parameters)[0]

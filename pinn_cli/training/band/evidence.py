@@ -80,16 +80,16 @@ class Evidence(DiscrepancySearch):
         return -0.5 * (forces.misfit(noise) + rest + sensors + readout_log_determinant - inertia) + driven
 
     def _innovation_density(self, count: int) -> float:
-        """Logarithm of the determinant from unknown forces to what drives them, w' + w / tau over the rate.
+        """Logarithm of the determinant from unknown forces to what drives them.
 
         What is probable is a force, not what drives it. Over the frequencies that the features follow it is the sum of
-        log |i omega + 1 / tau|.
+        log |1 - (omega / edge)^2 + i omega tau|.
         """
         inputs = self.equations.problem.inputs
         if not inputs.forces:
             return 0.0
         omega = np.pi * self.equations.network.free_intervals * (np.arange(count) + 0.5) / count
-        gain = np.hypot(omega, 1.0 / inputs.correlation_time) / inputs.rate
+        gain = np.hypot(1.0 - (omega / inputs.force_edge) ** 2, omega * inputs.correlation_time)
         return len(inputs.forces) * float(np.log(gain).sum())
 
     def _log_variances(self, noise: NoiseModel) -> float:

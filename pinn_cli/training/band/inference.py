@@ -11,11 +11,11 @@ import numpy as np
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, Trained
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.driving import Drive, level_in_band, reaches_beyond, spectrum_in_band
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import settled
@@ -23,20 +23,18 @@ from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.simulated_start import simulated_start
+from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
-from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
+from pinn_cli.training.noise_model import NoiseModel, starting_levels
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
 # A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
 # noisy as their spectra say.
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
-# Steps of the correlation time of unknown forces, and how many are taken at most in one direction.
-CORRELATION_FACTOR, CORRELATION_STEPS = 3.0, 6
-# Rounds of the noise levels under each.
-CORRELATION_ROUNDS = 3
+# Rounds of the spectrum of unknown forces, of the noise levels under each, and of the forces' level at the end.
+COLOUR_ROUNDS, CORRELATION_ROUNDS, LEVEL_ROUNDS = 3, 3, 2
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
 
@@ -88,15 +86,18 @@ def inferred(
         DivergenceError: Even the softest physics cannot be solved.
     """
     designs = [design] * len(problem.by_record)
-    found = _best_start(problem, design, settings, device, history)
-    found = _with_correlation(found, settings, device, history)
-    for _ in range(REFINEMENTS):
+    found = _best_start(problem, designs, settings, device, history)
+    if _has_forces(problem):
+        found = _in_their_band(found, problem, designs, settings, device, history)
+        found = _coloured(found, settings, device, history)
+    # Finer features would reach further beyond the band, where forces that nobody measured are free.
+    for _ in range(0 if _has_forces(problem) else REFINEMENTS):
         finer = _finer(designs, found)
         again = None if finer is None else _refined(found, finer, settings, device, history)
         if finer is None or again is None:
             break
         designs, found = finer, again
-    return Inferred(found.evidence, found.evidence.widen_for_colour(found.trained))
+    return Inferred(found.evidence, _driven_in_band(found.evidence, found.evidence.widen_for_colour(found.trained)))
 
 
 def _finer(designs: Sequence[NetworkDesign], found: Inferred) -> list[NetworkDesign] | None:
@@ -117,7 +118,7 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
     """
     settings, history = InferenceSettings(ITERATIONS, TOLERANCE, learn_spread=True, pooled=False), History(False)
     try:
-        found = _best_start(replace(problem, alternatives=()), Spline(), settings, device, history)
+        found = _best_start(replace(problem, alternatives=()), [Spline()], settings, device, history)
     except DivergenceError:
         return starting_levels(problem.record)
     noise = found.trained.noise
@@ -125,7 +126,7 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
 
 
 def _best_start(
-    problem: Problem, design: NetworkDesign, settings: InferenceSettings, device: str, history: History
+    problem: Problem, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
 ) -> Inferred:
     """The most probable of the solutions from every start of the unknown parameters.
 
@@ -135,7 +136,7 @@ def _best_start(
     solutions: list[Inferred] = []
     failure: DivergenceError | None = None
     for start in (problem, *problem.alternatives):
-        networks = [_built(design, own) for own in start.by_record]
+        networks = [_built(design, own) for design, own in zip(designs, start.by_record, strict=True)]
         evidence = settings.all_solved_by(start, networks, device, history)
         noise = NoiseModel.of_records([starting_noise(own) for own in evidence.records])
         noise = noise.pooled() if settings.pooled else noise
@@ -175,77 +176,95 @@ def _simulated_start(evidence: Evidence | JointEvidence) -> Point | None:
     return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
 
 
-def starting_noise(evidence: Evidence) -> NoiseModel:
-    """Where the noise levels of a problem start; the discrepancy is the force that acts."""
-    problem = evidence.equations.problem
-    force, velocity = force_and_velocity_scale(problem)
-    response, sensors = starting_levels(problem.record)
-    points, dynamics, shapes = evidence.equations.refinement, problem.dynamics, problem.structure.shapes
-    driving = np.full(dynamics.size, np.nan)
-    for quantity, levels in (*response.items(), (FORCE, sensors)):
-        levels[problem.record.gauged(quantity)] = np.nan
-    if problem.record.gauges:
-        response[GAUGE] = np.array([first_level(gauge) for gauge in problem.record.gauges])
-    if shapes is not None or dynamics.inputs.loads:
-        response |= {FORCE: sensors} if dynamics.inputs.loads else {}
-        sensors = np.full(dynamics.ndof, np.nan)
-    sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)
-    # A force of modes acts on a DOF the more, the less this DOF moves with them.
-    driving[dynamics.forces] = force if shapes is None else force / shapes.scale
-    driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
-    if problem.record.ground_acceleration is not None:
-        driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
-    continuity = CONTINUITY_TOLERANCE * velocity
-    return NoiseModel(
-        response,
-        sensors,
-        force,
-        continuity,
-        points_per_sample=points,
-        innovation=None if dynamics.is_plain else driving,
-    )
+def _has_forces(problem: Problem) -> bool:
+    """Whether some forces were not measured."""
+    return any(own.inputs.forces for own in problem.by_record)
 
 
-def _with_correlation(found: Inferred, settings: InferenceSettings, device: str, history: History) -> Inferred:
-    """The solution under the most probable correlation time of the unknown forces, if there are any."""
-    if not any(own.inputs.forces for own in found.evidence.problem.by_record):
+def _in_their_band(
+    found: Inferred,
+    problem: Problem,
+    designs: Sequence[NetworkDesign],
+    settings: InferenceSettings,
+    device: str,
+    history: History,
+) -> Inferred:
+    """The solution with unknown forces that reach as far as they do; see :func:`reaches_beyond`."""
+    factors = found.evidence.each_record(reaches_beyond, found.trained)
+    wider = [design.finer(factor) for design, factor in zip(designs, factors, strict=True)]
+    if max(factors) <= 1.0 or not all(wider):
         return found
-    for factor in (CORRELATION_FACTOR, 1.0 / CORRELATION_FACTOR):
-        improved = False
-        for _ in range(CORRELATION_STEPS):
-            again = _correlated(found, factor, settings, device, history)
-            if again is None or again.trained.log_evidence < found.trained.log_evidence + NEGLIGIBLE_GAIN:
-                break
-            found, improved = again, True
-        if improved:
+
+    def widened(one: Problem) -> Problem:
+        own = [_of_wider_band(own, factor) for own, factor in zip(one.by_record, factors, strict=True)]
+        others = tuple(widened(other) for other in one.alternatives)
+        return replace(own[0], further=tuple(own[1:]), alternatives=others)
+
+    return _best_start(widened(problem), [one for one in wider if one], settings, device, history)
+
+
+def _of_wider_band(problem: Problem, factor: float) -> Problem:
+    inputs = problem.inputs
+    wider = replace(inputs, edge=inputs.edge * factor, correlation_time=inputs.correlation_time / factor)
+    return replace(problem, inputs=wider, further=())
+
+
+def _coloured(found: Inferred, settings: InferenceSettings, device: str, history: History) -> Inferred:
+    """The solution under the most probable spectrum of the unknown forces."""
+    for _ in range(COLOUR_ROUNDS):
+        drives = found.evidence.each_record(spectrum_in_band, found.trained)
+        if not any(drives):
             break
+        again = _driven(found, drives, settings, device, history)
+        if again is None:
+            break
+        found = again
     return found
 
 
-def _correlated(
-    found: Inferred, factor: float, settings: InferenceSettings, device: str, history: History
+def _driven(
+    found: Inferred, drives: Sequence[Drive | None], settings: InferenceSettings, device: str, history: History
 ) -> Inferred | None:
-    """The solution with another correlation time; what drives the forces keeps their size."""
-    slower = replace(found.evidence.problem, alternatives=())
-    first, *others = [_with_correlation_time(own, factor) for own in slower.by_record]
+    """The solution with other spectra; None of a record: as before. None where there is no solution."""
+    before = replace(found.evidence.problem, alternatives=())
+    first, *others = [_of_spectrum(own, drive) for own, drive in zip(before.by_record, drives, strict=True)]
     networks = [own.equations.network for own in found.evidence.records]
     evidence = settings.all_solved_by(replace(first, further=tuple(others)), networks, device, history)
-    levels = zip(slower.by_record, found.trained.noise.by_record, strict=True)
-    driving = [_driven_for(level, factor) if own.inputs.forces else level for own, level in levels]
-    again = evidence.train(NoiseModel.of_records(driving), found.trained.solution.point)
+    levels = [None if drive is None else drive.level for drive in drives]
+    again = evidence.train(_with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point)
     if again is None or not again.solution.converged:
         return None
     return Inferred(evidence, settled(evidence, again, settings.pooled, CORRELATION_ROUNDS))
 
 
-def _with_correlation_time(problem: Problem, factor: float) -> Problem:
-    inputs = problem.inputs
-    return replace(problem, inputs=replace(inputs, correlation_time=factor * inputs.correlation_time))
+def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
+    if drive is None:
+        return replace(problem, further=())
+    inputs = replace(problem.inputs, correlation_time=drive.correlation_time, damping_ratio=drive.damping_ratio)
+    return replace(problem, inputs=inputs, further=())
 
 
-def _driven_for(noise: NoiseModel, factor: float) -> NoiseModel:
-    """What drives unknown forces whose correlation time is so many times as long; it keeps their size."""
-    return noise if noise.innovation is None else replace(noise, innovation=noise.innovation / factor**0.5)
+def _with_levels(evidence: Evidence | JointEvidence, noise: NoiseModel, levels: Sequence[float | None]) -> NoiseModel:
+    """The same noise with unknown forces of every record that are driven so much; None: as before."""
+    forces = [own.equations.dynamics.forces for own in evidence.records]
+    each = [
+        own if level is None else own.driven_by(level, at)
+        for own, level, at in zip(noise.by_record, levels, forces, strict=True)
+    ]
+    return NoiseModel.of_records(each)
+
+
+def _driven_in_band(evidence: Evidence | JointEvidence, trained: Trained) -> Trained:
+    """The solution with unknown forces as large as they are in the record's band."""
+    if not _has_forces(evidence.problem):
+        return trained
+    for _ in range(LEVEL_ROUNDS):
+        noise = _with_levels(evidence, trained.noise, evidence.each_record(level_in_band, trained))
+        again = evidence.train(noise, trained.solution.point)
+        if again is None or not again.solution.converged:
+            break
+        trained = again
+    return trained
 
 
 def _refined(

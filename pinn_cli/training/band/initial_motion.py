@@ -74,5 +74,5 @@ def initial_motion(network: LinearReadout, problem: Problem, layout: BandLayout,
     if deviation is not None:
         every[: dynamics.ndof] = np.array(deviation) / per_dof
         every[dynamics.hidden, 0] = RESIDUAL_MOTION * force
-    every[dynamics.forces, 0] = FIRST_FORCE * force / per_dof
+    every[dynamics.forces] = FIRST_FORCE * force / per_dof * np.array((1.0, problem.inputs.force_edge))
     return InitialMotion(network, every, layout, time)

@@ -78,13 +78,13 @@ def _noise_felt(equations: NormalEquations, trained: Trained) -> dict[str, np.nd
 def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str, float]:
     """Correlation time (s) and standard deviation (N) of forces that nobody measured, where there are any.
 
-    An Ornstein-Uhlenbeck process with the increments that were found has this standard deviation.
+    A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
     """
     inputs, driving = equations.problem.inputs, trained.noise.innovation
     if not inputs.forces or driving is None:
         return {}
     step = equations.problem.record.step / equations.refinement
-    level = float(driving[equations.dynamics.forces][0]) * inputs.rate * (step * inputs.correlation_time / 2.0) ** 0.5
+    level = float(driving[equations.dynamics.forces][0]) * (step / (2.0 * inputs.correlation_time)) ** 0.5
     return {"correlation_time_unknown_force": inputs.correlation_time, "std_unknown_force": level}
 
 

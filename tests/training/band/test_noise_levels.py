@@ -19,9 +19,9 @@ from pinn_cli.system.connection import Duffing
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.inference import starting_noise
 from pinn_cli.training.band.noise_levels import floor, settled, updated, values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.noise_model import starting_levels

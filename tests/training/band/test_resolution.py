@@ -15,10 +15,10 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.inference import starting_noise
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import LARGEST_FACTOR, acceleration_error, carried_over, knots_wanted
+from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 
 SAMPLES, STEP, AMPLITUDE = 1201, 0.05, 2.0

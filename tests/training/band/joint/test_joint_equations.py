@@ -15,13 +15,13 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.inference import starting_noise
 from pinn_cli.training.band.joint import evidence as joint_evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.joint.workers import Members
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.noise_model import NoiseModel
 
 STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))

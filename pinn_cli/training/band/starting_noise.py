@@ -1,0 +1,42 @@
+"""Where the noise levels of a problem start."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pinn_cli.record.gauge import GAUGE
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
+from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
+
+
+def starting_noise(evidence: Evidence) -> NoiseModel:
+    """Where the noise levels of a problem start; the discrepancy is the force that acts."""
+    problem = evidence.equations.problem
+    force, velocity = force_and_velocity_scale(problem)
+    response, sensors = starting_levels(problem.record)
+    points, dynamics, shapes = evidence.equations.refinement, problem.dynamics, problem.structure.shapes
+    driving = np.full(dynamics.size, np.nan)
+    for quantity, levels in (*response.items(), (FORCE, sensors)):
+        levels[problem.record.gauged(quantity)] = np.nan
+    if problem.record.gauges:
+        response[GAUGE] = np.array([first_level(gauge) for gauge in problem.record.gauges])
+    if shapes is not None or dynamics.inputs.loads:
+        response |= {FORCE: sensors} if dynamics.inputs.loads else {}
+        sensors = np.full(dynamics.ndof, np.nan)
+    sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)
+    # A force of modes acts on a DOF the more, the less this DOF moves with them.
+    driving[dynamics.forces] = force if shapes is None else force / shapes.scale
+    driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
+    if problem.record.ground_acceleration is not None:
+        driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
+    continuity = CONTINUITY_TOLERANCE * velocity
+    return NoiseModel(
+        response,
+        sensors,
+        force,
+        continuity,
+        points_per_sample=points,
+        innovation=None if dynamics.is_plain else driving,
+    )
