@@ -14,8 +14,7 @@ from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, finite_number, is_finite_number, is_whole_number, one_of
 from pinn_cli.settings.suggestion import suggestion
-from pinn_cli.system.parameters import CALIBRATION_UNITS
-from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, MOTION
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, FORCE, GROUND, MOTION
 
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
 PLACES = ("dof", "between", "weights", "connection")

@@ -10,14 +10,12 @@ with x what it feels.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import torch
 
-from pinn_cli.system.parameters import CALIBRATION_UNITS, Parameter
-from pinn_cli.system.quantities import CONNECTION_FORCE, GROUND, UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND
 
 # Of the residuals and noise levels of all gauges.
 GAUGE = "gauge"
@@ -99,27 +97,6 @@ class Gauge:
         """The time from which its drift counts, s."""
         return float(self.time[0])
 
-    def parameters(self, number: int) -> tuple[Parameter, ...]:
-        """Of its calibration, those that are not known.
-
-        Args:
-            number: Its own among all gauges, counted from 0.
-        """
-        return tuple(
-            Parameter(
-                kind,
-                number,
-                prescribed=self.of(kind).value,
-                prior_std=self.of(kind).std,
-                unknown=self.of(kind).unknown,
-                unit=unit if kind in ("gain", "delay") else UNITS[self.quantity] + unit,
-                title=kind.capitalize(),
-                label=self.name,
-            )
-            for kind, unit in CALIBRATION_UNITS.items()
-            if not self.of(kind).is_known
-        )
-
     def calibrated(self, found: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Times (J,) at which it felt, s, and what it felt there (J,), noise included.
 
@@ -138,14 +115,6 @@ class Gauge:
         """The same without samples after a time, s."""
         kept = self.time <= time
         return replace(self, time=self.time[kept], values=self.values[kept])
-
-
-def calibrations(gauges: Sequence[Gauge]) -> dict[str, torch.Tensor]:
-    """Kind to the numbers of all gauges as they are known or believed, (gauges,); none without gauges."""
-    if not gauges:
-        return {}
-    values = {kind: [gauge.of(kind).value for gauge in gauges] for kind in CALIBRATION_UNITS}
-    return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
 
 
 def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: bool = False) -> Calibration:

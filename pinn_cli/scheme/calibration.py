@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS, UNITS
 
 
 def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
@@ -18,4 +20,22 @@ def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
     if gauges and not plain and all(gauge.of("gain").unknown for gauge in gauges):
         hint = "with every gain unknown nothing tells how large motions and forces are"
         raise InputError("data.channels", "gain: unknown on all", "one gain at least that is known or believed", hint)
-    return tuple(parameter for number, gauge in enumerate(gauges) for parameter in gauge.parameters(number))
+    return tuple(parameter for number, gauge in enumerate(gauges) for parameter in _in_doubt(gauge, number))
+
+
+def _in_doubt(gauge: Gauge, number: int) -> tuple[Parameter, ...]:
+    """Of one gauge's calibration, those that are not known; ``number`` is its own among all gauges, from 0."""
+    return tuple(
+        Parameter(
+            kind,
+            number,
+            prescribed=gauge.of(kind).value,
+            prior_std=gauge.of(kind).std,
+            unknown=gauge.of(kind).unknown,
+            unit=unit if kind in ("gain", "delay") else UNITS[gauge.quantity] + unit,
+            title=kind.capitalize(),
+            label=gauge.name,
+        )
+        for kind, unit in CALIBRATION_UNITS.items()
+        if not gauge.of(kind).is_known
+    )

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from pinn_cli.system.array_namespace import Array
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 
 if TYPE_CHECKING:
     from pinn_cli.system.priors import Prior
@@ -20,8 +21,6 @@ MASS = "m"
 # Of the linear part of every structure: what they are called, and their units.
 LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
-# Of a sensor: what it shows of what it feels, the unit of each over that of the sensor's quantity.
-CALIBRATION_UNITS = {"gain": "", "offset": "", "drift": "/s", "delay": "s"}
 _GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau")
 
 T = TypeVar("T")

@@ -5,3 +5,5 @@ GROUND, FORCE = "ground_acceleration", "force"
 # Of a connection, the force within it.
 CONNECTION_FORCE = "connection_force"
 UNITS = {**dict(zip(MOTION, ("m", "m/s", "m/s^2"), strict=True)), FORCE: "N", GROUND: "m/s^2", CONNECTION_FORCE: "N"}
+# Of a sensor: what it shows of what it feels, the unit of each over that of the sensor's quantity.
+CALIBRATION_UNITS = {"gain": "", "offset": "", "drift": "/s", "delay": "s"}

@@ -11,7 +11,7 @@ import numpy as np
 
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import GROUND, QUANTITIES, Record, Response
-from pinn_cli.system.parameters import CALIBRATION_UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 # Of the spline that goes through an estimate to see it between its samples.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pinn_cli.system.parameters import CALIBRATION_UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import ParameterEstimate
 

@@ -11,7 +11,8 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.linearisation import Linearisation
-from pinn_cli.system.parameters import CALIBRATION_UNITS, MASS, ParameterVector
+from pinn_cli.system.parameters import MASS, ParameterVector
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
 # and no more than that for Fourier features.

@@ -15,12 +15,12 @@ from pinn_cli.record.gauge import DELAYS_ALLOWED, Gauge
 from pinn_cli.record.record import GROUND
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.parameters import CALIBRATION_UNITS, ParameterVector
-from pinn_cli.system.quantities import CONNECTION_FORCE
+from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE
 from pinn_cli.training.band.row_sums import RowSums
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pinn_cli.training.band.layout import BandLayout
 
@@ -59,6 +59,14 @@ class Felt:
     rate: Tensor
     parts: list[tuple[int, int, Tensor | float]]
     by_parameter: dict[int, Tensor]
+
+
+def calibrations(gauges: Sequence[Gauge]) -> dict[str, Tensor]:
+    """Kind to the numbers of all gauges as they are known or believed, (gauges,); none without gauges."""
+    if not gauges:
+        return {}
+    values = {kind: [gauge.of(kind).value for gauge in gauges] for kind in CALIBRATION_UNITS}
+    return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
 
 
 class GaugeRows:

@@ -18,16 +18,17 @@ from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, targets
-from pinn_cli.record.gauge import GAUGE, calibrations
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.parameters import CALIBRATION_UNITS, ParameterVector
+from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
-from pinn_cli.training.band.gauge_rows import GaugeRows
+from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Bounded, Point
