@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 
 from pinn_cli.cli.command_line import execute
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
@@ -54,6 +55,23 @@ def run(composed: DictConfig) -> float | None:
         prepared = None if finished else _prepare(config, directory, stages, in_sweep)
         text = _tracked(config, composed, stages, resuming, prepared)
     return _judged(composed, directory, text, in_sweep)
+
+
+def inspect(composed: DictConfig) -> None:
+    """Look at a record before anything is estimated: a table, a figure and a command to go on with."""
+    runtime = HydraConfig.get().runtime
+    directory, base = Path(runtime.output_dir), Path(runtime.cwd)
+    with signs_of_life(Stages()):
+        inspected = Inspected.read(composed, base)
+        from pinn_cli.inspection.inspection import inspect_record
+        from pinn_cli.inspection.report import write_inspection
+
+        overrides = list(HydraConfig.get().overrides.task)
+        found = inspect_record(inspected.signals, inspected.time, overrides, inspected.frequencies, inspected.measured)
+        lock_directory()
+        take_directory()
+        text = write_inspection(found, directory, composed.get("figures") is not False)
+    print(f"{text}\n{directory}")
 
 
 def _tracked(config: RunConfig, composed: DictConfig, stages: Stages, resuming: bool, prepared: Prepared | None) -> str:
@@ -178,7 +196,7 @@ def _linear_response(config: RunConfig, true: Structure) -> Response | None:
 
 def main() -> None:
     """The command: exits with the status listed in `pinn_cli.cli.command_line`."""
-    sys.exit(execute(run))
+    sys.exit(execute(run, inspect))
 
 
 if __name__ == "__main__":

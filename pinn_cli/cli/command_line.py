@@ -28,6 +28,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from pinn_cli.cli import inspecting
 from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.options import read_options
@@ -125,11 +126,12 @@ class Jobs:
         print(f"pinn-run: {' '.join(text.split())}", file=sys.stderr)
 
 
-def execute(task: Task) -> int:
+def execute(task: Task, look: Task | None = None) -> int:
     """Run a task under the command line that the process was started with.
 
     Args:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
+        look: The same, where the command line says `inspect`; None: it must not.
 
     Returns:
         The exit status, as listed at the top of this file.
@@ -138,6 +140,8 @@ def execute(task: Task) -> int:
     options = Namespace(overrides=[], config_dir=None)
     try:
         options = read_options(sys.argv)
+        if look is not None and inspecting.taken_out(sys.argv, options):
+            jobs.task = look
         with watched(in_time=True):
             if options.help:
                 print(help_text(options.config_dir))

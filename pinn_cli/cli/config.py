@@ -143,7 +143,7 @@ class RunConfig:
         Raises:
             InputError: At the first setting that no run can use.
         """
-        config = _resolved(config)
+        config = resolved(config)
         _check_names(config)
         check_classes(config)
         identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
@@ -153,7 +153,7 @@ class RunConfig:
         _limit_threads(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        structure = _structure(config, base)
+        structure = read_structure(config, base)
         config = numbered(config, structure.labels)
         source = _source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
@@ -196,7 +196,7 @@ class RunConfig:
         )  # fmt: skip
 
 
-def _resolved(config: DictConfig) -> DictConfig:
+def resolved(config: DictConfig) -> DictConfig:
     """The same with every interpolation replaced by its value."""
     for setting in OmegaConf.missing_keys(config):
         raise InputError(setting, "(missing)", "given", f"add {setting}=... to the command")
@@ -294,7 +294,7 @@ def _check_available(device: str) -> None:
         raise InputError("device", device, "cpu or a CUDA device that is there", hint)
 
 
-def _structure(config: DictConfig, base: Path | None) -> Structure:
+def read_structure(config: DictConfig, base: Path | None) -> Structure:
     """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
     from pinn_cli.system.building import build_chain, build_partial_chain
     from pinn_cli.system.topology import build_partial_structure, build_structure

@@ -1,0 +1,117 @@
+"""The command that a look at a record proposes."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Sequence
+
+import numpy as np
+
+from pinn_cli.inspection.signal import Sampling, Signal
+from pinn_cli.record.record import GROUND
+from pinn_cli.settings.override_syntax import setting_of
+
+# Samples per period of the highest frequency: what a run needs, and more than this are worth decimating.
+NEEDED, PLENTY = 5.0, 12.0
+# What columns are called, when nobody has said what they are.
+_NAMES = (
+    (GROUND, re.compile(r"ground|base|table|\bag\b|ugdd", re.IGNORECASE)),
+    ("force", re.compile(r"^(f|p)\W*\d*\b|^f[a-z]?\d|forc|load|hammer|shaker|kraft", re.IGNORECASE)),
+    ("acceleration", re.compile(r"^a\W*\d*\b|^a[a-z]?\d|acc|beschl|udd", re.IGNORECASE)),
+    ("velocity", re.compile(r"^v\W*\d*\b|^v[a-z]?\d|vel|geschw", re.IGNORECASE)),
+    ("displacement", re.compile(r"^(u|d|x|y)\W*\d*\b|^[ud][a-z]?\d|disp|lvdt|laser|weg", re.IGNORECASE)),
+)
+
+
+def proposed_command(
+    overrides: Sequence[str],
+    signals: Sequence[Signal],
+    sampling: Sampling,
+    highest: float,
+    frequencies: int,
+    has_structure: bool,
+) -> list[str]:
+    """What to type next.
+
+    Args:
+        overrides: As typed, ``inspect`` apart.
+        signals: All columns.
+        sampling: Of their values.
+        highest: Frequency of any channel's content, Hz.
+        frequencies: Number of natural frequencies that were found.
+        has_structure: Whether the structure's parameters were given.
+
+    Returns:
+        Words for a shell, those that need quotes in quotes; words in capitals are to be filled in.
+    """
+    known = [signal for signal in signals if signal.quantity]
+    given = {setting_of(override) for override in overrides}
+    told = any(f"data.{signal.quantity}" in {name.rpartition(".")[0] or name for name in given} | given
+               for signal in known)  # fmt: skip
+    added = [] if told else _columns(known)
+    added += _window(known or signals, sampling) + _decimation(sampling, highest)
+    dofs = max((int(signal.place) for signal in known if signal.place.isdecimal()), default=0)
+    if not has_structure:
+        structure = {"system": "system=linear", "system.ndof": f"system.ndof={max(dofs, frequencies, 1)}"}
+        added += [text for name, text in structure.items() if name not in given]
+        if not any(name in given for name in ("system.m", "system.mass", "system.M")):
+            added.append("system.m=MASS_IN_KG")
+        if "scheme" not in given:
+            added += ["scheme=state_parameter", "scheme.unknown=[k_*,c_*]"]
+    kept = [override for override in overrides if setting_of(override) not in {setting_of(text) for text in added}]
+    return as_typed([*kept, *added])
+
+
+def as_typed(overrides: Sequence[str]) -> list[str]:
+    """Words of a command for a shell, those that need quotes in quotes."""
+    plain = (re.sub(r"^\+\+(?=[\w.]+=\{)", "", override) for override in overrides)
+    return [shlex.quote(word) for word in ("pinn-run", *plain)]
+
+
+def guessed(signal: Signal) -> Signal:
+    """The same with what its header, or else its name, says that it is; as it was where neither does."""
+    quantity = signal.quantity or next((q for q, names in _NAMES if names.search(signal.column)), "")
+    numbers = re.findall(r"\d+", signal.place or signal.column)
+    place = "" if quantity == GROUND else (numbers[0] if numbers else "1")
+    return Signal(signal.column, signal.values, quantity, place if quantity else "", signal.unit)
+
+
+def _columns(signals: Sequence[Signal]) -> list[str]:
+    """``data.acceleration={1: a1}``, the first column of a quantity and DOF alone."""
+    places: dict[str, dict[str, str]] = {}
+    for signal in signals:
+        places.setdefault(signal.quantity, {}).setdefault(str(int(signal.place or 0)), signal.column)
+    words = {
+        quantity: "{" + ", ".join(f"{dof}: {_quoted(column)}" for dof, column in columns.items()) + "}"
+        for quantity, columns in places.items()
+    }
+    ground = places.get(GROUND)
+    if ground:
+        words[GROUND] = _quoted(next(iter(ground.values())))
+    return [f"data.{quantity}={text}" for quantity, text in words.items()]
+
+
+def _quoted(column: str) -> str:
+    return column if re.fullmatch(r"[A-Za-z_][\w./-]*", column) else "'" + column.replace("'", r"\'") + "'"
+
+
+def _window(signals: Sequence[Signal], sampling: Sampling) -> list[str]:
+    """The longest stretch without a gap, where there is one."""
+    whole = np.all([np.isfinite(signal.values) for signal in signals], axis=0)
+    steps = np.diff(sampling.time) > 1.5 * sampling.step
+    edges = np.flatnonzero(~whole)
+    if not steps.any() and not len(edges):
+        return []
+    breaks = np.unique(np.concatenate([[-1], edges, np.flatnonzero(steps) + 0.5, [len(whole)]]))
+    i = int(np.argmax(np.diff(breaks)))
+    first, last = int(np.floor(breaks[i])) + 1, int(np.ceil(breaks[i + 1])) - 1
+    if last - first < 16:
+        return []
+    return [f"data.start={sampling.time[first]:.9g}", f"data.stop={sampling.time[last]:.9g}"]
+
+
+def _decimation(sampling: Sampling, highest: float) -> list[str]:
+    if not highest > 0.0 or sampling.rate < PLENTY * highest:
+        return []
+    return [f"data.decimate={int(sampling.rate / (NEEDED * highest))}"]

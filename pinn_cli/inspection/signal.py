@@ -1,0 +1,112 @@
+"""One column of a record as it is inspected, and its samples on a regular clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pinn_cli.record.record import GROUND, UNITS
+
+# Times off the regular axis by more than this part of a step are put onto it.
+EVEN = 0.05
+# What acts on a structure.
+INPUTS = ("force", GROUND)
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One column.
+
+    Attributes:
+        column: Its name in the file.
+        values: (N,), as the file has them; NaN where a cell is empty.
+        quantity: displacement, velocity, acceleration, force or ground_acceleration; "": nobody has said.
+        place: Number or name of the DOF; "" of the ground, and where nobody has said.
+        unit: As the file's header writes it; "" where it writes none.
+    """
+
+    column: str
+    values: np.ndarray
+    quantity: str = ""
+    place: str = ""
+    unit: str = ""
+
+    @property
+    def name(self) -> str:
+        """As sentences have it: ``acceleration of DOF 3``; else the column in quotes."""
+        if not self.quantity:
+            return repr(self.column)
+        return "ground acceleration" if self.quantity == GROUND else f"{self.quantity} of DOF {self.place}"
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it is what acts."""
+        return self.quantity in INPUTS
+
+    @property
+    def shown_unit(self) -> str:
+        """The header's, else that of the quantity, which is taken for granted."""
+        return self.unit or UNITS.get(self.quantity, "")
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """When the samples of a record were taken.
+
+    Attributes:
+        time: (N,), s, increasing.
+    """
+
+    time: np.ndarray
+
+    @property
+    def step(self) -> float:
+        """The usual step, s."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def rate(self) -> float:
+        """Hz, from all steps but the holes: their mean has more digits than one of them is printed with."""
+        steps = np.diff(self.time)
+        return 1.0 / float(np.mean(steps[steps <= 1.5 * self.step]))
+
+    @property
+    def duration(self) -> float:
+        """S."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def holes(self) -> list[tuple[float, float]]:
+        """Times before and after every step that is longer than one and a half usual ones, s."""
+        after = np.flatnonzero(np.diff(self.time) > 1.5 * self.step)
+        return [(float(self.time[i]), float(self.time[i + 1])) for i in after]
+
+    @property
+    def jitter_percent(self) -> float:
+        """Root mean square deviation of the steps from the usual one, holes left out, % of it."""
+        steps = np.diff(self.time)
+        steps = steps[steps <= 1.5 * self.step]
+        return float(100.0 * np.sqrt(np.mean((steps / self.step - 1.0) ** 2)))
+
+    @property
+    def regular(self) -> np.ndarray:
+        """(M,), s: from the first sample to the last at the usual rate; the times themselves, where they are even."""
+        count = round(self.duration * self.rate) + 1
+        axis = self.time[0] + np.arange(count) / self.rate
+        even = count == len(self.time) and np.max(np.abs(axis - self.time)) <= EVEN * self.step
+        return self.time if even else axis
+
+    def on_regular(self, values: np.ndarray) -> np.ndarray:
+        """Samples (N,) at `regular`, (M,); straight lines over what is missing.
+
+        Raises:
+            ValueError: There are none.
+        """
+        there = np.isfinite(values)
+        if not there.any():
+            raise ValueError("a column without a number")
+        axis = self.regular
+        if axis is self.time and there.all():
+            return values
+        return np.interp(axis, self.time[there], values[there])

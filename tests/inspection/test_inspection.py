@@ -1,0 +1,281 @@
+"""What a look at a record says: gaps, clipping, offsets, signs, units, and a command that can be typed."""
+
+from __future__ import annotations
+
+import shlex
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.inspection.inspection import inspect_record
+from pinn_cli.inspection.signal import Sampling, Signal
+from pinn_cli.inspection.text import inspection_text
+from pinn_cli.settings.errors import InputError
+
+RATE = 50.0
+
+
+@pytest.fixture(scope="module")
+def record(chain):
+    return chain.record(60.0, 11)
+
+
+def look(record, overrides=("data=csv",), frequencies=None, **columns):
+    """With ``columns`` in place of the record's own; None: left out."""
+    time, f, _, a = record
+    every = {
+        "f": Signal("f", f, "force", "5"), "a1": Signal("a1", a[:, 0], "acceleration", "1"),
+        "a5": Signal("a5", a[:, 4], "acceleration", "5"),
+    } | columns  # fmt: skip
+    return inspect_record([s for s in every.values() if s is not None], time, overrides, frequencies)
+
+
+def notes(*arguments, **columns) -> str:
+    return " / ".join(look(*arguments, **columns).notes)
+
+
+def test_a_sound_record_is_told_without_a_note(record):
+    found = look(record)
+    assert found.notes == []
+    row = found.channels.set_index("column").loc["a1"]
+    _, _, _, a = record
+    assert row["rms"] == pytest.approx(a[:, 0].std())
+    assert row["noise"] == pytest.approx(a[:, 0].std() * 10**-1.5, rel=0.15)
+    assert row["snr_db"] == pytest.approx(30.0, abs=1.5)
+    assert 6.0 < row["band_high_hz"] < 9.0
+    assert (row["missing_percent"], row["clipped_percent"]) == (0.0, 0.0)
+    assert "acceleration of DOF 1" in inspection_text(found)
+    assert max(len(line) for line in inspection_text(found).splitlines()) <= 100
+
+
+def test_gaps(record):
+    time, f, _, a = record
+    gapped = a[:, 0].copy()
+    gapped[700:750] = np.nan
+    found = look(record, a1=Signal("a1", gapped, "acceleration", "1"))
+    row = found.channels.set_index("column").loc["a1"]
+    assert row["missing_percent"] == pytest.approx(100.0 * 50 / len(f))
+    assert row["longest_gap_s"] == pytest.approx(51 / RATE)
+    assert "1.7 % of the samples of acceleration of DOF 1 are missing, at most 1.02 s at a time" in found.notes
+    assert {f"data.start={time[750]:g}", f"data.stop={time[-1]:g}"} <= set(found.command)
+
+
+def test_missing_rows_and_scattered_times(record):
+    time, f, _, a = record
+    kept = np.delete(np.arange(len(time)), slice(1000, 1200))
+    jitter = time + np.random.default_rng(0).uniform(-0.1, 0.1, len(time)) / RATE
+    short = (jitter[kept], f[kept], None, a[kept])
+    found = look(short)
+    assert found.sampling.rate == pytest.approx(RATE, rel=1e-3)
+    assert "1 times rows are missing, at most 4" in found.notes[0]
+    assert found.notes[1].startswith("steps in time scatter by ")
+    assert len(found.sampling.regular) == pytest.approx(len(time), abs=2)
+
+
+def test_clipped_held_and_dead_channels(record):
+    _, f, _, a = record
+    clipped = np.clip(a[:, 0], -1.5 * a[:, 0].std(), 1.5 * a[:, 0].std())
+    held = np.repeat(a[::10, 4], 10)[: len(a)]
+    said = notes(
+        record, a1=Signal("a1", clipped, "acceleration", "1"), a5=Signal("a5", held, "acceleration", "5"),
+        dead=Signal("d", np.full(len(f), 0.25), "displacement", "2"),
+    )  # fmt: skip
+    assert "of acceleration of DOF 1 sits at its largest or least value: clipped?" in said
+    assert "% of acceleration of DOF 5 are repeated values: held, or a slower sensor?" in said
+    assert "displacement of DOF 2 reads 0.25 throughout: a dead sensor?" in said
+
+
+def test_noise_alone(record):
+    weak = record[3][:, 0] + np.random.default_rng(0).normal(size=len(record[0])) * record[3][:, 0].std()
+    assert "acceleration of DOF 1 is hardly above its noise: " in notes(
+        record, a1=Signal("a1", weak, "acceleration", "1")
+    )
+
+
+@pytest.mark.parametrize(
+    ("offset", "expected"),
+    [
+        (0.5, "the mean of acceleration of DOF 1 is 0."),
+        (9.81 / 1.9, "the mean of acceleration of DOF 1 is 9.8"),
+    ],
+)
+def test_offsets(record, offset, expected):
+    a = record[3][:, 0]
+    shifted = a / a.std() * 1.9 + offset * (1.9 if offset > 1.0 else 1.0)
+    said = notes(record, a1=Signal("a1", shifted, "acceleration", "1"))
+    assert expected in said
+    assert ("gravity, in m/s^2?" in said) == (offset > 1.0)
+    assert ("integrated over the record" in said) == (offset < 1.0)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize(
+    ("factor", "expected"),
+    [
+        (1.0, None),
+        (-1.0, "times what {} of DOF 5 says; the sign of one of them is wrong?"),
+        (1.0 / 9.80665, "the acceleration is in g?"),
+        (1e3, "the acceleration is in mm/s^2?"),
+        (1e-3, "the other one is in mm or mm/s?"),
+        (1.4, "a gain or a unit is wrong?"),
+    ],
+)
+def test_two_sensors_of_one_dof(record, factor, expected, order):
+    time, _, u, a = record
+    quantity = ("displacement", "velocity")[order]
+    values = np.gradient(u[:, 4], time) if order else u[:, 4]
+    other = Signal("x", values + 1e-4 * np.random.default_rng(0).normal(size=len(time)), quantity, "5")
+    said = notes(record, f=None, x=other, a5=Signal("a5", factor * a[:, 4], "acceleration", "5"))
+    assert ("says" in said) == (expected is not None)
+    assert expected is None or expected.format(quantity) in said
+
+
+def test_sensors_of_one_dof_that_have_nothing_in_common(record):
+    noise = Signal("u", np.random.default_rng(0).normal(size=len(record[0])), "displacement", "5")
+    assert "acceleration of DOF 5 and displacement of DOF 5 have little in common" in notes(record, u=noise)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_and_its_sensor_with_opposite_signs(record, sign):
+    said = notes(record, a5=Signal("a5", sign * record[3][:, 4], "acceleration", "5"))
+    assert ("acceleration of DOF 5 moves against force of DOF 5" in said) == (sign < 0.0)
+
+
+@pytest.mark.parametrize(("gain", "told"), [(1.0, False), (1.0 / 9.80665, True)])
+def test_a_structure_moves_with_the_ground_far_below_its_frequencies(gain, told):
+    """One mode at 2 Hz, shaken: the absolute acceleration is the ground's there."""
+    random, n = np.random.default_rng(0), 12000
+    frequency = np.fft.rfftfreq(n, 1.0 / RATE)
+    ground = np.fft.rfft(random.normal(size=n)) * (frequency < 8.0)
+    s, w = 1j * frequency, 2.0
+    absolute = ground * (2 * 0.02 * w * s + w**2) / (s**2 + 2 * 0.02 * w * s + w**2)
+    roof, base = np.fft.irfft(absolute, n), np.fft.irfft(ground, n)
+    every = [Signal("g", base, "ground_acceleration"), Signal("a", gain * roof, "acceleration", "1")]
+    found = inspect_record(every, np.arange(n) / RATE, ["data=csv"], None)
+    assert found.peaks["frequency_hz"].tolist() == pytest.approx([2.0], rel=2e-3)
+    assert any("times the ground's; the acceleration is in g?" in note for note in found.notes) == told
+
+
+def test_units_of_the_header(record):
+    a = record[3][:, 0]
+    said = notes(record, a1=Signal("a1", a, "acceleration", "1", "g"), f=Signal("f", record[1], "force", "5", "N"))
+    assert said == "the file says that acceleration of DOF 1 is in g; m/s^2 is taken for granted"
+    assert notes(record, a1=Signal("a1", a, "acceleration", "1", "m/s²")) == ""
+
+
+def test_what_columns_are_is_guessed_by_their_names(record):
+    _, f, _, a = record
+    plain = {"f": Signal("Force 5 (N)", f), "a1": Signal("a1", a[:, 0]), "a5": Signal("acc_5", a[:, 4]),
+             "n": Signal("note", np.arange(len(f)) % 7.0)}  # fmt: skip
+    found = look(record, **plain)
+    assert found.notes[0].startswith("what columns are is guessed by their names")
+    assert len(found.peaks) >= 4
+    words = shlex.split(" ".join(found.command))
+    assert "data.force={5: 'Force 5 (N)'}" in words
+    assert "data.acceleration={1: a1, 5: acc_5}" in words
+    assert words[-5:] == [
+        "system=linear", "system.ndof=5", "system.m=MASS_IN_KG", "scheme=state_parameter", "scheme.unknown=[k_*,c_*]",
+    ]  # fmt: skip
+
+
+def test_what_is_given_is_not_proposed_again(record):
+    given = (
+        "data=csv",
+        "++data.force={5: f}",
+        "data.acceleration={1: a1}",
+        "system=duffing",
+        "system.m=2",
+        "scheme=bayesian",
+    )
+    words = shlex.split(" ".join(look(record, given).command))
+    assert words == ["pinn-run", "data=csv", "data.force={5: f}", "data.acceleration={1: a1}", "system=duffing",
+                     "system.m=2", "scheme=bayesian", "system.ndof=5"]  # fmt: skip
+
+
+def test_many_samples_of_a_low_band_are_decimated():
+    time, random = np.arange(20_000) / 1000.0, np.random.default_rng(0)
+    spectrum = np.fft.rfft(random.normal(size=20_000))
+    spectrum[np.fft.rfftfreq(20_000, 1e-3) > 10.0] = 0.0
+    slow = np.fft.irfft(spectrum, 20_000)
+    noisy = [slow + 0.01 * slow.std() * random.normal(size=20_000) for _ in range(2)]
+    every = [Signal("f", noisy[0], "force", "1"), Signal("a", noisy[1], "acceleration", "1")]
+    (word,) = [w for w in inspect_record(every, time, [], None).command if w.startswith("data.decimate=")]
+    assert 15 <= int(word.partition("=")[2]) <= 20
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected"),
+    [(10, "data.start, data.stop=10 samples"), (60, "must be a record with a column that varies")],
+)
+def test_nothing_to_look_at(samples, expected):
+    still = [Signal("a", np.ones(samples), "acceleration", "1"), Signal("n", np.full(samples, np.nan))]
+    with pytest.raises(InputError, match=expected):
+        inspect_record(still, np.arange(samples) / RATE, [], None)
+
+
+def test_regular_times_are_kept_as_they_are():
+    time = np.round(np.arange(500) / 256.0, 4)
+    assert Sampling(time).rate == pytest.approx(256.0, rel=1e-5)
+    values = np.sin(time)
+    assert Sampling(time).on_regular(values) is values
+
+
+def test_the_command_inspect(record, pinn_run, tmp_path):
+    time, f, _, a = record
+    pd.DataFrame({"t": time, "f5": f, "a1": a[:, 0], "a5": a[:, 4]}).to_csv(tmp_path / "rig.csv", index=False)
+    settings = ["data=csv", "data.path=rig.csv", "data.force={5: f5}", "data.acceleration={1: a1, 5: a5}"]
+    outcome = pinn_run(
+        "inspect", *settings, "system=linear", "system.ndof=5", "system.m=1", "system.k=386.4", "system.c=0"
+    )
+    assert (outcome.status, outcome.err) == (0, "")
+    *_, last = outcome.out.strip().splitlines()
+    files = {str(file.relative_to(last)) for file in tmp_path.glob("outputs/default/*/**/*") if file.is_file()}
+    assert files >= {"inspect.csv", "peaks.csv", "pinn-run.log", "figures/inspect.png", "figures/inspect.pdf",
+                     ".hydra/config.yaml"}  # fmt: skip
+    peaks = pd.read_csv(f"{last}/peaks.csv")
+    np.testing.assert_allclose(peaks["difference_percent"], 0.0, atol=0.3)
+    assert "run.json" not in files
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["inspect", "data=csv"], "data.path=None: must be given: data=csv reads a file of yours"),
+        (["inspect", "data=csv", "data.path=no.csv"], "must be a file that exists"),
+        (["inspect", "resume=auto"], "resume=auto: must be left out with inspect"),
+        (["inspect", "--multirun", "seed=1,2"], "--multirun=inspect: must be left out with inspect"),
+        (["inspect", "data=csv", "data.path=no.csv", "data.force=f"], "data.force=f: must be a map of DOF: column"),
+        (["inspect", "data=csv", "data.pth=no.csv"], "data.pth"),
+        (["inspct"], "override=inspct"),
+    ],
+)
+def test_a_look_that_cannot_be_had(pinn_run, tmp_path, arguments, expected):
+    outcome = pinn_run(*arguments)
+    assert outcome.status == 2
+    assert expected in outcome.err
+    assert outcome.err.count("\n") == 1
+    assert not list(tmp_path.glob("outputs/*/*"))
+
+
+def test_a_simulated_record_is_looked_at_too(pinn_run):
+    outcome = pinn_run("inspect", "simulation.samples=1024", "system.ndof=2", "figures=false")
+    assert outcome.status == 0
+    assert "force of DOF 1" in outcome.out
+    assert "  pinn-run simulation.samples=1024 system.ndof=2 figures=false" in outcome.out
+
+
+@pytest.mark.slow
+def test_a_million_rows_take_twenty_seconds_at_most(tmp_path):
+    import subprocess
+    import sys
+    import time
+
+    random, rows = np.random.default_rng(0), np.arange(10**6)
+    columns = {"t": rows / 1000.0, "f1": random.normal(size=10**6)}
+    columns |= {f"a{i}": np.cumsum(columns["f1"]) + random.normal(size=10**6) for i in range(1, 5)}
+    pd.DataFrame(columns).round(6).to_csv(tmp_path / "big.csv", index=False)
+    start = time.monotonic()
+    command = [sys.executable, "-m", "pinn_cli", "inspect", "data=csv", "data.path=big.csv"]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True).returncode == 0
+    assert time.monotonic() - start < 20.0

@@ -1,0 +1,100 @@
+"""Natural frequencies and damping of a chain whose equations are written out here, from its noisy record."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pinn_cli.inspection.frequency_response import chance_coherence, spectra_of
+from pinn_cli.inspection.inspection import peak_table
+from pinn_cli.inspection.peaks import find_peaks
+from pinn_cli.inspection.signal import Sampling, Signal
+
+# Of a chain of five equal masses and springs, fixed at one end, Hz.
+FREQUENCIES = 0.890 * np.sin(np.pi * np.arange(1, 10, 2) / 22.0) / np.sin(np.pi / 22.0)
+
+
+def signals(record, force: bool = True) -> list[Signal]:
+    _, f, _, a = record
+    sensors = [Signal(f"a{i + 1}", a[:, i], "acceleration", str(i + 1)) for i in (0, 2, 4)]
+    return [*([Signal("f", f, "force", "5")] if force else []), *sensors]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_modes_under_a_measured_force(chain, seed):
+    record = chain.record(120.0, seed)
+    found = find_peaks(spectra_of(signals(record), Sampling(record[0])))
+    assert len(found) == 5
+    np.testing.assert_allclose([peak.frequency for peak in found], FREQUENCIES, rtol=2e-3)
+    np.testing.assert_allclose([peak.damping for peak in found], 0.02, rtol=0.05)
+    assert all(0.4 < peak.coherence <= 1.0 for peak in found)
+
+
+def test_intervals_hold_the_true_modes(chain):
+    """Of some 50 modes of ten records: 90 % intervals, which hold 75 % or more."""
+    inside = []
+    for seed in range(10):
+        record = chain.record(90.0, 100 + seed, snr_db=20.0)
+        for peak in find_peaks(spectra_of(signals(record), Sampling(record[0]))):
+            true = FREQUENCIES[np.argmin(np.abs(FREQUENCIES - peak.frequency))]
+            inside.append(abs(peak.frequency - true) < 1.645 * peak.frequency_std)
+            inside.append(abs(peak.damping - 0.02) < 1.645 * peak.damping_std)
+    assert len(inside) >= 90
+    assert 0.75 <= np.mean(inside) <= 0.97
+
+
+def test_modes_without_a_measured_force(chain):
+    record = chain.record(600.0, 3)
+    found = find_peaks(spectra_of(signals(record, force=False), Sampling(record[0])))
+    assert len(found) >= 4
+    for peak in found:
+        true = FREQUENCIES[np.argmin(np.abs(FREQUENCIES - peak.frequency))]
+        assert abs(peak.frequency - true) < max(0.01 * true, 3.0 * peak.frequency_std)
+        assert abs(peak.damping - 0.02) < 3.5 * peak.damping_std
+        assert np.isnan(peak.coherence)
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_noise_has_no_modes(force):
+    random = np.random.default_rng(0)
+    quantity = "force" if force else "acceleration"
+    noise = [
+        Signal("x", random.normal(size=6000), quantity, "1"),
+        Signal("a", random.normal(size=6000), "acceleration", "2"),
+    ]
+    assert len(find_peaks(spectra_of(noise, Sampling(np.arange(6000) / 50.0)))) <= 1
+
+
+def test_two_forces_at_once(chain):
+    """Each sensor answers to both; with one of them alone its coherence would be poor."""
+    time, f, _, a = chain.record(240.0, 5)
+    _, g, _, b = chain.record(240.0, 6)
+    every = [Signal("f", f, "force", "5"), Signal("g", g, "force", "1"),
+             *(Signal(f"a{i}", a[:, i] + b[:, 4 - i], "acceleration", str(i + 1)) for i in (0, 4))]  # fmt: skip
+    spectra = spectra_of(every, Sampling(time))
+    within = (spectra.frequency > 1.0) & (spectra.frequency < 6.0)
+    assert np.median(spectra.coherence[within]) > 0.95
+    alone = spectra_of([every[0], *every[2:]], Sampling(time))
+    assert np.median(alone.coherence[within]) < 0.8
+    np.testing.assert_allclose([p.frequency for p in find_peaks(spectra)][:4], FREQUENCIES[:4], rtol=2e-3)
+
+
+def test_chance_reaches_the_coherence_that_it_is_said_to():
+    random = np.random.default_rng(1)
+    noise = [
+        Signal("f", random.normal(size=200_000), "force", "1"),
+        Signal("a", random.normal(size=200_000), "acceleration", "1"),
+    ]
+    spectra = spectra_of(noise, Sampling(np.arange(200_000) / 100.0))
+    share = np.mean(spectra.coherence > chance_coherence(200_000, 0.1))
+    assert 0.05 < share < 0.2
+
+
+def test_peaks_beside_those_of_a_structure(chain):
+    record = chain.record(120.0, 0)
+    peaks = find_peaks(spectra_of(signals(record), Sampling(record[0])))
+    table = peak_table(peaks, 1.02 * FREQUENCIES)
+    assert table["mode"].tolist() == [1, 2, 3, 4, 5]
+    np.testing.assert_allclose(table["difference_percent"], 2.0, atol=0.2)
+    assert peak_table(peaks, None)["structure_hz"].isna().all()
+    assert peak_table(peaks, np.array([np.nan, 0.0]))["mode"].isna().all()
