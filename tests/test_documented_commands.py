@@ -16,6 +16,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
 
 from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.inspecting import Inspected
+from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.function_space import training as over_all_weights
@@ -43,7 +45,8 @@ def commands(page: Path) -> Iterator[str]:
 EVERY = sorted(
     {" ".join(shlex.split(line, comments=True)[1:]): line for page in PAGES for line in commands(page)}.values()
 )
-RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=", line)]
+RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run inspect", line)]
+LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 
 
 class TrainingBeginsError(Exception):
@@ -105,6 +108,14 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     problem = config.scheme.problem(config.model_error.structures(config.structure)[1], record)
     with pytest.raises(TrainingBeginsError):
         config.estimator.solve(problem, RunContext())
+
+
+@pytest.mark.parametrize("line", LOOKS)
+def test_a_documented_look_is_had(line: str, rig: Path) -> None:
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        composed = compose("config", overrides=first_job(shlex.split(line)[2:]))
+    looked_at = Inspected.read(composed, rig)
+    assert inspect_record(looked_at.signals, looked_at.time, [], looked_at.frequencies).command
 
 
 def test_there_are_commands_to_test() -> None:

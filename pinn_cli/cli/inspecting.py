@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.config import RunConfig, read_structure, resolved
+from pinn_cli.cli.dof_names import numbered
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.settings.legal_values import entries, finite_number
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pinn_cli.inspection.signal import Signal
+    from pinn_cli.record.data_channels import DataChannel
+    from pinn_cli.system.structure import Structure
 
 COMMAND = "inspect"
 # What goes on with a run, or makes several, has nothing to do with a look at a record.
@@ -52,7 +55,10 @@ class Inspected:
         """
         config = resolved(config)
         check_classes(config)
-        frequencies = _frequencies(config, base)
+        structure = _structure(config, base)
+        if structure is not None:
+            config = numbered(config, structure.labels)
+        frequencies = None if structure is None else _frequencies(structure)
         data = config.data
         if "path" in data and "format" in data:
             return cls(*_of_files(data, base), frequencies, measured=True)
@@ -86,7 +92,6 @@ def _of_files(data: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:
     """The columns that the settings name, else all that there are; within the window."""
     import numpy as np
 
-    from pinn_cli.inspection.signal import Signal
     from pinn_cli.record.files.table import SensorHint
     from pinn_cli.record.measured_files import MeasuredFiles
 
@@ -97,22 +102,20 @@ def _of_files(data: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:
         tuple(located(path, base) for path in paths), build(data.format, "data.format"), data.get("time"),
         data.get("sampling_rate"), data.get("time_unit", "s"),
     )  # fmt: skip
-    places = _named_columns(data)
-    clock = files.read({setting: column for setting, (column, _, _) in places.items()} or None)
+    said = {channel.column: channel for channel in _channels(data)}
+    clock = files.read({channel.setting: channel.column for channel in said.values()} or None)
     table, time = clock.table, clock.time
     first, last = (None if data.get(name) is None else finite_number(f"data.{name}", data[name]) for name in _WINDOW)
     within = slice(
         0 if first is None else int(np.searchsorted(time, first, side="left")),
         len(time) if last is None else int(np.searchsorted(time, last, side="right")),
     )
-    said = {column: (quantity, place) for column, quantity, place in places.values()}
     signals = []
     for column in table.columns:
         if column != clock.column:
-            hint = table.hints.get(column, SensorHint())
-            quantity, place = said.get(column, ("", ""))
+            unit = table.hints.get(column, SensorHint()).unit
             values = table.numbers(column, within.start, within.stop)
-            signals.append(Signal(column, values, quantity, place, hint.unit))
+            signals.append(_signal(column, values, unit, said.get(column)))
     if not signals:
         raise InputError("data.path", data.path, "a file with columns of numbers beside the times")
     return signals, time[within]
@@ -121,21 +124,40 @@ def _of_files(data: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:
 _WINDOW = ("start", "stop")
 
 
-def _named_columns(data: DictConfig) -> dict[str, tuple[str, str, str]]:
-    """Setting to column, quantity and DOF, of the columns that the settings name."""
+def _channels(data: DictConfig) -> list[DataChannel]:
+    """The columns that the settings name, in the short form and in the long one."""
+    from pinn_cli.record.data_channels import DataChannel, data_channels
     from pinn_cli.record.record import GROUND, QUANTITIES
 
-    found: dict[str, tuple[str, str, str]] = {}
+    found = []
     for quantity in QUANTITIES:
         columns: Any = data.get(quantity) or {}
         if not isinstance(columns, Mapping | DictConfig):
             raise InputError(f"data.{quantity}", columns, "a map of DOF: column")
         for dof, column in columns.items():
+            if not str(dof).isdecimal() or int(dof) < 1:
+                raise InputError(f"data.{quantity}", dof, "a map whose keys are different DOFs, counted from 1")
             if column is not None:
-                found[f"data.{quantity}.{dof}"] = str(column), quantity, str(dof)
+                setting = f"data.{quantity}.{dof}"
+                found.append(DataChannel(setting, str(column), str(column), quantity, {int(dof) - 1: 1.0}))
     if data.get(GROUND) is not None:
-        found[f"data.{GROUND}"] = str(data[GROUND]), GROUND, ""
-    return found
+        found.append(DataChannel(f"data.{GROUND}", str(data[GROUND]), str(data[GROUND]), GROUND))
+    channels = data.get("channels")
+    plain: Any = OmegaConf.to_container(channels) if OmegaConf.is_config(channels) else channels
+    return [*found, *data_channels(plain)]
+
+
+def _signal(column: str, values: np.ndarray, unit: str, channel: DataChannel | None) -> Signal:
+    """A column; what is measured at several DOFs, or in a connection, goes by its column's name."""
+    from pinn_cli.inspection.signal import Signal
+    from pinn_cli.system.quantities import UNITS
+
+    if channel is None or channel.place is None:
+        return Signal(column, values, unit=unit)
+    quantity, dof = channel.place
+    if channel.factor is not None:
+        values, unit = channel.factor * values, UNITS[quantity]
+    return Signal(column, values, quantity, str(dof) if dof else "", unit)
 
 
 def _of_record(config: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:
@@ -154,17 +176,25 @@ def _of_record(config: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray
     ], record.time
 
 
-def _frequencies(config: DictConfig, base: Path) -> np.ndarray | None:
-    """Of the linear part of the structure, Hz; None where its parameters are not given, or it is none."""
+def _structure(config: DictConfig, base: Path) -> Structure | None:
+    """The structure, whose values may be missing; None where nobody has described one."""
+    try:
+        return read_structure(config, base)
+    except InputError:
+        described = ("m", "k", "mass", "connections", "dofs", "M", "K")
+        if any(config.system.get(name) is not None for name in described):
+            raise
+        return None
+
+
+def _frequencies(structure: Structure) -> np.ndarray | None:
+    """Of the linear part of the structure, Hz; None where its parameters were not given."""
     import numpy as np
 
-    from pinn_cli.verdict.modes import modes_of
+    from pinn_cli.system.modes import modes_of
 
     try:
-        structure = read_structure(config, base)
         found = modes_of(structure).natural_frequencies
-    except (InputError, np.linalg.LinAlgError):
-        if any(config.system.get(name) is not None for name in ("m", "k", "mass", "connections", "M", "K")):
-            raise
+    except np.linalg.LinAlgError:  # NaN among the parameters
         return None
     return found if np.isfinite(found).any() else None

@@ -37,16 +37,7 @@ def disagreements(signals: Sequence[Signal], sampling: Sampling, spectra: Spectr
         peaks: Of the record.
     """
     found = [*_offsets(signals, sampling), *_of_one_dof(spectra), *_opposed(spectra, peaks)]
-    return [*found, *_against_the_ground(spectra, peaks), *_units(signals)]
-
-
-def _units(signals: Sequence[Signal]) -> Iterator[str]:
-    """The file's header names another unit than the quantity's."""
-    plain = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N", GROUND: "m/s^2"}
-    for signal in signals:
-        written = signal.unit.replace("²", "^2").replace("**", "^").replace(" ", "").replace("s2", "s^2")
-        if signal.unit and signal.quantity and written != plain[signal.quantity]:
-            yield f"the file says that {signal.name} is in {signal.unit}; {plain[signal.quantity]} is taken for granted"
+    return [*found, *_against_the_ground(spectra, peaks)]
 
 
 def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:

@@ -72,7 +72,8 @@ def inspect_record(
         raise InputError("data.start, data.stop", f"{len(time)} samples", allowed)
     sampling = Sampling(time)
     guesses = _guesses(signals)
-    signals = guesses or signals
+    converted = [signal.in_si() for signal in guesses or signals]
+    signals = [signal for signal, _ in converted]
     alive = [signal for signal in signals if _varies(signal.values)]
     if not alive:
         raise InputError("data.path", f"{len(signals)} columns", "a record with a column that varies")
@@ -81,6 +82,7 @@ def inspect_record(
     peaks = find_peaks(spectra)
     highest = float(np.nanmax(channels["band_high_hz"].to_numpy(dtype=float), initial=0.0))
     notes = ["what columns are is guessed by their names: see the command below"] if guesses else []
+    notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *disagreements(alive, sampling, spectra, peaks)]
     command = as_typed(overrides)
     if measured:

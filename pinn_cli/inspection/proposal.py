@@ -50,7 +50,7 @@ def proposed_command(
     told = any(f"data.{signal.quantity}" in {name.rpartition(".")[0] or name for name in given} | given
                for signal in known)  # fmt: skip
     added = [] if told else _columns(known)
-    added += _window(known or signals, sampling) + _decimation(sampling, highest)
+    added += _decimation(known or signals, sampling, highest)
     dofs = max((int(signal.place) for signal in known if signal.place.isdecimal()), default=0)
     if not has_structure:
         structure = {"system": "system=linear", "system.ndof": f"system.ndof={max(dofs, frequencies, 1)}"}
@@ -96,22 +96,9 @@ def _quoted(column: str) -> str:
     return column if re.fullmatch(r"[A-Za-z_][\w./-]*", column) else "'" + column.replace("'", r"\'") + "'"
 
 
-def _window(signals: Sequence[Signal], sampling: Sampling) -> list[str]:
-    """The longest stretch without a gap, where there is one."""
-    whole = np.all([np.isfinite(signal.values) for signal in signals], axis=0)
-    steps = np.diff(sampling.time) > 1.5 * sampling.step
-    edges = np.flatnonzero(~whole)
-    if not steps.any() and not len(edges):
-        return []
-    breaks = np.unique(np.concatenate([[-1], edges, np.flatnonzero(steps) + 0.5, [len(whole)]]))
-    i = int(np.argmax(np.diff(breaks)))
-    first, last = int(np.floor(breaks[i])) + 1, int(np.ceil(breaks[i + 1])) - 1
-    if last - first < 16:
-        return []
-    return [f"data.start={sampling.time[first]:.9g}", f"data.stop={sampling.time[last]:.9g}"]
-
-
-def _decimation(sampling: Sampling, highest: float) -> list[str]:
-    if not highest > 0.0 or sampling.rate < PLENTY * highest:
+def _decimation(signals: Sequence[Signal], sampling: Sampling, highest: float) -> list[str]:
+    """Where no sample is missing: the filter needs all."""
+    whole = not sampling.holes and all(np.isfinite(signal.values).all() for signal in signals)
+    if not whole or not highest > 0.0 or sampling.rate < PLENTY * highest:
         return []
     return [f"data.decimate={int(sampling.rate / (NEEDED * highest))}"]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pinn_cli.record.record import GROUND, UNITS
+from pinn_cli.record.units import si_factor
+from pinn_cli.settings.errors import InputError
 
 # Times off the regular axis by more than this part of a step are put onto it.
 EVEN = 0.05
@@ -20,10 +22,10 @@ class Signal:
 
     Attributes:
         column: Its name in the file.
-        values: (N,), as the file has them; NaN where a cell is empty.
+        values: (N,), in ``unit``; NaN where a cell is empty.
         quantity: displacement, velocity, acceleration, force or ground_acceleration; "": nobody has said.
         place: Number or name of the DOF; "" of the ground, and where nobody has said.
-        unit: As the file's header writes it; "" where it writes none.
+        unit: "": nobody has said; where it is known what is measured, SI.
     """
 
     column: str
@@ -46,8 +48,20 @@ class Signal:
 
     @property
     def shown_unit(self) -> str:
-        """The header's, else that of the quantity, which is taken for granted."""
+        """Its own, else that of the quantity, which is taken for granted."""
         return self.unit or UNITS.get(self.quantity, "")
+
+    def in_si(self) -> tuple[Signal, str]:
+        """The same in SI units, and a sentence where its unit is none of its quantity's."""
+        if not self.unit or self.quantity not in UNITS:
+            return self, ""
+        plain = UNITS[self.quantity]
+        try:
+            factor = si_factor(f"unit of {self.column}", self.unit, self.quantity)
+        except InputError:
+            says = f"the file says that {self.name} is in {self.unit}, which is no unit of it"
+            return replace(self, unit=plain), f"{says}: a run will ask for data.channels.{self.column}.unit"
+        return replace(self, values=factor * self.values if factor != 1.0 else self.values, unit=plain), ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,9 @@ from pinn_cli.record.files.text_file import check_encoding, read_text
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import whole_number
 
-_UNIT = re.compile(r".*[\[(]([^\])]*)[\])]\s*$")
+# A unit in brackets at the end of a name, of those that sensors have: a1 (roof) has none.
+_SYMBOL = r"(?:[num\u00b5\u03bckM]?(?:m|s|g|N|V|A|Pa)|cm|in|ft|lbf?|[Gg]al|Hz|rad|deg|min|h)"
+_UNIT = re.compile(rf".*[\[(]\s*({_SYMBOL}(?:\s*[/*^\u00b7 ]?\s*(?:{_SYMBOL}|[-\u00b2]?\d|\u00b2))*)\s*[\])]\s*$")
 
 
 @dataclass(frozen=True)

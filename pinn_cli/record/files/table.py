@@ -22,6 +22,8 @@ _WRITTEN_AS = (
     (re.compile(r"(true|false|yes|no|on|off)$", re.IGNORECASE), "write 1 and 0 if these are numbers"),
     (re.compile(r"=|[+-]?[A-Za-z]\w*\("), "it looks like a formula, and pinn-run evaluates none: save its value"),
 )
+# m/s² is m/s^2, and both letters that are written for micro are u.
+_PLAIN = str.maketrans({"\N{SUPERSCRIPT TWO}": "2", "\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 _LEFT_OUT = "leave gaps out with data.start and data.stop"
 
 
@@ -30,7 +32,7 @@ class SensorHint:
     """What a file's own header says of a column; "" where it says nothing.
 
     Attributes:
-        unit: As the header writes it, such as ``m/s^2`` or ``g``.
+        unit: As the header writes it, such as ``m/s^2`` or ``g``, but for brackets and raised digits.
         quantity: displacement, velocity, acceleration or force.
         place: Of the sensor: a node and a direction such as ``3:+Z``, or another label.
     """
@@ -38,6 +40,10 @@ class SensorHint:
     unit: str = ""
     quantity: str = ""
     place: str = ""
+
+    def __post_init__(self) -> None:
+        plain = self.unit.strip().strip("[]()").strip().translate(_PLAIN)
+        object.__setattr__(self, "unit", re.sub(r"(?<=[A-Za-z])(?=\d)", "^", plain))
 
 
 @dataclass(frozen=True, eq=False)

@@ -215,6 +215,13 @@ def test_parquet_refuses_what_is_no_number(tmp_path):
         ("t\ta\n0\t1\n", {"separator": "\\t"}, {"t": [0], "a": [1]}, {}, 2),
         ("t;a\n0;1,000\n", {"decimal": ","}, {"t": [0], "a": [1]}, {}, 2),
         ("t;a\n0;1\n1;\n", {}, {"t": [0, 1], "a": [1, np.nan]}, {}, 2),
+        (
+            "t,a (roof),b (m/s\xb2),c [kN],d (um)\n0,1,2,3,4\n",
+            {},
+            {"t": [0], "a (roof)": [1], "b (m/s\xb2)": [2], "c [kN]": [3], "d (um)": [4]},
+            {"b (m/s\xb2)": "m/s^2", "c [kN]": "kN", "d (um)": "um"},
+            2,
+        ),
         ("t,a\xb2\n0,1\n", {"encoding": "latin-1"}, {"t": [0], "a\xb2": [1]}, {}, 2),
         ("t,a\xb2\n0,1\n", {}, {"t": [0], "a\xb2": [1]}, {}, 2),
     ],
