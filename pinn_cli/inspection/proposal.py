@@ -93,7 +93,7 @@ def _columns(signals: Sequence[Signal]) -> list[str]:
 
 
 def _quoted(column: str) -> str:
-    return column if re.fullmatch(r"[A-Za-z_][\w./-]*", column) else "'" + column.replace("'", r"\'") + "'"
+    return column if re.fullmatch(r"[A-Za-z_][\w./-]*", column) else '"' + column.replace('"', r"\"") + '"'
 
 
 def _decimation(signals: Sequence[Signal], sampling: Sampling, highest: float) -> list[str]:

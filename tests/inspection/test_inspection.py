@@ -176,7 +176,7 @@ def test_what_columns_are_is_guessed_by_their_names(record):
     assert found.notes[0].startswith("what columns are is guessed by their names")
     assert len(found.peaks) >= 4
     words = shlex.split(" ".join(found.command))
-    assert "data.force={5: 'Force 5 (N)'}" in words
+    assert 'data.force={5: "Force 5 (N)"}' in words
     assert "data.acceleration={1: a1, 5: acc_5}" in words
     assert words[-5:] == [
         "system=linear", "system.ndof=5", "system.m=MASS_IN_KG", "scheme=state_parameter", "scheme.unknown=[k_*,c_*]",
