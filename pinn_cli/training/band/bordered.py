@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+from scipy.linalg.lapack import dpbtrf, dtbtrs
 from scipy.optimize import nnls
+
+from pinn_cli.training.band.triangular_bands import solve_factored
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.
@@ -213,11 +215,8 @@ class BorderedFactor:
 
 
 def _band_solve(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
-    if right.ndim == 1:
-        return dpbtrs(factor, right / scale, lower=1)[0] / scale
-    if right.shape[1] == 0:
-        return right
-    return dpbtrs(factor, right / scale[:, None], lower=1)[0] / scale[:, None]
+    scale = scale if right.ndim == 1 else scale[:, None]
+    return solve_factored(factor, right / scale) / scale
 
 
 def _dense_block(band: np.ndarray, row_start: int, row_stop: int, column_start: int, column_stop: int) -> np.ndarray:
