@@ -38,6 +38,8 @@ PERIODS, MORE_PERIODS = 10.0, 40.0
 MOST_STEPS = 12_000
 # A factor nearer to one is no mistake of a person's.
 LEAST_FACTOR = 1.1
+# Steps times hypotheses times DOFs that are simulated at most: 50 DOFs would take minutes and gigabytes.
+MOST_WORK = 10_000_000
 # NMSE that counts as none: beyond it, one channel must not outweigh the others.
 FLOOR = 1e-3
 
@@ -155,7 +157,7 @@ def _span(structure: Structure, record: Record, masses: np.ndarray, periods: flo
     lightest = structure.with_parameters(m=torch.as_tensor(masses.min(axis=0)))
     substeps = max(1, -(-substeps_needed(lightest, record.step) // 2))  # twice the step: a per cent will do
     wanted = periods / (first * record.step) if first > 0 else len(record.time)
-    return int(min(len(record.time), wanted, MOST_STEPS // substeps)), substeps
+    return int(min(len(record.time), wanted, MOST_STEPS // substeps, MOST_WORK // (substeps * masses.size))), substeps
 
 
 def _simulated(
