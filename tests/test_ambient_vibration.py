@@ -15,8 +15,8 @@ from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.verdict.judge import judge
 
 
-def solved(made):
-    problem = SparseRecovery(parameter_uncertainty=0.0).problem(made.structure, made.record)
+def solved(made, uncertainty=0.0):
+    problem = SparseRecovery(parameter_uncertainty=uncertainty).problem(made.structure, made.record)
     return problem, TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
 
 
@@ -45,8 +45,18 @@ def test_motion_and_forces_with_their_bands(first_frequency, rate, duration, edg
 
 
 def test_the_colour_of_forces_is_found():
-    made = ambient_record(3.0, 100.0, 20.0, 40.0, corner=1.5, seed=1)
+    made = ambient_record(3.0, 100.0, 10.0, 40.0, corner=1.5, seed=1)
     _, estimate = solved(made)
     assert estimate.summary["correlation_time_unknown_force"] == pytest.approx(1.0 / (2.0 * np.pi * 1.5), rel=0.7)
     held = inside(estimate.response.displacement, estimate.std.displacement, made.truth.displacement)
     assert 0.85 < held < 0.995
+
+
+def test_parameters_that_no_force_tells_are_questionable_and_stay_near_what_was_believed():
+    problem, estimate = solved(ambient_record(4.0, 100.0, 3.0, 25.0, floors=2, sensors=(0, 1)), uncertainty=0.05)
+    off = [abs(p.estimate / p.prescribed - 1.0) for p in estimate.parameters]
+    assert max(off) < 0.4
+    assert estimate.summary["parameter_spread"] == 1.0
+    verdict = judge(problem, estimate)
+    assert verdict.word == "questionable"
+    assert any(reason.kind == "output_only_parameters" for reason in verdict.reasons)

@@ -56,7 +56,15 @@ def _output_only(problem: Problem) -> list[Finding]:
         "no force was measured: the record tells frequencies, damping and shapes, but no absolute mass or stiffness;"
         " forces, and every stiffness, are as right as the prescribed masses"
     )
-    return [Finding("output_only", "force", text, "sound")]
+    found = [Finding("output_only", "force", text, "sound")]
+    if problem.uncertain and len(problem.inputs.forces) == record.ndof:
+        text = (
+            "no force was measured, and parameters were uncertain: damping comes out far too small then, stiffnesses"
+            " some per cent off, and their intervals are too narrow"
+        )
+        remedy = "measure a force, or prescribe the parameters (scheme.parameter_uncertainty=0)"
+        found.append(Finding("output_only_parameters", "parameters", f"{text}; {remedy}"))
+    return found
 
 
 def _energy(structure: Structure) -> list[Finding]:

@@ -85,6 +85,9 @@ def inferred(
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
+    if all(len(own.inputs.forces) == own.record.ndof for own in problem.by_record):
+        # Forces that are free on every DOF follow any parameters: their spread would grow without end.
+        settings = replace(settings, learn_spread=False)
     designs = [design] * len(problem.by_record)
     found = _best_start(problem, designs, settings, device, history)
     if _has_forces(problem):
