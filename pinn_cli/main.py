@@ -183,6 +183,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         replace(problem, record=record),
         linear,
         prepared.problem.true if config.source.simulated else None,
+        prepared.problem.validation,
     )
     return write_report(results, directory, stages, drawn, config.exports)
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Measurements, Record
+    from pinn_cli.record.validation_data import ValidationData, ValidationRecord
     from pinn_cli.report.export.base import Export
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
@@ -77,11 +78,14 @@ class Source:
         measure: From the true chain to the record, with every sensor that exists, and the truth as far as it is known.
         simulated: Whether every sensor exists, so that the scheme chooses among them.
         snr_db: Of a simulated record, dB; None without noise and for a measured record.
+        validate: From the true chain and what the estimator sees to the data that the identified system is tried on;
+            None: there are none.
     """
 
     measure: Callable[[Structure], Measurements]
     simulated: bool
     snr_db: float | None
+    validate: Callable[[Structure, Record], ValidationRecord] | None = None
 
 
 @dataclass(frozen=True)
@@ -333,6 +337,7 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
     from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.record.size import check_size
+    from pinn_cli.record.validation_data import validation_of
 
     if not _is_simulated(config):
         with in_names(structure.labels):
@@ -341,8 +346,12 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"
             raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
         labels, count = structure.labels, structure.incidence.shape[0]
-        measure = partial(measured.measure, connections=[labels.connection(i) for i in range(count)])
-        return Source(lambda true: named(measure, true.ndof, true.labels), simulated=False, snr_db=None)
+        connections = [labels.connection(i) for i in range(count)]
+        with in_names(structure.labels):
+            held = validation_of(measured)
+        measure = partial((measured if held is None else held.seen).measure, connections=connections)
+        validate = None if held is None else partial(_validation_record, held, connections)
+        return Source(lambda true: named(measure, true.ndof, true.labels), False, None, validate)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)
@@ -350,3 +359,11 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
     excitation = build(config.excitation, "excitation", base=base, **span)
     simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
     return Source(lambda true: named(simulated.measure, true, true.labels), simulated=True, snr_db=noise.snr_db)
+
+
+def _validation_record(
+    held: ValidationData, connections: Sequence[str], true: Structure, seen: Record
+) -> ValidationRecord:
+    with in_names(true.labels):
+        found = held.read(seen, true.ndof, connections)
+    return replace(found, record=replace(found.record, dofs=true.labels.dofs))

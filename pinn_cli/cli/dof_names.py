@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.labels import Labels
 
 # Settings that are a map whose keys are DOFs, and those that are a list of DOFs.
-MAPS = ("data.force", "data.displacement", "data.velocity", "data.acceleration")
+OF_DATA = ("force", "displacement", "velocity", "acceleration")
+MAPS = tuple(f"{group}.{name}" for group in ("data", "data.validation") for name in OF_DATA)
 # What stands for the support among the ends of a channel.
 GROUND_NAMES = ("ground", 0)
 LISTS = ("data.holdout", "excitation.dofs", "excitation.force.dofs", "scheme.unobserved", "validation.dofs")
@@ -51,17 +52,19 @@ def numbered(config: DictConfig, labels: Labels) -> DictConfig:
             if setting in MAPS and number in numbers[:i]:
                 raise InputError(setting, labels.dofs[number - 1], "there once only", "by its name or by its number")
         node[last] = dict(zip(numbers, given.values(), strict=True)) if setting in MAPS else numbers
-    _number_channels(plain.get("data"), labels)
+    data = plain.get("data")
+    _number_channels("data", data, labels)
+    _number_channels("data.validation", data.get("validation") if isinstance(data, dict) else None, labels)
     return OmegaConf.create(plain)
 
 
-def _number_channels(data: Any, labels: Labels) -> None:
+def _number_channels(group: str, data: Any, labels: Labels) -> None:
     """Give the DOFs in the long form of channels, ``data.channels``, their numbers."""
     channels = data.get("channels") if isinstance(data, dict) else None
     for name, channel in channels.items() if isinstance(channels, dict) else ():
         if not isinstance(channel, dict):
             continue  # refused by what reads it
-        setting = f"data.channels.{name}"
+        setting = f"{group}.channels.{name}"
         if channel.get("dof") is not None:
             channel["dof"] = _number(f"{setting}.dof", channel["dof"], labels)
         if isinstance(channel.get("between"), list):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.cli.config import RunConfig
     from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
 
@@ -31,6 +32,7 @@ class PreparedProblem:
         record: What it may see.
         truth: What it is scored against, and nothing else.
         problem: What it solves.
+        validation: What the identified system is tried on, of which no estimator is told; None: nothing.
     """
 
     true: Structure
@@ -38,6 +40,7 @@ class PreparedProblem:
     record: Record
     truth: Truth
     problem: Problem
+    validation: ValidationRecord | None = None
 
 
 def prepare_problem(config: RunConfig, stages: Stages | None = None) -> PreparedProblem:
@@ -56,9 +59,11 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     with stages("record"):
         measurements = config.source.measure(true)
         record = config.observe(measurements.record)
+        validate = config.source.validate
+        validation = None if validate is None else validate(true, record)
     with stages("problem"):
         problem = config.scheme.problem(prescribed, record)
-    return PreparedProblem(true, prescribed, record, measurements.truth, problem)
+    return PreparedProblem(true, prescribed, record, measurements.truth, problem, validation)
 
 
 def compose_config(overrides: Sequence[str]) -> DictConfig:

@@ -155,13 +155,15 @@ def data_channels(given: Any) -> tuple[DataChannel, ...]:
     """``data.channels`` as channels.
 
     Args:
-        given: Name to what the channel is; DOFs as numbers from 1.
+        given: Name to what the channel is; DOFs as numbers from 1. Channels stay as they are.
 
     Raises:
         InputError: Naming ``data.channels.<name>.<key>``.
     """
     if given is None:
         return ()
+    if isinstance(given, tuple) and all(isinstance(channel, DataChannel) for channel in given):
+        return given
     if not isinstance(given, Mapping):
         raise InputError("data.channels", given, "a map of channel: {sensor: ..., dof: ...}")
     return tuple(_channel(str(name), node) for name, node in given.items())

@@ -70,6 +70,8 @@ class MeasuredData:
         kind: The name of the config group's choice.
         channels: Name of a channel to what it is, the long form: see
             :class:`pinn_cli.record.data_channels.DataChannel`.
+        validation: Another record, or a segment of the same, that the identified system is tried on: see
+            :class:`pinn_cli.record.validation_data.ValidationData`.
         format: How numbers lie in the file; where its suffix is that of another format, that one's settings by default.
 
     Raises:
@@ -95,6 +97,7 @@ class MeasuredData:
     sampling_rate: float | None = None
     time_unit: str = "s"
     channels: Any = None
+    validation: Any = None
 
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Response, Truth
+    from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
@@ -84,6 +85,7 @@ class Results:
         linear_response: Of the structure without its nonlinearity under the same force, for the figure of a linear
             model error (paper, Fig. 6).
         true: The structure that a simulated record comes from, for scoring; None of a measured record.
+        validation: What the identified system is tried on and no estimator has seen; None: nothing.
     """
 
     run: RunDescription
@@ -97,3 +99,4 @@ class Results:
     problem: Problem | None = None
     linear_response: Response | None = None
     true: Structure | None = None
+    validation: ValidationRecord | None = None

@@ -23,12 +23,16 @@ from pinn_cli.report.run_record import run_record
 from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.report.terminal.parameters import diagnostics_text
 from pinn_cli.report.terminal.run import run_text
+from pinn_cli.report.terminal.validation import validation_text
+from pinn_cli.report.validation_run import ValidationRun, validation_table
 from pinn_cli.runs.writing import write_json, write_table
 from pinn_cli.verdict.judge import judge
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    import pandas as pd
 
     from pinn_cli.report.export.base import Export
     from pinn_cli.report.results import Results
@@ -73,13 +77,17 @@ def write_report(
         write_dataset(dataset, directory / "response.nc")
         for export in exports:
             export.write(dataset, directory / f"response.{export.name}")
+    validation = _validation(results, directory, stages)
     if figures:
         with stages("figures"):
             _draw(results, directory)
+            if validation is not None:
+                _draw_validation(results, validation[0], directory)
     with stages("posterior_report"):
         diagnostics = write_posterior(results, directory, figures)
     write_json(run_record(results, verdict, stages.seconds), directory / "run.json")
-    return run_text(results, tables, baseline, (free, free_table), diagnostics, verdict, stages.seconds)
+    paragraphs = diagnostics, "" if validation is None else validation_text(*validation)
+    return run_text(results, tables, baseline, (free, free_table), paragraphs, verdict, stages.seconds)
 
 
 def _with_posterior(results: Results) -> Results:
@@ -110,6 +118,27 @@ def _write_tables(results: Results, tables: EstimatorTables, directory: Path) ->
             files["correlation"] = correlation_table(parameters, correlation)
     for name, table in files.items():
         write_table(table, directory / f"{name}.csv")
+
+
+def _validation(results: Results, directory: Path, stages: Stages) -> tuple[ValidationRun, pd.DataFrame] | None:
+    """Try the identified system on other data, and write ``validation.csv``; None without such data."""
+    if results.validation is None:
+        return None
+    draws = None if results.posterior is None else results.posterior.samples.pooled
+    with stages("validation_data"):
+        run = ValidationRun.of(
+            results.prescribed, results.estimate, results.record, results.validation, draws, results.run.seed
+        )
+        table = validation_table(run, results.estimate, results.run.labels_of(estimator="pinn"))
+        write_table(table, directory / "validation.csv")
+    return run, table
+
+
+def _draw_validation(results: Results, run: ValidationRun, directory: Path) -> None:
+    from pinn_cli.report.figures import write_validation_figure
+
+    if run.response is not None:
+        write_validation_figure(run, results.estimate, directory / "figures")
 
 
 def _draw(results: Results, directory: Path) -> None:

@@ -18,7 +18,7 @@ from pinn_cli.settings.paths import located
 # Where and how a run is made, which may differ from one start of it to the next.
 LEFT_OUT = ("device", "threads", "resume", "figures", "report", "strict", "tracking", "training.checkpoint_every_s")
 # Files that are read: their content counts, not their name.
-FILES = ("data.path", "excitation.path", "system.path", "system.M", "system.K", "system.C")
+FILES = ("data.path", "data.validation.path", "excitation.path", "system.path", "system.M", "system.K", "system.C")
 PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
 
 

@@ -12,7 +12,9 @@ from pinn_cli.sweep.jobs import FAILED, FINISHED, Job, Sweep
 FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
 _WITH_FAILURES = (FITNESS, PARAMETERS)
-_OF_FINISHED = ("residuals", "modes", "drift", "energy", "free_run", "score", "identifiability", "diagnostics")
+_OF_FINISHED = (
+    "residuals", "modes", "drift", "energy", "free_run", "validation", "score", "identifiability", "diagnostics",
+)  # fmt: skip
 TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 STATUS, REASON = "status", "reason"
 

@@ -19,6 +19,7 @@ from pinn_cli.report.figures.residuals import residuals_figure
 from pinn_cli.report.figures.response import response_figure
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
+from pinn_cli.report.figures.validation import validation_figure
 from pinn_cli.report.modes import ModeEstimates
 from pinn_cli.report.parameters import any_unknown
 from pinn_cli.report.posterior import worst_sampled
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from pinn_cli.report.results import Results
+    from pinn_cli.report.validation_run import ValidationRun
+    from pinn_cli.training.estimate import Estimate
 
 
 def write_figures(results: Results, directory: Path | str) -> list[Path]:
@@ -63,6 +66,11 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
     if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
         figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]
+
+
+def write_validation_figure(run: ValidationRun, estimate: Estimate, directory: Path) -> list[Path]:
+    """Draw and save ``validation``, of a run of the identified system on other data; the files written."""
+    return save(validation_figure(run, estimate), directory, "validation")
 
 
 def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], directory: Path) -> list[Path]:

@@ -54,7 +54,7 @@ def run_text(
     tables: EstimatorTables,
     baseline: EstimatorTables | None,
     free_run: tuple[FreeRun, pd.DataFrame],
-    diagnostics: str,
+    posterior_and_validation: tuple[str, str],
     verdict: Verdict | None,
     seconds: Mapping[str, float],
 ) -> str:
@@ -68,7 +68,7 @@ def run_text(
         tables: Of the network.
         baseline: Of the baseline, where there is one.
         free_run: And its table.
-        diagnostics: The text of a posterior; "" without one.
+        posterior_and_validation: The texts of a posterior and of a validation on other data; "" without one.
         verdict: Where there is one.
         seconds: By stage.
     """
@@ -82,7 +82,7 @@ def run_text(
         parameters_text(tables.parameters, warnings, their_parameters),
         fitness_text(tables.fitness, results.record.observed, _published(run)),
         free_run_text(*free_run) if known else free_run_line(*free_run),
-        diagnostics,
+        *posterior_and_validation,
         "" if baseline is None else comparison_text(tables.fitness, baseline.name, baseline.fitness, seconds),
         score_text(run.validation, results.score),
         "" if verdict is None else verdict_text(verdict),

@@ -1,0 +1,142 @@
+"""Many structures under nearly the same force, followed side by side: how far what is uncertain moves the response."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pinn_cli.record.record import Record, Response
+from pinn_cli.record.resimulation import force_spline
+from pinn_cli.record.runge_kutta import runge_kutta
+from pinn_cli.record.steps import substeps_needed
+from pinn_cli.system.structure import Structure
+
+# Samples that are followed at a time: the forces of all members stand in memory for so long only.
+CHUNK = 256
+# Steps of Runge-Kutta, about 0.2 ms each: beyond them the spread of a long record is left unknown.
+MOST_STEPS = 40_000
+
+
+@dataclass(frozen=True, eq=False)
+class Members:
+    """What differs from member to member, H of them.
+
+    Attributes:
+        parameters: Kind to (H, members of the kind), of the structure.
+        start: (H, 2 n + h), displacement, velocity and hidden forces at the first sample.
+        sources: (P, n), N: independent white forces, a row for what one standard deviation of each puts into the
+            equations of the coordinates at a sample. Between samples they go in straight lines.
+        seed: Of their values.
+    """
+
+    parameters: Mapping[str, np.ndarray]
+    start: np.ndarray
+    sources: np.ndarray
+    seed: int
+
+
+def spread_of(members: Members, structure: Structure, record: Record, about: Response) -> Response:
+    """Root mean square distance of the members' motion from a response, each (N, dofs).
+
+    Args:
+        members: At least one.
+        structure: Whose law they share.
+        record: Whose force and ground motion act on all.
+        about: From which it is counted: that of the structure itself. What comes after `MOST_STEPS` is NaN.
+    """
+    substeps = substeps_needed(structure, record.step)
+    samples = min(len(record.time), MOST_STEPS // substeps)
+    ensemble = _Ensemble(structure, members, record)
+    random, (count, sources) = np.random.default_rng(members.seed), (len(members.start), members.sources)
+    out = Response.unknown(record.time, record.ndof)
+    state, last = members.start, random.standard_normal((1, count, len(sources))) @ sources
+    with np.errstate(over="ignore", invalid="ignore"):
+        for first in range(0, samples - 1, CHUNK):
+            stop = min(first + CHUNK, samples - 1) + 1
+            more = random.standard_normal((stop - first - 1, count, len(sources))) @ sources
+            noise = np.concatenate((last, more))
+            states, load = ensemble.followed(state, noise, first, stop, substeps)
+            ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
+            for name, values in ensemble.motion(states, load, ground).items():
+                distance = values - getattr(about, name)[first:stop, None]
+                getattr(out, name)[first:stop] = np.sqrt(np.mean(distance**2, axis=1))
+            state, last = states[-1], noise[-1:]
+    return out
+
+
+class _Ensemble:
+    """The members' common equation of motion.
+
+    Args:
+        structure: In whose coordinates it is.
+        members: Their parameters.
+        record: The force and the ground's motion.
+    """
+
+    def __init__(self, structure: Structure, members: Members, record: Record) -> None:
+        self.structure, self.parameters, self.record = structure, members.parameters, record
+        self.n = structure.coordinates
+        force = record.force if structure.shapes is None else structure.shapes.onto_coordinates(record.force)
+        ground = record.ground_acceleration
+        # Of the ground's motion, what it takes away from the accelerations; beside the force.
+        self.load = np.stack((force, np.zeros_like(force)), axis=1)
+        if ground is not None:
+            self.load[:, 1] = ground[:, None] * structure.with_ground
+        self.held = record.intersample == "zero_order_hold"
+        self.between = None if self.held else force_spline(record.time, self.load)
+
+    def followed(
+        self, state: np.ndarray, noise: np.ndarray, first: int, stop: int, substeps: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """States and loads of all members at the samples first to stop (excluded)."""
+        time = self.record.time[first:stop]
+
+        def load(at: np.ndarray) -> np.ndarray:
+            assert self.between is not None
+            return self._with(self.between(at), _between(noise, (at - time[0]) / (time[1] - time[0])))
+
+        sampled = self._with(self.load[first:stop], noise)
+        hold = "zero_order" if self.held else "exact"
+        return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
+
+    def motion(self, states: np.ndarray, load: np.ndarray, ground: np.ndarray | None) -> dict[str, np.ndarray]:
+        """Quantity to (M, H, dofs), in the record's frame, under the ground's acceleration (M,)."""
+        u, v, z = self._split(states)
+        a = self.structure.acceleration(u, v, load[..., 0, :], self.parameters, z)
+        shapes, carried = self.structure.shapes, load[..., 1, :]
+        if self.record.frame == "relative" or shapes is not None:
+            a = a - carried
+        if shapes is not None:
+            u, v, a = (shapes.of_dofs(x) for x in (u, v, a))
+            if ground is not None and self.record.frame == "absolute":
+                a = a + ground[:, None, None] * shapes.with_ground
+        return {"displacement": u, "velocity": v, "acceleration": a}
+
+    def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
+        u, v, z = self._split(state)
+        structure, p = self.structure, self.parameters
+        acceleration = structure.acceleration(u, v, load[..., 0, :], p, z) - load[..., 1, :]
+        if z is None:
+            return np.concatenate((v, acceleration), axis=-1)
+        rate = structure.hidden_rate(structure.elongation(u), structure.elongation(v), z, p)
+        return np.concatenate((v, acceleration, rate), axis=-1)
+
+    def _split(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        u, v, z = state[..., : self.n], state[..., self.n : 2 * self.n], state[..., 2 * self.n :]
+        return u, v, z if z.shape[-1] else None
+
+    @staticmethod
+    def _with(load: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """(M, 2, n) and (M, H, n) as (M, H, 2, n)."""
+        every = np.repeat(load[:, None], noise.shape[1], axis=1)
+        every[:, :, 0] += noise
+        return every
+
+
+def _between(noise: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Samples (M, ...) at places between them, counted in samples."""
+    before = np.clip(place.astype(np.int64), 0, len(noise) - 2)
+    share = (place - before).reshape(-1, *[1] * (noise.ndim - 1))
+    return noise[before] * (1.0 - share) + noise[before + 1] * share

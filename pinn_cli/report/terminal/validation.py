@@ -1,0 +1,48 @@
+"""What a run prints of the data that the identified system was tried on."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from pinn_cli.report.terminal.columns import Column, number, percent, table_lines
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from pinn_cli.report.validation_run import ValidationRun
+
+SENSORS_SHOWN = 24
+_COLUMNS = {
+    "sensor": Column("validation data", -18, str),
+    "unit": Column("unit", -6, str),
+    "signal_rms": Column("signal rms", 13, partial(number, digits=4)),
+    "error_rms": Column("error rms", 13, partial(number, digits=4)),
+    "nmse_percent": Column("NMSE (%)", 10, partial(number, digits=3)),
+    "band_rms": Column("band", 11, partial(number, digits=4)),
+    "inside_95_percent": Column("inside (%)", 12, percent),
+}
+
+
+def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
+    """Sensor by sensor how far the identified system is from data that it was not identified from.
+
+    Args:
+        run: Of the identified system.
+        table: From `pinn_cli.report.validation_run.validation_table`; of more than `SENSORS_SHOWN` sensors, those with
+            the largest NMSE are shown.
+    """
+    if run.response is None:
+        return f"no validation on other data: {run.finding}"
+    times = f"{run.record.time[run.first]:.6g} to {run.record.time[-1]:.6g} s"
+    begins = "at rest" if run.at_rest else "where the estimate ends"
+    notes = [
+        f"the identified system under the measured force, {times}, beginning {begins}; band: its standard",
+        "deviation (parameters, start, force, discrepancy as a random force); inside: samples within 95 %",
+    ]
+    shown = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
+    if len(shown) > SENSORS_SHOWN:
+        shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
+        notes.append(f"the {len(shown)} of {len(table)} sensors with the largest NMSE; all: validation.csv")
+    columns = {name: column for name, column in _COLUMNS.items() if shown[name].notna().any()}
+    return "\n".join([*table_lines(columns, shown), *notes])

@@ -1,0 +1,243 @@
+"""The identified system on data that no estimator has seen: what it does there, and how far that is from the sensors.
+
+A free run on other data. It begins at rest, or where the estimate leaves the structure, and only its force and the
+motion of its ground are looked at. Its band holds what is uncertain: the parameters, the start, the noise of the load
+cells and of the ground's sensor, and the discrepancy, all as they were found. The discrepancy acts as a random force,
+as the estimator takes it: an error of the model that follows the motion, such as a forgotten nonlinearity, is none, and
+may lead out of the band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.record.channels import channels
+from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.report.residuals import nmse_percent
+from pinn_cli.report.results import with_labels
+from pinn_cli.system.parameters import MASS
+from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
+from pinn_cli.verdict.noise_findings import noise_found
+
+if TYPE_CHECKING:
+    from pinn_cli.record.channels import Channel
+    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.validation_data import ValidationRecord
+    from pinn_cli.system.structure import Structure
+    from pinn_cli.training.estimate import Estimate
+
+COLUMNS = (
+    "quantity", "dof", "unit", "start_time", "stop_time", "begins", "samples", "signal_rms", "error_rms",
+    "nmse_percent", "band_rms", "sigma", "inside_95_percent",
+)  # fmt: skip
+# Draws of what is uncertain: a standard deviation from so many is good to 9 %.
+DRAWS = 64
+BAND = 1.96  # standard deviations to either side: 95 %
+
+
+@dataclass(frozen=True, eq=False)
+class ValidationRun:
+    """What came of it; the first samples may be a run-up that is not compared.
+
+    Attributes:
+        record: The data, in SI units, with the calibrations that were found.
+        first: Sample from which on they are compared.
+        at_rest: Whether the run begins at rest.
+        response: Of the identified system, (N, n) each; None where there is none.
+        std: Of the same; NaN where it is unknown.
+        finding: Why there is no run; "" where there is one.
+    """
+
+    record: Record
+    first: int
+    at_rest: bool
+    response: Response | None
+    std: Response | None
+    finding: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        prescribed: Structure,
+        estimate: Estimate,
+        seen: Record,
+        data: ValidationRecord,
+        draws: np.ndarray | None = None,
+        seed: int = 0,
+    ) -> ValidationRun:
+        """Simulate the identified system where it was not identified.
+
+        Args:
+            prescribed: The model that the estimator was given.
+            estimate: Its parameters, and the state that the run may begin with.
+            seen: What the estimator saw.
+            data: The other data.
+            draws: (D, p), of the posterior of the parameters; None: of a Gaussian with their deviations.
+            seed: Of what is drawn.
+        """
+        record = _as_calibrated(data.record, estimate)
+        structure = estimated_structure(prescribed, estimate.parameters)
+        at_rest = data.begins is None
+        start = _at_rest(structure) if data.begins is None else estimate.response.state(data.begins)
+        try:
+            response = resimulate(structure, record, start)
+        except TooStiffError as error:
+            return cls(record, data.first, at_rest, None, None, f"the identified system is too stiff: {error}")
+        except OverflowsError as error:
+            finding = f"the identified system is unstable: it overflows at {error.time:.4g} s"
+            return cls(record, data.first, at_rest, None, None, finding)
+        members = _members(structure, estimate, (seen, record), data.begins, draws, seed)
+        std = None if members is None else spread_of(members, structure, record, response)
+        return cls(record, data.first, at_rest, response, std)
+
+    def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What a sensor measured, what the run says, and its deviation, each (M,), where they are compared."""
+        there = np.arange(len(self.record.time)) >= self.first
+        if channel.there is not None:
+            there &= channel.there
+        unknown = np.full(len(there), np.nan)
+        run, std = (unknown if x is None else channel.of(x) for x in (self.response, self.std))
+        return channel.measured[there], run[there], std[there]
+
+
+def validation_table(run: ValidationRun, estimate: Estimate, labels: Mapping[str, object]) -> pd.DataFrame:
+    """One row per response sensor of the other data (the content of ``validation.csv``).
+
+    Args:
+        run: Of the identified system.
+        estimate: Whose ``summary`` has the noise found.
+        labels: A value for each of `pinn_cli.report.results.LABELS`.
+
+    Returns:
+        Columns: the labels and `COLUMNS`. ``dof`` is counted from 1. ``begins`` is ``rest`` or ``estimate``. In the
+        sensor's ``unit``: ``signal_rms`` (about the mean), ``error_rms`` of measured less simulated, ``band_rms`` (the
+        deviation of what is simulated, root mean square over time) and ``sigma`` (the sensor's noise, as it was found).
+        ``nmse_percent``: 100 mean square error over the signal's variance. ``inside_95_percent``: samples within 1.96
+        deviations, noise included. What is not known is empty (NaN).
+    """
+    rows = []
+    for channel in channels(run.record, RESPONSE_QUANTITIES):
+        measured, simulated, std = run.of_channel(channel)
+        error, sigma = measured - simulated, noise_found(estimate, channel)
+        reach = BAND * np.hypot(std, sigma)
+        known = np.isfinite(reach) & np.isfinite(error)
+        rows.append(
+            {
+                "quantity": channel.quantity,
+                "dof": channel.dof + 1,
+                "unit": UNITS[channel.quantity],
+                "start_time": float(run.record.time[run.first]),
+                "stop_time": float(run.record.time[-1]),
+                "begins": "rest" if run.at_rest else "estimate",
+                "samples": len(measured),
+                "signal_rms": float(np.std(measured)),
+                "error_rms": float(np.sqrt(np.mean(error**2))),
+                "nmse_percent": nmse_percent(error, measured),
+                "band_rms": float(np.sqrt(np.mean(std[np.isfinite(std)] ** 2))) if np.isfinite(std).any() else np.nan,
+                "sigma": sigma,
+                "inside_95_percent": 100.0 * float(np.mean(np.abs(error[known]) <= reach[known]))
+                if known.any()
+                else np.nan,
+            }
+        )
+    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
+
+
+def _at_rest(structure: Structure) -> list[np.ndarray]:
+    zeros = np.zeros(structure.coordinates)
+    return [zeros, zeros, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
+
+
+def _as_calibrated(record: Record, estimate: Estimate) -> Record:
+    """The record whose columns show what gauges felt with the calibrations that were found, by the sensors' names.
+
+    Between a gauge's samples its column goes in straight lines, and is no measurement.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for each in estimate.parameters:
+        if each.kind in CALIBRATION_UNITS:
+            found.setdefault(each.parameter.label, {})[each.kind] = each.estimate
+    columns = {quantity: getattr(record, quantity).copy() for quantity in QUANTITIES}
+    missing = {quantity: np.zeros(values.shape, dtype=bool) for quantity, values in columns.items()}
+    ground = record.ground_acceleration
+    for gauge in record.gauges:
+        if gauge.dof is None:
+            continue
+        history = gauge.history(record.time, found.get(gauge.name))
+        if gauge.quantity not in columns:
+            ground = history
+            continue
+        columns[gauge.quantity][:, gauge.dof] = history
+        place = np.rint((gauge.calibrated(found.get(gauge.name))[0] - record.time[0]) / record.step).astype(np.int64)
+        absent = np.ones(len(record.time), dtype=bool)
+        absent[place[(place >= 0) & (place < len(absent))]] = False
+        missing[gauge.quantity][:, gauge.dof] = absent
+    if not record.gauges:
+        return record
+    return replace(record, **columns, ground_acceleration=ground, missing=missing)
+
+
+def _members(
+    structure: Structure,
+    estimate: Estimate,
+    records: tuple[Record, Record],
+    begins: int | None,
+    draws: np.ndarray | None,
+    seed: int,
+) -> Members | None:
+    """What may be otherwise than in the run, drawn; None where the training does not say how uncertain parameters are.
+
+    Args:
+        structure: With the estimated parameters.
+        estimate: What is known of them, of the noise and of the state that the run begins with.
+        records: What the estimator saw, and the other data.
+        begins: See :class:`ValidationRecord`.
+        draws: See :meth:`ValidationRun.of`.
+        seed: Likewise.
+    """
+    if draws is None:
+        draws = parameter_draws(estimate.parameters, estimate.correlation, DRAWS, seed)
+    else:
+        draws = draws[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).round().astype(int)]
+    if draws is None:
+        return None
+    start = _at_rest(structure) if begins is None else estimate.response.state(begins)
+    spread = [np.zeros_like(part) for part in start]
+    if begins is not None and structure.shapes is None:
+        spread = [np.nan_to_num(part) for part in estimate.std.state(begins)]
+        spread = [*spread, *[np.zeros_like(part) for part in start[len(spread) :]]]
+    state, deviation = np.concatenate(start), np.concatenate(spread)
+    normals = np.random.default_rng([seed, 3]).standard_normal((len(draws), len(state)))
+    sources = _sources(structure, estimate, *records)
+    parameters = drawn_structures(structure, estimate.parameters, draws)
+    return Members(parameters, state + deviation * normals, sources, seed)
+
+
+def _sources(structure: Structure, estimate: Estimate, seen: Record, record: Record) -> np.ndarray:
+    """(P, n), see :class:`pinn_cli.record.ensemble.Members`: discrepancy, load cells, and the ground's sensor.
+
+    The discrepancy has the same power at every frequency, whatever the rate that it is sampled at.
+    """
+    n = structure.coordinates
+    level = estimate.summary.get("sigma_discrepancy")
+    rows = [] if level is None else [*(float(level) * np.sqrt(seen.step / record.step) * np.eye(n))]
+    felt = np.eye(n) if structure.shapes is None else structure.shapes.matrix
+    for dof, sigma in enumerate(estimate.summary.get("sigma_force") or ()):
+        if sigma is not None and np.isfinite(sigma) and dof < len(felt) and not record.unforced[dof]:
+            rows.append(float(sigma) * felt[dof])
+    found = estimate.summary.get("sigma_ground_acceleration")
+    ground = next(iter(found), None) if isinstance(found, list | tuple | np.ndarray) else found
+    if ground is not None and record.ground_acceleration is not None:
+        mass = structure.parameters_like(np.empty(0))[MASS]
+        rows.append(float(ground) * mass * structure.with_ground)
+    return np.array(rows).reshape(-1, n)

@@ -1,0 +1,120 @@
+"""Many members side by side against one simulation each, and white forces against the textbook's variance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_problems import small_chain
+from structures import braced, hysteretic, modal
+
+from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.resimulation import resimulate
+from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Linear
+from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
+
+SAMPLES = 301
+
+
+def record_of(structure, ground: bool = False, **settings) -> Record:
+    n, time = structure.ndof, np.linspace(0.0, 6.0, SAMPLES)
+    force = np.zeros((SAMPLES, n))
+    force[:, 0] = np.sin(2.0 * time) + 0.3 * np.sin(5.0 * time + 1.0)
+    blank = np.full((SAMPLES, n), np.nan)
+    shaken = {"ground_acceleration": 0.5 * np.cos(3.0 * time)} if ground else {}
+    return Record(time, np.zeros((SAMPLES, n)), blank, blank, force, np.arange(n) > 0, **shaken, **settings)
+
+
+@pytest.mark.parametrize(
+    ("structure", "settings"),
+    [
+        (small_chain("duffing"), {}),
+        (small_chain("linear"), {"intersample": "zero_order_hold"}),
+        (braced(), {"ground": True, "frame": "relative"}),
+        (hysteretic(), {"ground": True}),
+        (modal(), {"ground": True}),
+        (modal(), {"ground": True, "frame": "relative"}),
+    ],
+    ids=["chain", "held", "braced", "hysteretic", "modal", "modal_relative"],
+)
+def test_members_are_simulations(structure, settings):
+    record, random = record_of(structure, **settings), np.random.default_rng(0)
+    size = 2 * structure.coordinates + len(structure.memory)
+    start = 0.05 * random.standard_normal((3, size))
+    parameters = {
+        kind: value * (1.0 + 0.1 * random.uniform(-1.0, 1.0, (3, len(value))))
+        for kind, value in structure.parameters_like(np.empty(0)).items()
+    }
+    about = resimulate(structure, record, None)
+    members = Members(parameters, start, np.zeros((0, structure.coordinates)), 0)
+    found = spread_of(members, structure, record, about)
+    n = structure.coordinates
+    single = []
+    for i in range(3):
+        values = {p: parameters[p.kind][i, p.index] for p in structure.every_parameter()}
+        parts = [start[i, :n], start[i, n : 2 * n], *([start[i, 2 * n :]] if len(structure.memory) else [])]
+        single.append(resimulate(structure.with_values(values), record, parts))
+    for quantity in RESPONSE_QUANTITIES:
+        distance = [getattr(each, quantity) - getattr(about, quantity) for each in single]
+        expected = np.sqrt(np.mean(np.square(distance), axis=0))
+        np.testing.assert_allclose(
+            getattr(found, quantity), expected, rtol=2e-3, atol=1e-4 * expected.max(), err_msg=quantity
+        )
+
+
+def test_white_forces_move_an_oscillator_as_the_textbook_says():
+    structure = build_chain(1, Linear(), m=1.0, c=2.0, k=25.0)
+    time = np.linspace(0.0, 40.0, 2001)
+    still = np.zeros((2001, 1))
+    record = Record(time, still, np.full_like(still, np.nan), np.full_like(still, np.nan), still, np.array([False]))
+    sigma, step = 0.7, record.step
+    parameters = {kind: np.tile(x, (64, 1)) for kind, x in structure.parameters_like(np.empty(0)).items()}
+    members = Members(parameters, np.zeros((64, 2)), np.array([[sigma]]), 1)
+    found = spread_of(members, structure, record, resimulate(structure, record, None))
+    # Of white noise with the covariance sigma^2 step delta(t): its variance over 2 c k, and over 2 c m of the velocity.
+    late = time > 5.0
+    variance = [float(np.mean(x[late] ** 2)) for x in (found.displacement, found.velocity)]
+    np.testing.assert_allclose(variance, [sigma**2 * step / (4.0 * 25.0), sigma**2 * step / 4.0], rtol=0.1)
+    again = spread_of(members, structure, record, resimulate(structure, record, None))
+    np.testing.assert_array_equal(found.displacement, again.displacement)
+
+
+def test_what_comes_after_too_many_steps_is_unknown(monkeypatch):
+    structure = small_chain("linear")
+    record = record_of(structure)
+    monkeypatch.setattr("pinn_cli.record.ensemble.MOST_STEPS", 100)
+    parameters = {kind: x[None] for kind, x in structure.parameters_like(np.empty(0)).items()}
+    members = Members(parameters, np.zeros((1, 6)), np.zeros((0, 3)), 0)
+    found = spread_of(members, structure, record, resimulate(structure, record, None))
+    known = np.isfinite(found.displacement).all(axis=1)
+    assert known[0]
+    assert not known[-1]
+    assert 0 < known.sum() <= 100
+
+
+def found(structure, relative: float) -> list[ParameterEstimate]:
+    return [
+        ParameterEstimate(replace(p, positive=True), p.prescribed, relative * p.prescribed)
+        for p in structure.every_parameter()
+        if p.kind in ("c", "k")
+    ]
+
+
+def test_draws_have_the_deviations_and_the_correlation():
+    structure = small_chain("linear")
+    estimates = found(structure, 0.1)
+    correlation = np.full((6, 6), 0.5) + 0.5 * np.eye(6)
+    draws = parameter_draws(estimates, correlation, 20_000, 0)
+    np.testing.assert_allclose(draws.std(axis=0), [p.std for p in estimates], rtol=0.03)
+    np.testing.assert_allclose(np.corrcoef(draws.T), correlation, atol=0.03)
+    every = drawn_structures(structure, estimates, draws)
+    np.testing.assert_array_equal(every["k"], draws[:, [p.kind == "k" for p in estimates]])
+    np.testing.assert_array_equal(every["m"][7], structure.parameters["m"])
+    wide = parameter_draws(found(structure, 3.0), correlation, 1000, 0)
+    assert wide.min() == 0.0
+    assert parameter_draws(estimates, None, 10, 0) is None
+    assert parameter_draws([], None, 10, 0).shape == (10, 0)
