@@ -61,16 +61,22 @@ def inspect(composed: DictConfig) -> None:
     """Look at a record before anything is estimated: a table, a figure and a command to go on with."""
     runtime = HydraConfig.get().runtime
     directory, base = Path(runtime.output_dir), Path(runtime.cwd)
-    with signs_of_life(Stages()):
-        inspected = Inspected.read(composed, base)
-        from pinn_cli.inspection.inspection import inspect_record
-        from pinn_cli.inspection.report import write_inspection
-
-        overrides = list(HydraConfig.get().overrides.task)
-        found = inspect_record(inspected.signals, inspected.time, overrides, inspected.frequencies, inspected.measured)
+    stages = Stages()
+    with signs_of_life(stages):
+        with stages("record"):
+            inspected = Inspected.read(composed, base)
+        with stages("imports"):
+            from pinn_cli.inspection.inspection import inspect_record
+            from pinn_cli.inspection.report import write_inspection
+        with stages("inspection"):
+            overrides = list(HydraConfig.get().overrides.task)
+            found = inspect_record(
+                inspected.signals, inspected.time, overrides, inspected.frequencies, inspected.measured
+            )
         lock_directory()
         take_directory()
-        text = write_inspection(found, directory, composed.get("figures") is not False)
+        with stages("report"):
+            text = write_inspection(found, directory, composed.get("figures") is not False)
     print(f"{text}\n{directory}")
 
 

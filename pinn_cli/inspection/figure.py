@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pinn_cli.inspection.signal import Signal
 
 ROWS = 8  # more channels than these are left to inspect.csv
+FIRST = 300  # lines of a spectrum that are all drawn
 DECADES = 10  # that a spectrum shows at most
 
 _LINE: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
@@ -71,7 +72,8 @@ def _draw_spectrum(axes: Axes, found: Inspection, signal: Signal) -> None:
     every = [*spectra.inputs, *spectra.outputs]
     i = next(i for i, other in enumerate(every) if other is signal)
     power = np.concatenate([spectra.power_x, spectra.power_y], axis=1)[1:, i]
-    axes.plot(spectra.frequency[1:], np.where(power > 0.0, power, np.nan), **_LINE)
+    kept = _spectral_indices(power)
+    axes.plot(spectra.frequency[1:][kept], np.where(power > 0.0, power, np.nan)[kept], **_LINE)
     row = found.channels.iloc[next(j for j, other in enumerate(found.signals) if other is signal)]
     if np.isfinite(row["band_high_hz"]):
         axes.axvspan(row["band_low_hz"], row["band_high_hz"], **_BAND)
@@ -86,8 +88,9 @@ def _draw_responses(magnitude: Axes, coherence: Axes, found: Inspection) -> None
     size = np.sqrt(np.sum(np.abs(spectra.response[1:]) ** 2, axis=2))
     for k, sensor in enumerate(spectra.outputs[:ROWS]):
         look: dict[str, Any] = {"color": style.CYCLE[k % len(style.CYCLE)], "linewidth": 0.7, "label": _label(sensor)}
-        magnitude.plot(spectra.frequency[1:], np.where(size[:, k] > 0.0, size[:, k], np.nan), **look)
-        coherence.plot(spectra.frequency[1:], spectra.coherence[1:, k], **look)
+        for axes, values in ((magnitude, size[:, k]), (coherence, spectra.coherence[1:, k])):
+            kept = _spectral_indices(values)
+            axes.plot(spectra.frequency[1:][kept], np.where(values > 0.0, values, np.nan)[kept], **look)
     for axes in (magnitude, coherence):
         _draw_peaks(axes, found)
         axes.set_xlabel("Frequency (Hz)", labelpad=2)
@@ -98,6 +101,11 @@ def _draw_responses(magnitude: Axes, coherence: Axes, found: Inspection) -> None
     coherence.set_ylim(0.0, 1.02)
     coherence.set_ylabel("coherence")
     magnitude.legend(loc="best", fontsize=6, ncols=2, handlelength=1.2)
+
+
+def _spectral_indices(values: np.ndarray) -> np.ndarray:
+    """Indices that keep the outline over a logarithmic axis: every line at first, extremes further on."""
+    return np.concatenate([np.arange(min(FIRST, len(values))), FIRST + line_indices(values[FIRST:])])
 
 
 def _draw_peaks(axes: Axes, found: Inspection) -> None:

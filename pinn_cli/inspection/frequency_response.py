@@ -48,19 +48,21 @@ class Spectra:
     coherence: np.ndarray
 
 
-def spectra_of(signals: Sequence[Signal], sampling: Sampling) -> Spectra:
+def spectra_of(signals: Sequence[Signal], sampling: Sampling, highest: float | None = None) -> Spectra:
     """Of a record's channels, those apart that nobody has said anything of: they count as sensors.
 
     Args:
         signals: With numbers that vary.
         sampling: Of their values.
+        highest: Frequency of any channel's content, Hz; None: it is looked for.
     """
     inputs = [signal for signal in signals if signal.is_input]
     outputs = [signal for signal in signals if not signal.is_input]
     values = np.stack([sampling.on_regular(signal.values) for signal in (*inputs, *outputs)], axis=1)
     values = values - values.mean(axis=0)
     step = 1.0 / sampling.rate
-    highest = max(signal_band(column, step) for column in values.T)
+    if highest is None:
+        highest = max(signal_band(column, step) for column in values.T)
     factor = max(1, int(1.0 / (step * OVERSAMPLED * highest))) if highest > 0.0 else 1
     values, step = decimate(values, min(factor, max(1, len(values) // 256))), step * factor
     x, y = values[:, : len(inputs)], values[:, len(inputs) :]
@@ -85,26 +87,41 @@ def chance_coherence(samples: int, probability: float = 0.01) -> float:
 def _averaged(
     x: np.ndarray, y: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    from scipy.signal import csd
-
-    options = {"fs": 1.0 / step, "nperseg": piece_length(len(x)), "detrend": "constant"}
-    every = np.concatenate([x, y], axis=1)
+    """Frequency, densities of inputs and outputs, response and coherence; see `Spectra`."""
     p = x.shape[1]
-    frequency, power = csd(every, every, axis=0, **options)
-    power = power.real
-    sxx, sxy = (
-        np.stack([np.stack([csd(a, b, **options)[1] for b in columns.T], -1) for a in x.T], -2)
-        if p and columns.shape[1]
-        else np.zeros((len(frequency), p, columns.shape[1]), dtype=complex)
-        for columns in (x, y)
-    )
+    frequency, every = _cross_spectra(np.concatenate([x, y], axis=1), step)
+    power = np.einsum("fii->fi", every).real
     if not p:
         empty = np.zeros((len(frequency), 0))
         return frequency, empty, power, np.zeros((len(frequency), y.shape[1], 0), dtype=complex), empty
-    trace = np.trace(sxx, axis1=1, axis2=2).real / p
+    sxx, sxy = every[:, :p, :p], every[:, :p, p:]
+    trace = power[:, :p].sum(axis=1) / p
     ridge = RIDGE * np.maximum(trace, np.max(trace) * 1e-12)
     solved = np.linalg.solve(sxx + ridge[:, None, None] * np.eye(p), sxy)
     explained = np.sum(np.conj(sxy) * solved, axis=1).real
     with np.errstate(divide="ignore", invalid="ignore"):
         coherence = np.where(power[:, p:] > 0.0, explained / power[:, p:], 0.0)
     return frequency, power[:, :p], power[:, p:], np.swapaxes(solved, 1, 2), np.clip(coherence, 0.0, 1.0)
+
+
+def _cross_spectra(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies, Hz, and one-sided cross-spectral densities (F, channels, channels), by Welch's method.
+
+    All pairs from one transform of each piece; `scipy.signal.csd` would make two for each pair.
+    """
+    from scipy.fft import rfft, rfftfreq
+
+    length = piece_length(len(values))
+    window = np.hanning(length + 1)[:-1, None]
+    starts = range(0, len(values) - length + 1, length - length // 2)
+    total = np.zeros((length // 2 + 1, values.shape[1], values.shape[1]), dtype=complex)
+    for start in starts:
+        piece = values[start : start + length]
+        spectrum = rfft((piece - piece.mean(axis=0)) * window, axis=0)
+        total += np.conj(spectrum)[:, :, None] * spectrum[:, None, :]
+    sides = np.full(len(total), 2.0)
+    sides[0] = 1.0
+    if length % 2 == 0:
+        sides[-1] = 1.0
+    scale = sides * step / (float(np.sum(window**2)) * len(starts))
+    return rfftfreq(length, step), total * scale[:, None, None]

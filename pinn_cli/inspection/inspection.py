@@ -78,9 +78,9 @@ def inspect_record(
     if not alive:
         raise InputError("data.path", f"{len(signals)} columns", "a record with a column that varies")
     channels = channel_table(signals, sampling)
-    spectra = spectra_of(alive, sampling)
-    peaks = find_peaks(spectra)
     highest = float(np.nanmax(channels["band_high_hz"].to_numpy(dtype=float), initial=0.0))
+    spectra = spectra_of(alive, sampling, highest)
+    peaks = find_peaks(spectra)
     notes = ["what columns are is guessed by their names: see the command below"] if guesses else []
     notes += [note for _, note in converted if note]
     notes += [*_of_sampling(sampling), *_of_channels(channels), *disagreements(alive, sampling, spectra, peaks)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -118,5 +117,6 @@ def constant_percent(signal: np.ndarray) -> float:
 
 def equal_runs(signal: np.ndarray) -> list[tuple[int, int]]:
     """First and last index + 1 of every run of `CONSTANT_RUN` equal samples (N,) or more."""
-    edges = [0, *(np.flatnonzero(np.diff(signal)) + 1).tolist(), len(signal)]
-    return [(begin, end) for begin, end in pairwise(edges) if end - begin >= CONSTANT_RUN]
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
+    long = np.flatnonzero(np.diff(edges) >= CONSTANT_RUN)
+    return list(zip(edges[long].tolist(), edges[long + 1].tolist(), strict=True))

@@ -98,3 +98,15 @@ def test_peaks_beside_those_of_a_structure(chain):
     np.testing.assert_allclose(table["difference_percent"], 2.0, atol=0.2)
     assert peak_table(peaks, None)["structure_hz"].isna().all()
     assert peak_table(peaks, np.array([np.nan, 0.0]))["mode"].isna().all()
+
+
+def test_spectra_are_welchs(chain):
+    from scipy.signal import csd, welch
+
+    record = chain.record(60.0, 0)
+    spectra = spectra_of(signals(record), Sampling(record[0]), highest=25.0)
+    options = {"fs": 1.0 / spectra.step, "nperseg": 2 * (len(spectra.frequency) - 1), "detrend": "constant"}
+    frequency, cross = csd(spectra.x[:, 0], spectra.y[:, 1], **options)
+    np.testing.assert_allclose(spectra.frequency, frequency)
+    np.testing.assert_allclose(spectra.power_y[:, 1], welch(spectra.y[:, 1], **options)[1], rtol=1e-9)
+    np.testing.assert_allclose(spectra.response[:, 1, 0], cross / welch(spectra.x[:, 0], **options)[1], rtol=1e-6)
