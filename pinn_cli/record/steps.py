@@ -50,12 +50,7 @@ def _rates(structure: Structure) -> np.ndarray:
 
 def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Size of stiffness (N/m) and of damping (N s/m) of every connection (C,), those of its law at rest included."""
-    p = structure.parameters_like(np.empty(0))
-    k, c = np.abs(p["k"]), np.abs(p["c"])
-    for group, part in zip(structure.groups, structure.parts, strict=True):
-        own = part.own(p)
-        k[part.connections] += np.abs(group.nonlinearity.stiffness_at_rest(own))
-        c[part.connections] += np.abs(group.nonlinearity.damping_at_rest(own))
+    k, c = (np.abs(parts).sum(axis=0) for parts in structure.at_rest())
     return k, c
 
 

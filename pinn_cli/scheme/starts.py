@@ -20,10 +20,12 @@ from pinn_cli.scheme.starting_values import parameter_scales, starting_value, un
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
-from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 AUTO, GIVEN = "auto", "given"
+# Of the factor of a part of a finite-element model.
+FACTOR_SCALE = 1.0
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
 # a start of their own, so many at most.
 HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
@@ -146,10 +148,14 @@ def _starts(
     usual = np.full(len(linear["k"]), typical["k"])
     if prescribed.shapes is not None:
         usual = _stiffness_felt(prescribed)
-    mass = linear["m"][last_ends(prescribed.incidence.matrix.toarray())]
+        usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
+    mass = linear["m"][last_ends(prescribed.incidence.matrix.toarray()[: len(usual)])]
     damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
     for parameter in unknown:
         kind, index = parameter.kind, parameter.index
+        if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
+            out[parameter] = Start(given.get(parameter, 1.0), FACTOR_SCALE)
+            continue
         remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
         if kind in remembered:
             value, scale = remembered[kind]

@@ -17,7 +17,7 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 # Kinds that cannot be negative unless the user says otherwise.
-POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c")
+POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c", "factor")
 # In a message.
 NAMES_SHOWN = 16
 
@@ -35,7 +35,8 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
         record: What the estimator sees.
         unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
             the nonlinear parameters of every connection that ends at a DOF without a sensor. Of a chain: connection i
-            if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it.
+            if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it,
+            and the factors of its parts.
 
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
@@ -65,7 +66,7 @@ def _hidden_connections(structure: Structure, record: Record) -> np.ndarray:
     """(C,) bool: those that end at a DOF without a sensor; of a chain DOF i counts as the end of connection i alone."""
     stretch = structure.incidence.matrix
     if structure.shapes is not None:  # the modes come first, and no sensor measures them
-        return np.isin(np.arange(stretch.shape[0]), structure.added)
+        return np.arange(stretch.shape[0]) >= structure.groups[0].incidence.shape[0]
     if stretch.shape[0] == stretch.shape[1] and (stretch != Incidence.chain(structure.ndof).matrix).nnz == 0:
         return ~record.observed
     hidden: np.ndarray = abs(stretch) @ ~record.observed > 0

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pinn_cli.system.incidence import Incidence
 
 if TYPE_CHECKING:
@@ -20,15 +22,45 @@ class ConnectionGroup:
     Attributes:
         nonlinearity: Of all of them, beside their dampers c and springs k.
         incidence: Which coordinates stretch them.
+        parts: Of which part of a finite-element model each connection is, counted from 0. Its law's parameters are then
+            those of the parts, and it has no damper and no spring of its own. None: every connection has its own.
     """
 
     nonlinearity: Nonlinearity
     incidence: Incidence
+    parts: tuple[int, ...] | None = None
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Of their parameters."""
-        return ("c", "k", *self.nonlinearity.parameters)
+        return (*(("c", "k") if self.parts is None else ()), *self.nonlinearity.parameters)
+
+    @property
+    def shares(self) -> np.ndarray:
+        """(C,), which parameter of each of its kinds a connection has, counted from 0."""
+        return np.arange(self.incidence.shape[0]) if self.parts is None else np.array(self.parts)
+
+    def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
+        """Internal force of every connection but what it remembers (..., C), N.
+
+        Args:
+            e: Elongation (..., C), m.
+            de: Its rate, m/s.
+            parameters: Of all its kinds, each broadcastable against e.
+        """
+        nonlinear = self.nonlinearity.force(e, de, parameters)
+        if self.parts is not None:
+            return nonlinear
+        force: Array = parameters["c"] * de + parameters["k"] * e + nonlinear
+        return force
+
+    def at_rest(self, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """(2, C) stiffnesses, N/m, and likewise dampings, N s/m, of connections at rest: own, and by their law."""
+        none = np.zeros(self.incidence.shape[0])
+        law = self.nonlinearity.stiffness_at_rest(parameters), self.nonlinearity.damping_at_rest(parameters)
+        own = parameters.get("k", none), parameters.get("c", none)
+        stiffness, damping = (np.stack([x, none + y]) for x, y in zip(own, law, strict=True))
+        return stiffness, damping
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +68,11 @@ class GroupPart:
     """Where one group's connections, parameters by kind and hidden forces stand among those of all groups."""
 
     connections: slice
-    parameters: dict[str, slice]
+    parameters: dict[str, slice | np.ndarray]
     hidden: slice
 
     def own(self, parameters: Mapping[str, Array]) -> dict[str, Array]:
-        """The group's own among the parameters (..., members) of every kind."""
+        """Those of every connection of the group (..., C), among the parameters (..., members) of every kind."""
         return {kind: parameters[kind][..., places] for kind, places in self.parameters.items()}
 
 
@@ -48,10 +80,27 @@ def group_parts(groups: Sequence[ConnectionGroup], kinds: Iterable[str]) -> tupl
     """Of every group; ``kinds`` are those of the connections' parameters."""
     parts, done, start, hidden = [], dict.fromkeys(kinds, 0), 0, 0
     for group in groups:
-        count = group.incidence.shape[0]
-        own = {kind: slice(done[kind], done[kind] + count) for kind in group.kinds}
-        done |= {kind: done[kind] + count for kind in group.kinds}
+        count, own = group.incidence.shape[0], len(np.unique(group.shares))
+        places: dict[str, slice | np.ndarray] = {
+            kind: slice(done[kind], done[kind] + count) if group.parts is None else done[kind] + group.shares
+            for kind in group.kinds
+        }
+        done |= {kind: done[kind] + own for kind in group.kinds}
         remembers = count if group.nonlinearity.has_memory else 0
-        parts.append(GroupPart(slice(start, start + count), own, slice(hidden, hidden + remembers)))
+        parts.append(GroupPart(slice(start, start + count), places, slice(hidden, hidden + remembers)))
         start, hidden = start + count, hidden + remembers
     return tuple(parts)
+
+
+def carriers(groups: Sequence[ConnectionGroup]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Kind of parameter to the connections that have one, and to which of its members each has, counted from 0."""
+    found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    start = 0
+    for group in groups:
+        connections = start + np.arange(group.incidence.shape[0])
+        for kind in group.kinds:
+            before, members = found.get(kind, (connections[:0], connections[:0]))
+            own = members.max(initial=-1) + 1 + group.shares
+            found[kind] = np.concatenate([before, connections]), np.concatenate([members, own])
+        start += len(connections)
+    return found

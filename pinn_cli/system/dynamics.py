@@ -178,11 +178,11 @@ class Dynamics(Functions):
         return Incidence(vstack([connections, self.picked(self.hidden)], format="csr"))
 
     def branch(self, kind: str) -> np.ndarray:
-        """The branches that the members of a kind of the connections' parameters belong to."""
-        members = self.structure.members[kind]
+        """The branches of the connections that have a parameter of a kind."""
+        carriers, _ = self.structure.carriers[kind]
         if kind not in self._remembered:
-            return members
-        return self._connections + np.searchsorted(self.structure.memory, members)
+            return carriers
+        return self._connections + np.searchsorted(self.structure.memory, carriers)
 
     @property
     def _connections(self) -> int:

@@ -19,10 +19,11 @@ from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.matrix_files import read_matrices
-from pinn_cli.system.parameters import MASS
-from pinn_cli.system.reduction import ReducedModel, reduced_model
+from pinn_cli.system.parameters import FACTOR, MASS
+from pinn_cli.system.reduction import ReducedModel, enriched, reduced_model
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
+from pinn_cli.system.substructures import Parts, check_parts, read_parts, substructures
 from pinn_cli.system.topology import check_parameters_differ, checked_names, connected, tell_if_loose
 
 # Modal damping that couples the coordinates by less than this part of their own is written without its coupling.
@@ -48,6 +49,7 @@ def build_finite_elements(
     modes: int = 12,
     damping_ratio: float | Sequence[float] | None = None,
     connections: Mapping[str, Mapping[str, Any]] | None = None,
+    factors: Mapping[str, Any] | None = None,
     static_correction: Sequence[str] | None = None,
     ground: str | Sequence[int] | None = None,
     kind: str = "matrices",
@@ -67,6 +69,8 @@ def build_finite_elements(
         modes: How many of the lowest ones are kept.
         damping_ratio: Of every mode, 0.01 is one per cent; a list: mode by mode, the last one of all that follow.
         connections: Between named DOFs and the ground, as in ``system=structure``; None: none.
+        factors: Name of a part of K to the file of its stiffness matrix, which a factor multiplies, 1; or to
+            ``{file: ..., value: 0.8}`` with another. The dampers stay as they are.
         static_correction: The named DOFs whose static response is kept beside the modes; None: those of connections
             and those that carry a force.
         ground: The DOFs of the matrices that move with the ground by one: numbers, or ``first:last:step``, where
@@ -86,11 +90,15 @@ def build_finite_elements(
     names, places = _named(dofs, size)
     modes = whole_number("system.modes", modes, least=1)
     own = connected(names, [1.0] * len(names), connections) if connections else None
-    static = _static(names, static_correction, own, loaded)
-    reduced = reduced_model(matrices["M"], matrices["K"], modes, np.unique(places[static]))
+    static = np.unique(places[_static(names, static_correction, own, loaded)])
+    parts = read_parts(factors, path, size, base)
+    reduced = reduced_model(matrices["M"], matrices["K"], modes, static)
+    if parts.matrices:
+        check_parts(reduced, parts)
+        reduced = enriched(matrices["M"], matrices["K"], reduced, list(parts.matrices.values()), static)
     springs = _springs(reduced, matrices.get("C"), damping_ratio)
     moved = None if ground is None else _moved_by_ground(ground, size)
-    structure = _assembled(names, reduced.vectors[places], springs, own)
+    structure = _with_parts(_assembled(names, reduced.vectors[places], springs, own), reduced, parts)
     structure = replace(
         structure,
         influence=np.zeros(structure.coordinates) if moved is None else reduced.vectors.T @ (matrices["M"] @ moved),
@@ -204,3 +212,22 @@ def _assembled(names: tuple[str, ...], shapes: np.ndarray, springs: _Springs, ow
                 parameters[name] = torch.cat([parameters[name], values]) if name in parameters else values
         connections += own.labels.connections
     return Structure(parameters, tuple(groups), Labels(names, connections, springs.names[:n]))
+
+
+def _with_parts(structure: Structure, reduced: ReducedModel, parts: Parts) -> Structure:
+    """The same with the connections of its parts behind all others, which so keep their numbers."""
+    if not parts.matrices:
+        return structure
+    labels, own = structure.labels, list(parts.matrices)
+    for name in own:
+        if name in labels.connections:
+            raise InputError("system.factors", name, "another name", "a connection is called so")
+    group = substructures(reduced, parts)
+    whose = tuple(own[part] for part in group.shares)
+    factors = torch.tensor([parts.factors[name] for name in own], dtype=torch.float64)
+    return replace(
+        structure,
+        parameters={**structure.parameters, FACTOR: factors},
+        groups=(*structure.groups, group),
+        labels=replace(labels, connections=(*labels.connections, *whose)),
+    )

@@ -13,8 +13,8 @@ from scipy.sparse import csr_matrix, diags, vstack
 from pinn_cli.system.array_namespace import Array
 
 # Up to here a product with the dense matrix, exact for weights of one, takes a quarter of the time of a look-up; a
-# simulation asks for it ten thousand times.
-_SHORT = 64
+# simulation asks for it ten thousand times. Beyond it a look-up is faster unless most entries are weights.
+_SHORT, _FULL = 64, 0.5
 
 
 class Incidence:
@@ -33,7 +33,7 @@ class Incidence:
     def __init__(self, matrix: csr_matrix) -> None:
         self.matrix = csr_matrix(matrix, dtype=np.float64)
         self.shape: tuple[int, int] = self.matrix.shape
-        self._short = max(self.shape) <= _SHORT
+        self._short = max(self.shape) <= _SHORT or self.matrix.nnz > _FULL * self.shape[0] * self.shape[1]
         # Slices are faster than products of tensors, and a training asks for nothing else.
         self._is_chain = self.shape[0] == self.shape[1] and (self.matrix != _chain(self.shape[0])).nnz == 0
         self._dense: dict[Any, Any] = {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pinn_cli.system.parameters import MASS
+from pinn_cli.system.parameters import FACTOR, MASS
 
 if TYPE_CHECKING:
     from pinn_cli.system.parameters import Parameter
@@ -44,6 +44,8 @@ class Labels:
             return f"system.{parameter.kind}"
         if parameter.label in self.modes:
             return "system.modes"
+        if parameter.kind == FACTOR:
+            return f"system.factors.{parameter.label}"
         return (
             f"system.mass.{parameter.label}"
             if parameter.kind == MASS

@@ -17,8 +17,8 @@ class Linearisation:
     Attributes:
         force: r, N.
         stiffness, damping: dr/de, dr/d(de/dt).
-        by_parameter: Kind to dr/d(parameter) of the connections that have it (..., members of the kind); without the
-            mass, on which r does not depend.
+        by_parameter: Kind to dr/d(parameter) of the connections that have it (..., carriers), see
+            :attr:`pinn_cli.system.structure.Structure.carriers`; without the mass, on which r does not depend.
     """
 
     force: torch.Tensor

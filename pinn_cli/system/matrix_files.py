@@ -31,24 +31,28 @@ _UNREADABLE = (
 SYMMETRIC = 1e-8
 
 
-def read_matrices(files: Mapping[str, Any], path: Any, base: Path | None = None) -> dict[str, csc_matrix]:
+def read_matrices(
+    files: Mapping[str, Any], path: Any, base: Path | None = None, settings: Mapping[str, str] | None = None
+) -> dict[str, csc_matrix]:
     """Square symmetric matrices of one size, by their names.
 
     Args:
         files: Name (``M``) to the file that holds it alone; None: it is looked for in ``path``.
         path: One file, ``.npz`` or ``.mat``, that holds matrices by their names; None: there is none.
         base: The folder that relative paths start from; None: the current one.
+        settings: Name to the setting that gives its file; None: ``system.<name>``.
 
     Returns:
         Of the names that were found.
 
     Raises:
-        InputError: Naming ``system.<name>`` or ``system.path``: a file that cannot be read, or a matrix that is not
+        InputError: Naming the setting or ``system.path``: a file that cannot be read, or a matrix that is not
             square, symmetric, finite and of the size of the others.
     """
     found = {}
     for name, file in files.items():
-        setting = f"system.{name}" if file is not None else "system.path"
+        own = f"system.{name}" if settings is None else settings[name]
+        setting = own if file is not None else "system.path"
         given = file if file is not None else path
         if given is None:
             continue

@@ -37,10 +37,14 @@ class Modes:
 
     @classmethod
     def of(cls, structure: Structure) -> Modes:
-        """Of the linear part of a structure."""
-        p, stretch = structure.parameters_like(np.empty(0)), structure.incidence.matrix.toarray()
-        m, n = p["m"], structure.coordinates
-        K, C = (stretch.T @ (p[kind][:, None] * stretch) for kind in ("k", "c"))
+        """Of a structure at rest: hidden forces that follow the elongations are springs, nonlinear dampers do nothing.
+
+        At rest a friction joint sticks, and a Van der Pol damper feeds energy in: neither is what they do in motion.
+        """
+        stretch = structure.incidence.matrix.toarray()
+        m, n = structure.parameters_like(np.empty(0))["m"], structure.coordinates
+        stiffness, damping = structure.at_rest()
+        K, C = (stretch.T @ (values[:, None] * stretch) for values in (stiffness.sum(axis=0), damping[0]))
         state = np.block([[np.zeros((n, n)), np.eye(n)], [-K / m[:, None], -C / m[:, None]]])
         poles, vectors = np.linalg.eig(state)
         return cls(m, K, C, poles, vectors[:n], np.linalg.inv(vectors)[:, n:], structure)

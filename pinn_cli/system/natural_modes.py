@@ -138,9 +138,9 @@ class NaturalModes:
             elif p.kind not in of_kind:  # of a sensor
                 changes.append((0.0, 0.0, 0.0))
             else:
-                dk, dc = of_kind[p.kind][:, p.index]
-                pulled = stretched[self.structure.members[p.kind][p.index]] ** 2
-                changes.append((0.0, dc * pulled, dk * pulled))
+                connections, which = self.structure.carriers[p.kind]
+                dk, dc = of_kind[p.kind][:, which == p.index] @ stretched[connections[which == p.index]] ** 2
+                changes.append((0.0, dc, dk))
         return changes
 
 
@@ -162,9 +162,10 @@ def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_kind(structure: Structure, kind: str) -> np.ndarray:
-    """(2, members), stiffness and damping of their own connections at rest, by the parameters of a kind."""
+    """(2, carriers), stiffness and damping at rest of the connections that have a parameter of a kind, by it."""
     values = structure.parameters[kind].detach().cpu().double()
     step = STEP * torch.clamp(values.abs(), min=1e-3)
     above, below = (np.array(at_rest(structure.with_parameters(**{kind: values + x}))) for x in (step, -step))
-    slope: np.ndarray = (above - below)[:, structure.members[kind]] / (2.0 * step.numpy())
+    connections, which = structure.carriers[kind]
+    slope: np.ndarray = (above - below)[:, connections] / (2.0 * step.numpy()[which])
     return slope

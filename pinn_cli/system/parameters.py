@@ -17,10 +17,12 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS
 if TYPE_CHECKING:
     from pinn_cli.system.priors import Prior
 
-MASS = "m"
+MASS, FACTOR = "m", "factor"
 # Of the linear part of every structure: what they are called, and their units.
 LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
+# Whose a parameter is, where that is no connection.
+_OWNERS = {MASS: "DOF", FACTOR: "part"}
 _GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau")
 
 T = TypeVar("T")
@@ -69,7 +71,7 @@ class Parameter:
         """Whose it is, as people say it: ``DOF 2``, ``connection 2``, ``sensor a1``."""
         if self.kind in CALIBRATION_UNITS:
             return f"sensor {self.whose}"
-        return f"{'DOF' if self.kind == MASS else 'connection'} {self.whose}"
+        return f"{_OWNERS.get(self.kind, 'connection')} {self.whose}"
 
     @property
     def name(self) -> str:

@@ -2,11 +2,13 @@
 
 The coordinates are orthonormal in M and orthogonal in K: each is a mass of one on a spring omega^2. To the lowest modes
 come the residual vectors of chosen DOFs, what a constant force there moves beyond those modes: with them the reduced
-model bends at those DOFs as the whole one does, however few modes there are.
+model bends at those DOFs as the whole one does, however few modes there are. Where parts of the model may be softer or
+stiffer than they are said to be, shapes that only the changed model takes come beside them as well.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +26,12 @@ SHIFT = 1e-12
 SPANNED, DEPENDENT = 1e-8, 1e-10
 # An eigenvalue of this part of the largest found, or nearer to zero, is a rigid body's: its stiffness is rounding.
 RIGID = 1e-9
+# Parts are tried at these factors, one at a time. The shapes that are added leave out no more than this of the energy
+# of any mode of the models so changed: that is the error of its frequency squared.
+FACTORS, LEFT_OUT = (0.7, 1.3), 1e-3
+# Such shapes are stiff, and would make the steps of a simulation short for nothing: they follow the force at once. They
+# get mass until they are no faster than so many times the highest mode; what they do under a slow force stays the same.
+FASTEST = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +39,7 @@ class ReducedModel:
     """A finite-element model in orthonormal coordinates.
 
     Attributes:
-        vectors: (DOFs, n), M-orthonormal: first the modes, then the residual vectors.
+        vectors: (DOFs, n), M-orthonormal: first the modes, then what comes beside them.
         stiffness: (n,), omega^2, (rad/s)^2.
         modes: How many of the coordinates are modes.
     """
@@ -57,17 +65,74 @@ def reduced_model(M: csc_matrix, K: csc_matrix, modes: int, static: np.ndarray) 
     if modes > size:
         raise InputError("system.modes", modes, f"at most {size}", f"the model has {size} DOFs")
     _check_positive(M)
-    shifted, shift = _factorised(M, K)
-    values, vectors = _lowest(M, K, modes, shifted, shift)
+    values, vectors, shifted, shift = _modes(M, K, modes)
     least = RIGID * max(float(np.abs(values).max()), shift)
     if values.min() < -max(least, 10.0 * shift):
         allowed = "without negative eigenvalues"
         raise InputError("system.K", f"a K whose lowest eigenvalue is {values.min():.3g} (rad/s)^2", allowed)
     values = np.where(values < least, 0.0, values)
     more, stiffness = _residual_vectors(M, K, vectors, shifted, static)
+    return _model(vectors, values, more, stiffness)
+
+
+def enriched(
+    M: csc_matrix, K: csc_matrix, reduced: ReducedModel, parts: Sequence[csc_matrix], static: np.ndarray
+) -> ReducedModel:
+    """The same model with shapes that it takes where parts of it are softer or stiffer.
+
+    Args:
+        M: Mass matrix (N, N), kg.
+        K: Stiffness matrix (N, N), N/m.
+        reduced: Of both.
+        parts: Of K, N/m, none of them stiffer than K.
+        static: (s,), the DOFs whose static response is kept, counted from 0.
+    """
+    modes = reduced.modes
+    changed = _changed_shapes(M, K, parts, reduced, static)
+    vectors, values = reduced.vectors[:, :modes], reduced.stiffness[:modes]
+    more, stiffness = _beside(M, K, vectors, np.hstack([reduced.vectors[:, modes:], changed]))
+    slower = np.minimum(stiffness, FASTEST**2 * values.max())
+    return _model(vectors, values, more * np.sqrt(slower / stiffness), slower)
+
+
+def _model(vectors: np.ndarray, values: np.ndarray, more: np.ndarray, stiffness: np.ndarray) -> ReducedModel:
+    """Modes and what comes beside them, each with its stiffness; the sign of every vector is that of its largest."""
     every = np.hstack([vectors, more])
     largest = every[np.abs(every).argmax(axis=0), np.arange(every.shape[1])]
-    return ReducedModel(every * np.sign(largest), np.concatenate([values, stiffness]), modes)
+    return ReducedModel(every * np.sign(largest), np.concatenate([values, stiffness]), len(values))
+
+
+def _modes(M: csc_matrix, K: csc_matrix, modes: int) -> tuple[np.ndarray, np.ndarray, SuperLU, float]:
+    """Eigenvalues (modes,) and M-orthonormal vectors (N, modes), with the factors of K + shift M, and the shift."""
+    shifted, shift = _factorised(M, K)
+    return *_lowest(M, K, modes, shifted, shift), shifted, shift
+
+
+def _changed_shapes(
+    M: csc_matrix, K: csc_matrix, parts: Sequence[csc_matrix], reduced: ReducedModel, static: np.ndarray
+) -> np.ndarray:
+    """(N, r), what modes and static responses of the changed model are beyond those of the model, the largest of it.
+
+    The shapes have unit energy, so that the squared singular values of what is left, in the norm of energy, are errors
+    of frequencies squared; a proper orthogonal decomposition keeps the fewest shapes.
+    """
+    unit = np.zeros((M.shape[0], len(static)))
+    unit[static, np.arange(len(static))] = 1.0
+    shapes = []
+    for part in parts:
+        for factor in FACTORS:
+            values, vectors, shifted, shift = _modes(M, csc_matrix(K + (factor - 1.0) * part), reduced.modes)
+            bends = values > max(RIGID * float(np.abs(values).max()), 10.0 * shift)
+            unit_energy = vectors[:, bends] / np.sqrt(values[bends])
+            beyond = unit - M @ (vectors @ vectors[static].T)
+            moved = shifted.solve(beyond)
+            energy = np.sum(beyond * moved, axis=0) + np.sum(unit_energy[static] ** 2, axis=1)
+            shapes += [unit_energy, moved / np.sqrt(energy)]
+    basis, left = reduced.vectors, np.hstack(shapes)
+    left = left - basis @ (basis.T @ (M @ left))
+    energies, turned = np.linalg.eigh(left.T @ (K @ left))
+    kept: np.ndarray = left @ turned[:, np.cumsum(energies) > LEFT_OUT]
+    return kept
 
 
 def _check_positive(M: csc_matrix) -> None:
@@ -127,8 +192,12 @@ def _residual_vectors(
     beyond = beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]
     if not beyond.shape[1]:
         return none
-    moved = shifted.solve(beyond)
-    moved -= vectors @ (vectors.T @ (M @ moved))
+    return _beside(M, K, vectors, shifted.solve(beyond))
+
+
+def _beside(M: csc_matrix, K: csc_matrix, vectors: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, s) orthonormal vectors that hold what shapes (N, t) are beyond some vectors, and their stiffnesses (s,)."""
+    moved = moved - vectors @ (vectors.T @ (M @ moved))
     moved /= np.sqrt(np.sum(moved * (M @ moved), axis=0))
     size, turned = np.linalg.eigh(moved.T @ (M @ moved))
     kept = size > DEPENDENT * size.max()

@@ -19,7 +19,7 @@ class Shapes:
     Attributes:
         matrix: (dofs, n), how far every DOF moves with every coordinate.
         with_ground: (dofs,), how far every DOF moves with the ground; None: nobody has said.
-        stretch: (C', dofs), how the DOFs stretch the connections that were added to the modes, the last C' of all.
+        stretch: (C', dofs), how the DOFs stretch connections that were added to the modes, C' behind the modes' own.
         residual: How many of the coordinates, the last ones, are static responses and no modes.
     """
 

@@ -13,7 +13,7 @@ import torch
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.connection.linear import Linear
-from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, group_parts
+from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, carriers, group_parts
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.linearisation import Linearisation
@@ -39,7 +39,8 @@ class Structure:
 
     Attributes:
         parameters: "m" kg, (n,); "c" N s/m, "k" N/m, (C,); and those of the nonlinearities, each of the connections
-            that have it, in the order of the groups.
+            that have it, in the order of the groups; "factor" of parts of a finite-element model, whose connections
+            come last and have neither c nor k.
         groups: Connections, C in all. A group's law is elementwise, so a law with memory adds its hidden states to the
             group, and a coordinate that is no displacement of a mass differs by its column of the incidence alone.
         labels: What the user calls its coordinates and connections.
@@ -87,16 +88,14 @@ class Structure:
         return Incidence.stacked(group.incidence for group in self.groups)
 
     @cached_property
+    def carriers(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Kind to the connections that have a parameter of it, and to which of its members each has, from 0."""
+        return carriers(self.groups)
+
+    @cached_property
     def members(self) -> dict[str, np.ndarray]:
-        """Kind of the connections' parameters to the connections that have it, counted from 0."""
-        ends = np.cumsum([0, *(group.incidence.shape[0] for group in self.groups)])
-        kinds = dict.fromkeys(kind for group in self.groups for kind in group.kinds)
-        return {
-            kind: np.concatenate(
-                [np.arange(*ends[g : g + 2]) for g, group in enumerate(self.groups) if kind in group.kinds]
-            )
-            for kind in kinds
-        }
+        """Kind of the connections' parameters to the connection of each member; of several that share it the first."""
+        return {k: at[np.unique(which, return_index=True)[1]] for k, (at, which) in self.carriers.items()}
 
     @property
     def nonlinearity(self) -> Nonlinearity:
@@ -135,15 +134,10 @@ class Structure:
             unit, title, label = LINEAR_UNITS[MASS], LINEAR_TITLES[MASS], self.labels.owner(kind, index)
             return Parameter(kind, index, value, unit=unit, title=title, label=label)
         connection = int(self.members[kind][index])
-        law = self._law_of[connection]
+        law = self.laws[connection]
         unit, title = (LINEAR_UNITS | {**law.units}).get(kind, ""), (LINEAR_TITLES | {**law.titles}).get(kind, "")
         label = self.labels.owner(kind, connection)
         return Parameter(kind, index, value, unit=unit, title=title, label=label)
-
-    @cached_property
-    def _law_of(self) -> list[Nonlinearity]:
-        """Of every connection."""
-        return [group.nonlinearity for group in self.groups for _ in range(group.incidence.shape[0])]
 
     def every_parameter(self) -> Iterator[Parameter]:
         """All of them, kind by kind."""
@@ -155,10 +149,11 @@ class Structure:
         """The coordinates, counted from 0, whose equations of motion contain a parameter."""
         if parameter.kind == MASS:
             return np.array([parameter.index])
-        return self.incidence.matrix[self.members[parameter.kind][parameter.index]].indices
+        connections, which = self.carriers[parameter.kind]
+        return np.unique(self.incidence.matrix[connections[which == parameter.index]].indices)
 
     def participation(self, parameters: Sequence[Parameter]) -> np.ndarray:
-        """(n, p), how the force of each parameter's own connection, or its mass's inertia, enters the equations."""
+        """(n, p), how the force of each parameter's one connection, or its mass's inertia, enters the equations."""
         rows = [
             np.eye(1, self.coordinates, p.index)[0]
             if p.kind == MASS
@@ -185,9 +180,9 @@ class Structure:
 
     @cached_property
     def added(self) -> np.ndarray:
-        """(C',), the connections that somebody wrote down: all of them, but for the springs of modes."""
+        """(C',), the connections that somebody wrote down: all of them, but for the springs of modes and for parts."""
         own = 0 if self.shapes is None else self.groups[0].incidence.shape[0]
-        return np.arange(own, self.incidence.shape[0])
+        return np.arange(own, len(self.parameters["k"]))
 
     @cached_property
     def laws(self) -> tuple[Nonlinearity, ...]:
@@ -211,17 +206,22 @@ class Structure:
             z: Hidden forces (..., h) of the connections that have memory, N; None where none has.
         """
         p = self.parameters_like(e) if parameters is None else parameters
-        linear: Array = p["c"] * de + p["k"] * e
+        own = [p] if len(self.groups) == 1 else [part.own(p) for part in self.parts]
+        return self._connection_force(e, de, own, z)
+
+    def _connection_force(
+        self, e: Array, de: Array, own: Sequence[Mapping[str, Array]], z: Array | None = None
+    ) -> Array:
+        """The same from the parameters of every group's connections (..., C of the group)."""
         if len(self.groups) == 1:
-            nonlinear = self.groups[0].nonlinearity.force(e, de, p)
-            return linear + nonlinear if z is None or not len(self.memory) else linear + nonlinear + z
+            force = self.groups[0].force(e, de, own[0])
+            return force if z is None or not len(self.memory) else force + z
         forces = []
-        for group, part in zip(self.groups, self.parts, strict=True):
-            at, own = part.connections, part.own(p)
-            force = group.nonlinearity.force(e[..., at], de[..., at], own)
+        for group, part, values in zip(self.groups, self.parts, own, strict=True):
+            force = group.force(e[..., part.connections], de[..., part.connections], values)
             forces.append(force + z[..., part.hidden] if z is not None and group.nonlinearity.has_memory else force)
         every: Array = namespace(e).concatenate(forces, -1)
-        return linear + every
+        return every
 
     def hidden_rate(self, e: Array, de: Array, z: Array, parameters: Mapping[str, Array] | None = None) -> Array:
         """dz/dt of the hidden forces (..., h), N/s, from elongations and rates (..., C) and the hidden forces."""
@@ -259,17 +259,18 @@ class Structure:
         derivative.
         """
         e, de = (self.elongation(x).detach().requires_grad_() for x in (u, v))
-        local = {
-            name: value.detach().expand(*e.shape[:-1], value.shape[-1]).clone().requires_grad_()
-            for name, value in parameters.items()
-            if name != MASS and name in self.parameters
-        }
+        own = [
+            {kind: x.detach().expand(*e.shape[:-1], -1).clone().requires_grad_() for kind, x in given.items()}
+            for given in (part.own(parameters) for part in self.parts)
+        ]
+        shaped = (e, de, *(x for given in own for x in given.values()))
         with torch.enable_grad():
-            force = self.connection_force(e, de, local)
-            gradients = torch.autograd.grad(force.sum(), (e, de, *local.values()), allow_unused=True)
-        shaped = (e, de, *local.values())
+            force = self._connection_force(e, de, own)
+            gradients = torch.autograd.grad(force.sum(), shaped, allow_unused=True)
         filled = [torch.zeros_like(x) if g is None else g for g, x in zip(gradients, shaped, strict=True)]
-        return Linearisation(force.detach(), filled[0], filled[1], dict(zip(local, filled[2:], strict=True)))
+        each = list(zip([kind for given in own for kind in given], filled[2:], strict=True))
+        by_parameter = {k: torch.cat([x for other, x in each if other == k], -1) for k in self.carriers}
+        return Linearisation(force.detach(), filled[0], filled[1], by_parameter)
 
     def parameters_like(self, x: Array) -> dict[str, Array]:
         """The parameters as x is: numpy arrays of its dtype, or tensors of its dtype and device with their graph."""
@@ -290,5 +291,16 @@ class Structure:
 
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""
-        groups = tuple(replace(group, nonlinearity=Linear()) for group in self.groups)
-        return replace(self, parameters={name: self.parameters[name] for name in LINEAR_UNITS}, groups=groups)
+        groups = tuple(g if g.parts is not None else replace(g, nonlinearity=Linear()) for g in self.groups)
+        kinds = (*LINEAR_UNITS, *(kind for group in groups for kind in group.nonlinearity.parameters))
+        return replace(self, parameters={kind: self.parameters[kind] for kind in kinds}, groups=groups)
+
+    def at_rest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness, N/m, and damping, N s/m, of every connection at rest, each (2, C): its own, and by its law.
+
+        The law's includes what a hidden force adds that follows the elongation.
+        """
+        p = self.parameters_like(np.empty(0))
+        each = [group.at_rest(part.own(p)) for group, part in zip(self.groups, self.parts, strict=True)]
+        stiffness, damping = (np.concatenate(x, axis=1) for x in zip(*each, strict=True))
+        return stiffness, damping

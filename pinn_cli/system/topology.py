@@ -136,7 +136,7 @@ def checked_names(dofs: Any) -> tuple[str, ...]:
     if not names:
         raise InputError("system.dofs", dofs, "a list of names of coordinates", "e.g. system.dofs=[x1, x2]")
     for i, name in enumerate(names):
-        _check_name("system.dofs", name)
+        check_name("system.dofs", name)
         if name == GROUND:
             raise InputError("system.dofs", name, "another name", "the ground is the support, which has no coordinate")
         if name in names[:i]:
@@ -144,7 +144,12 @@ def checked_names(dofs: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _check_name(setting: str, name: Any) -> None:
+def check_name(setting: str, name: Any) -> None:
+    """See that something can be called by a name.
+
+    Raises:
+        InputError: Naming ``setting``: it cannot.
+    """
     if not isinstance(name, str) or not name.isidentifier():
         hint = "YAML reads yes, no, on and off as true and false: put it in quotes" if isinstance(name, bool) else ""
         raise InputError(setting, name, _NAME, hint)
@@ -185,7 +190,7 @@ def _checked_connections(connections: Any) -> dict[str, Any]:
         allowed = "a map of name: {between: [a, b], law: ..., and its parameters}"
         raise InputError("system.connections", connections, allowed)
     for name in connections:
-        _check_name("system.connections", name)
+        check_name("system.connections", name)
     return dict(connections)
 
 

@@ -6,13 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.system.coupling import Coupling
 from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.incidence import padded
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.structure import Structure
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
 # and no more than that for Fourier features.
@@ -23,7 +27,8 @@ class RowPattern:
     """Where the entries of a structure's equations of motion stand.
 
     A row has D slots, one for every offset from its DOF to those that are coupled with it, and F slots for every kind
-    of parameter, one for every connection that pulls at the DOF. Of a chain D is 3 and F is 2.
+    of parameter, one for every connection that pulls at the DOF. Of a chain D is 3 and F is 2. A parameter that several
+    connections share has one slot in every row.
 
     Args:
         dynamics: Whose equations.
@@ -39,6 +44,9 @@ class RowPattern:
         count: Members of all the vector's kinds.
     """
 
+    _own: Tensor
+    _sign: Tensor
+
     def __init__(self, dynamics: Dynamics, vector: ParameterVector[Tensor], like: Tensor) -> None:
         coupling = dynamics.coupling
         self.dynamics, self.vector = dynamics, vector
@@ -48,37 +56,73 @@ class RowPattern:
         # Those of sensors are in no equation of motion.
         self.kinds = tuple(kind for kind in vector.kinds if kind not in CALIBRATION_UNITS)
         self.count = vector.places
-        self.places = self._places()
+        self._place_parameters(like)
         beside = np.where(self.coupled, coupling.neighbours, dynamics.size)
-        self._neighbours, self._touching, self._own = (
-            torch.as_tensor(index, device=like.device)
-            for index in (beside, coupling.touching, np.where(self.places < 0, self.count, self.places))
+        self._neighbours, self._touching = (
+            torch.as_tensor(index, device=like.device) for index in (beside, coupling.touching)
         )
-        self._by_offset, self._sign = (torch.as_tensor(x).to(like) for x in (coupling.by_offset, self._signs()))
+        self._by_offset = torch.as_tensor(coupling.by_offset).to(like)
+        # Of functions that are all coupled, one product with a matrix (C, n D) is faster than a sum over its terms.
+        full = dynamics.structure.shapes is not None
+        self._dense = torch.as_tensor(self._coefficients(coupling)).to(like) if full else None
 
-    def _places(self) -> np.ndarray:
-        touching, kinds, n = self.dynamics.branches.touching, self.kinds, self.dynamics.ndof
-        places = np.full((len(touching), len(kinds), touching.shape[1]), -1, dtype=np.int64)
-        for number, kind in enumerate(kinds):
-            if kind == MASS:
-                places[:n, number, 0] = self.vector.first[kind] + np.arange(n)
+    def _coefficients(self, coupling: Coupling) -> np.ndarray:
+        """(T, n D), the derivatives of the rows in their slots by the terms."""
+        rows, slots = len(self.coupled), len(self.offsets)
+        out = np.zeros((coupling.into.shape[0] + 1, rows, slots))
+        np.add.at(out, (coupling.touching, np.arange(rows)[:, None]), coupling.by_offset)
+        return out[:-1].reshape(-1, rows * slots)
+
+    def _place_parameters(self, like: Tensor) -> None:
+        """Slots of the parameters: where each stands, and which connection of its kind acts in the row, how strongly.
+
+        Connections that share a parameter add up in its slot: their rows are products with a matrix.
+        """
+        branches, vector, n = self.dynamics.branches, self.vector, self.dynamics.ndof
+        structure = self.dynamics.structure
+        shared = [k for k in self.kinds if k != MASS and len(structure.carriers[k][1]) > len(vector.nominal[k])]
+        own_kinds = [kind for kind in self.kinds if kind not in (MASS, *shared)]
+        touching, weight = _touching(branches.matrix, [self.dynamics.branch(kind) for kind in own_kinds])
+        most = max([1, touching.shape[1], *(len(vector.nominal[kind]) for kind in shared)])
+        shape = (self.dynamics.size, len(self.kinds), most)
+        places, own, sign = np.full(shape, -1), np.full(shape, -1), np.zeros(shape)
+        self._shared: list[tuple[int, slice, Tensor]] = []
+        start = 0
+        for kind in vector.kinds:
+            first, members = vector.first[kind], len(vector.nominal[kind])
+            if kind not in self.kinds:
+                start += members
                 continue
-            member = np.full(self.dynamics.branches.shape[0] + 1, -1, dtype=np.int64)
-            branches = self.dynamics.branch(kind)
-            member[branches] = self.vector.first[kind] + np.arange(len(branches))
-            places[:, number] = member[touching]
-        return places
-
-    def _signs(self) -> np.ndarray:
-        """(N, kinds, F), the weight of each parameter's branch in the row."""
-        signs = np.repeat(self.dynamics.branches.sign[:, None], len(self.kinds), axis=1)
-        for number, kind in enumerate(self.kinds):
+            number = self.kinds.index(kind)
+            which = np.arange(members) if kind == MASS else structure.carriers[kind][1]
+            count = len(which)
             if kind == MASS:
-                signs[:, number] = np.eye(1, signs.shape[2])
-        return signs
+                places[:n, number, 0], own[:n, number, 0] = first + np.arange(n), start + np.arange(n)
+                sign[:n, number, 0] = 1.0
+            elif kind in shared:
+                places[:, number, :members] = first + np.arange(members)
+                pull = np.zeros((count, shape[0], most))
+                pull[np.arange(count), :, which] = branches.matrix[self.dynamics.branch(kind)].toarray()
+                matrix = torch.as_tensor(pull.reshape(count, -1)).to(like)
+                self._shared.append((number, slice(start, start + count), matrix))
+            else:
+                member = np.full(branches.shape[0] + 1, -1)
+                member[self.dynamics.branch(kind)] = np.arange(count)
+                there = member[touching]
+                width = slice(0, touching.shape[1])
+                places[:, number, width] = np.where(there < 0, -1, first + there)
+                own[:, number, width] = np.where(there < 0, -1, start + there)
+                sign[:, number, width] = weight
+            start += count
+        self.places = places
+        self._own = torch.as_tensor(np.where(own < 0, start, own), device=like.device)
+        self._member = torch.as_tensor(np.where(places < 0, self.count, places), device=like.device)
+        self._sign = torch.as_tensor(sign).to(like)
 
     def by_coordinate(self, x: Tensor) -> Tensor:
         """Derivative of B' r by the coordinates in the slots (..., n, D), from dr/de of the connections (..., C)."""
+        if self._dense is not None:
+            return (x @ self._dense).unflatten(-1, (len(self.coupled), -1))
         ends = [_with_none(x)[..., column] for column in self._touching.T]
         slots = [
             sum(end * self._by_offset[:, i, slot] for i, end in enumerate(ends)) for slot in range(len(self.offsets))
@@ -90,16 +134,38 @@ class RowPattern:
         return _with_none(x)[..., self._neighbours]
 
     def by_parameter(self, own: Tensor) -> Tensor:
-        """(..., n, kinds, F), rows by parameter, from what each does to its own connection or mass (..., count)."""
-        return _with_none(own)[..., self._own] * self._sign
+        """(..., n, kinds, F), rows by parameter, from what they do to every connection or mass that has one."""
+        rows = _with_none(own)[..., self._own] * self._sign
+        for number, part, pull in self._shared:
+            rows[..., number, :] = (own[..., part] @ pull).unflatten(-1, (len(self.coupled), -1))
+        return rows
+
+    def strength(self, own: Tensor) -> Tensor:
+        """(..., count), the size of what each parameter does to its own connection or mass; see :meth:`by_parameter`.
+
+        One that several connections share pulls at many coordinates: then it is the length of that pull.
+        """
+        blocks, start = [], 0
+        pulls = {self.kinds[number]: (part, pull) for number, part, pull in self._shared}
+        for kind in self.vector.kinds:
+            members = len(self.vector.nominal[kind])
+            if kind in pulls:
+                part, pull = pulls[kind]
+                rows = (own[..., part] @ pull).unflatten(-1, (len(self.coupled), -1))
+                blocks.append(rows.square().sum(-2).sqrt()[..., :members])
+                start = part.stop
+            else:
+                blocks.append(own[..., start : start + members])
+                start += members
+        return torch.cat(blocks, -1)
 
     def of_parameters(self, values: Tensor) -> Tensor:
         """(n, kinds, F), values of all members (count,) in the slots; 0 where unused."""
-        return _with_none(values)[self._own]
+        return _with_none(values)[self._member]
 
     def uncertain_columns(self, parameter: Tensor, dof: int) -> Tensor:
         """Rows of one DOF by every uncertain parameter, (..., kinds, F) to (..., p)."""
-        own = self._own[dof].flatten().to(parameter.device)
+        own = self._member[dof].flatten().to(parameter.device)
         out = parameter.new_zeros((*parameter.shape[:-2], self.count + 1))
         out[..., own] = parameter.flatten(-2)
         out[..., -1] = 0.0
@@ -143,7 +209,7 @@ class EquationRows:
                 that are held fixed.
         """
         stiffness, damping = pattern.by_coordinate(slope.stiffness), pattern.by_coordinate(slope.damping)
-        parameter = pattern.by_parameter(own_by_parameter(slope, acceleration, spread))
+        parameter = pattern.by_parameter(own_by_parameter(pattern.dynamics.structure, slope, acceleration, spread))
         return cls(pattern, stiffness, damping, mass, parameter)
 
     def applied(self, displacement: Tensor, velocity: Tensor, acceleration: Tensor) -> Tensor:
@@ -163,18 +229,37 @@ class EquationRows:
         return out.flatten(3)
 
 
-def own_by_parameter(slope: Linearisation, acceleration: Tensor, spread: dict[str, Tensor]) -> Tensor:
-    """(I, S, count), what each parameter does to its own connection or mass, per prior standard deviation.
+def own_by_parameter(
+    structure: Structure, slope: Linearisation, acceleration: Tensor, spread: dict[str, Tensor]
+) -> Tensor:
+    """(I, S, carriers), what its parameter does to every connection or mass that has one, per prior standard deviation.
 
     Args:
+        structure: Whose connections.
         slope: Derivatives of the internal forces.
         acceleration: What a mass parameter multiplies.
         spread: Kind to prior standard deviations of all its members, 0 of those that are held fixed.
     """
-    none = acceleration.new_zeros((*acceleration.shape[:-1], 1))  # of sensors
-    by_kind = {**dict.fromkeys(CALIBRATION_UNITS, none), **slope.by_parameter, MASS: acceleration}
-    blocks = [by_kind[kind] * by for kind, by in spread.items()]
+    none = acceleration.new_zeros((*acceleration.shape[:-1], 1))
+    blocks = []
+    for kind, by in spread.items():
+        if kind in CALIBRATION_UNITS:  # of sensors
+            blocks.append(none * by)
+        else:
+            blocks.append(
+                acceleration * by if kind == MASS else slope.by_parameter[kind] * by[structure.carriers[kind][1]]
+            )
     return torch.cat(blocks, -1) if blocks else acceleration.new_zeros((*acceleration.shape[:-1], 0))
+
+
+def _touching(matrix: csr_matrix, branches: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(N, F), the chosen branches that pull at each function, ascending, their number where there is none; weights."""
+    chosen = np.zeros(matrix.shape[0])
+    chosen[np.concatenate([np.zeros(0, dtype=np.int64), *branches])] = 1.0
+    kept = csr_matrix(matrix.multiply(chosen[:, None]))
+    kept.eliminate_zeros()
+    places, weights = padded(kept.T.tocsr())
+    return np.where(weights == 0, matrix.shape[0], places), weights
 
 
 def _with_none(x: Tensor) -> Tensor:

@@ -306,10 +306,11 @@ class NormalEquations(Bounded):
         return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
 
     def own_by_parameter(self, segments: Segments, point: Point) -> Tensor:
-        """(I, S, places), what each parameter does to its own connection or mass, per prior standard deviation."""
+        """(I, S, places), what each parameter does to its own connections or mass, per prior standard deviation."""
         jet = self.jet(segments, point)
         slope = self.dynamics.linearise(jet, self.parameters(point))
-        return own_by_parameter(slope, self.dynamics.inertial_acceleration(jet), self.spread)
+        acceleration = self.dynamics.inertial_acceleration(jet)
+        return self.pattern.strength(own_by_parameter(self.dynamics.structure, slope, acceleration, self.spread))
 
     def moved_force(self, rows: EquationRows, step: Point) -> Tensor:
         """Change of the physics residual, as it is enforced, with a small step of weights and parameters.

@@ -49,7 +49,7 @@ def coherent_misfit(columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarr
     The Hessian takes the discrepancy for noise, which averages out over a record. A force that was forgotten does not:
     that of a cubic spring follows the motion as that of a linear one does, and however long the record is, the linear
     one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
-    on its connection is r, or what the prior lets it hide. Without model error d is small, and this with it.
+    on its connections is r, or what the prior lets it hide. Without model error d is small, and this with it.
 
     It does not average out over records either, each of which hides as much as its weight among them.
 

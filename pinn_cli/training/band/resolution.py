@@ -6,6 +6,7 @@ import numpy as np
 
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.spectrum import periodogram, record_band
+from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -75,9 +76,9 @@ def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
     parameters = equations.parameters(trained.solution.point)
     std = np.sqrt(np.diag(trained.factor.corner_covariance)) * equations.scale.cpu().numpy()
     known = [
-        s / float(parameters["k"][p.index])
+        s / float(parameters[p.kind][p.index])
         for s, p in zip(std, equations.problem.uncertain, strict=True)
-        if p.kind == "k" and float(parameters["k"][p.index]) > 0
+        if p.kind in ("k", FACTOR) and float(parameters[p.kind][p.index]) > 0
     ]
     if not known:
         return 1.0
