@@ -25,26 +25,39 @@ def beam(
         mass_per_length: kg/m.
         clamped: Whether the left end is; otherwise nothing holds the beam.
     """
-    h, size = length / elements, 2 * (elements + 1)
+    h = length / elements
     mass = np.array([
         [156.0, 22 * h, 54.0, -13 * h],
         [22 * h, 4 * h**2, 13 * h, -3 * h**2],
         [54.0, 13 * h, 156.0, -22 * h],
         [-13 * h, -3 * h**2, -22 * h, 4 * h**2],
     ])  # fmt: skip
+    M = _assembled(elements, range(elements), mass_per_length * h / 420.0 * mass, clamped)
+    return M, beam_part(elements, range(elements), length, bending_stiffness, clamped)
+
+
+def beam_part(
+    elements: int, own: range, length: float = 1.0, bending_stiffness: float = 50.0, clamped: bool = True
+) -> csc_matrix:
+    """Stiffness of some elements of the beam alone, in all its DOFs."""
+    h = length / elements
     stiffness = np.array([
         [12.0, 6 * h, -12.0, 6 * h],
         [6 * h, 4 * h**2, -6 * h, 2 * h**2],
         [-12.0, -6 * h, 12.0, -6 * h],
         [6 * h, 2 * h**2, -6 * h, 4 * h**2],
     ])  # fmt: skip
-    M, K = lil_matrix((size, size)), lil_matrix((size, size))
-    for element in range(elements):
-        own = slice(2 * element, 2 * element + 4)
-        M[own, own] += mass_per_length * h / 420.0 * mass
-        K[own, own] += bending_stiffness / h**3 * stiffness
+    return _assembled(elements, own, bending_stiffness / h**3 * stiffness, clamped)
+
+
+def _assembled(elements: int, own: range, of_element: np.ndarray, clamped: bool) -> csc_matrix:
+    size = 2 * (elements + 1)
+    matrix = lil_matrix((size, size))
+    for element in own:
+        at = slice(2 * element, 2 * element + 4)
+        matrix[at, at] += of_element
     held = slice(2 if clamped else 0, None)
-    return csc_matrix(M[held, held]), csc_matrix(K[held, held])
+    return csc_matrix(matrix[held, held])
 
 
 def deflection(node: int) -> int:

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from beams import beam, deflection
+from beams import beam, beam_part, deflection
 from calls import PinnRun
+from scipy.io import mmwrite
 
 from pinn_cli.record.simulation import simulate
 from pinn_cli.system.finite_elements import build_finite_elements
@@ -50,6 +51,25 @@ def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
     assert pd.read_csv(outcome.directory / "drift.csv")["connection"].tolist() == ["stop"]
     fitness = strict_fitness(outcome.directory)
     assert (fitness > 99.0).all(), fitness
+
+
+def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
+    for name, own in (("root", range(5)), ("end", range(5, 10))):
+        mmwrite(f"{name}.mtx", beam_part(10, own))
+    outcome = in_folder_with_a_beam(
+        *SMALL, "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest",
+        "system.factors={root: {file: root.mtx, value: 0.8}, end: {file: end.mtx, value: 1.2}}",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    assert parameters.index.tolist() == ["factor_root", "factor_end"]
+    assert parameters["start"].tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(parameters["estimate"], [0.8, 1.2], rtol=0.02)
+    z = (parameters["estimate"] - parameters["true"]) / parameters["std"]
+    assert (z.abs() < 3.0).all(), parameters
+    assert (parameters["std"] < 0.02).all()
+    first = pd.read_csv(outcome.directory / "modes.csv")
+    assert len(first) == 2
 
 
 def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):

@@ -1,0 +1,168 @@
+"""Factors of the stiffness of parts of a finite-element model."""
+
+import numpy as np
+import pytest
+import torch
+from beams import beam, beam_part, deflection
+from scipy.io import mmwrite
+from scipy.linalg import eigh
+
+from pinn_cli.scheme.unknowns import all_names
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.finite_elements import build_finite_elements
+from pinn_cli.system.model_error import PerturbedModelError
+from pinn_cli.system.modes import Modes
+from pinn_cli.system.natural_modes import NaturalModes
+
+ELEMENTS = 30
+PARTS = {"base": range(10), "middle": range(10, 20), "top": range(20, 30)}
+DOFS = {"tip": deflection(30), "a": deflection(12)}
+STOP = {"stop": {"between": ["ground", "tip"], "law": "duffing", "c": 0.0, "k": 50.0, "kappa": 1e5}}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    M, K = beam(ELEMENTS)
+    np.savez(tmp_path / "beam.npz", M=M.toarray(), K=K.toarray(), every=K.toarray())
+    for name, own in PARTS.items():
+        mmwrite(str(tmp_path / f"{name}.mtx"), beam_part(ELEMENTS, own))
+    mmwrite(str(tmp_path / "short.mtx"), beam_part(5, range(5)))
+    mmwrite(str(tmp_path / "nothing.mtx"), 0.0 * K)
+    mmwrite(str(tmp_path / "negative.mtx"), -K)
+    np.savez(tmp_path / "lopsided.npz", K=np.triu(K.toarray()))
+    return tmp_path
+
+
+def built(folder, factors=None, **settings):
+    factors = {name: f"{name}.mtx" for name in PARTS} if factors is None else factors
+    settings = {"dofs": DOFS, "modes": 6, "damping_ratio": 0.01, "loaded": ["tip"], **settings}
+    return build_finite_elements(path="beam.npz", base=folder, factors=factors, **settings)
+
+
+def full_frequencies(factors, count):
+    M, _ = beam(ELEMENTS)
+    K = sum(f * beam_part(ELEMENTS, own) for f, own in zip(factors, PARTS.values(), strict=True))
+    return np.sqrt(eigh(K.toarray(), M.toarray(), eigvals_only=True)[:count]) / (2 * np.pi)
+
+
+def with_factors(structure, factors):
+    return structure.with_parameters(factor=torch.tensor(factors, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("factors", [[1.0, 1.0, 1.0], [0.85, 1.0, 1.1], [0.7, 1.3, 0.7], [1.3, 0.7, 1.2]])
+def test_frequencies_are_those_of_the_whole_model(folder, factors):
+    found = Modes.of(with_factors(built(folder), factors)).natural_frequencies[:6]
+    expected = full_frequencies(factors, 6)
+    np.testing.assert_allclose(found[:4], expected[:4], rtol=5e-4)
+    np.testing.assert_allclose(found, expected, rtol=5e-3)  # shapes with mass added move a little with the highest
+
+
+def test_modes_alone_would_not_do(folder):
+    """Else the shapes that are added to the basis would be there for nothing."""
+    structure = with_factors(built(folder), [0.7, 1.3, 0.7])
+    kept = 7  # six modes and the static response at the tip
+    K = Modes.of(structure).K[:6, :6]
+    off = np.sqrt(np.linalg.eigvalsh(K)) / (2 * np.pi) / full_frequencies([0.7, 1.3, 0.7], 6) - 1.0
+    assert structure.coordinates > kept
+    assert off.max() > 0.01
+
+
+def test_static_deflections_are_those_of_the_whole_model(folder):
+    structure = with_factors(built(folder), [0.8, 1.0, 1.2])
+    push = structure.shapes.matrix[0]
+    found = structure.shapes.matrix @ np.linalg.solve(Modes.of(structure).K, push)
+    K = sum(f * beam_part(ELEMENTS, own) for f, own in zip([0.8, 1.0, 1.2], PARTS.values(), strict=True))
+    places = np.array(list(DOFS.values())) - 1
+    expected = np.linalg.solve(K.toarray(), np.eye(K.shape[0])[:, places[0]])[places]
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
+def test_a_factor_is_one_parameter_of_many_connections(folder):
+    structure = built(folder, connections=STOP)
+    names = all_names(structure)
+    assert [name for name in names if name.startswith("factor")] == ["factor_base", "factor_middle", "factor_top"]
+    assert names["factor_top"].owner == "part top"
+    assert structure.labels.setting(names["factor_top"]) == "system.factors.top"
+    assert [structure.labels.connection(i) for i in structure.added] == ["stop"]
+    assert len(structure.ends(names["factor_top"])) == structure.coordinates
+
+
+def test_the_force_is_linear_in_the_factors(folder):
+    structure = built(folder, connections=STOP)
+    u = np.random.default_rng(1).standard_normal((4, structure.coordinates)) * 1e-3
+    forces = [with_factors(structure, f).restoring_force(u, 0.0 * u) for f in ([1, 1, 1], [2, 1, 1], [3, 1, 1])]
+    np.testing.assert_allclose(forces[2] - forces[1], forces[1] - forces[0], rtol=1e-9, atol=1e-9)
+    assert np.abs(forces[1] - forces[0]).max() > 1e-3 * np.abs(forces[0]).max()
+
+
+def test_derivatives_by_factors_are_those_of_the_force(folder):
+    structure = with_factors(built(folder, connections=STOP), [0.9, 1.0, 1.1])
+    u, v = (torch.as_tensor(np.random.default_rng(s).standard_normal((3, structure.coordinates))) for s in (2, 3))
+    slope = structure.linearise(u, v, structure.parameters)
+    connections, which = structure.carriers["factor"]
+    pull = torch.as_tensor(structure.incidence.matrix[connections].toarray())
+    for j in range(3):
+        found = slope.by_parameter["factor"][:, which == j] @ pull[which == j]
+        more, less = ([*structure.parameters["factor"].tolist()] for _ in range(2))
+        more[j], less[j] = more[j] + 1e-3, less[j] - 1e-3
+        forces = [with_factors(structure, f).restoring_force(u, v) for f in (more, less)]
+        torch.testing.assert_close(found, (forces[0] - forces[1]) / 2e-3, rtol=1e-6, atol=1e-4)
+
+
+def test_slopes_of_frequencies_by_factors(folder):
+    structure = with_factors(built(folder), [0.9, 1.0, 1.1])
+    parameters = [p for p in structure.every_parameter() if p.kind == "factor"]
+    by_square, _ = NaturalModes.of(structure).slopes(parameters)
+    step = 1e-4
+    for j in range(3):
+        each = []
+        for sign in (1, -1):
+            factors = [0.9, 1.0, 1.1]
+            factors[j] += sign * step
+            each.append(NaturalModes.of(with_factors(structure, factors)).squares)
+        np.testing.assert_allclose(by_square[:4, j], ((each[0] - each[1]) / (2 * step))[:4], rtol=1e-4)
+
+
+def test_a_forgotten_nonlinearity_leaves_the_parts(folder):
+    structure = with_factors(built(folder, connections=STOP), [0.9, 1.0, 1.1])
+    u = np.random.default_rng(5).standard_normal(structure.coordinates) * 1e-6  # too little for the cubic spring
+    linear = structure.linearised()
+    assert "kappa" not in linear.parameters
+    np.testing.assert_allclose(linear.restoring_force(u, 0 * u), structure.restoring_force(u, 0 * u), rtol=1e-6)
+
+
+def test_the_true_factors_of_a_perturbed_model_differ(folder):
+    true, prescribed = PerturbedModelError(seed=3).structures(built(folder))
+    off = true.parameters["factor"] / prescribed.parameters["factor"] - 1.0
+    assert ((off.abs() >= 0.05) & (off.abs() <= 0.1)).all()
+
+
+def test_a_value_is_the_factor_and_a_file_of_several_holds_parts(folder):
+    structure = built(folder, {"every": {"value": 0.8}})
+    assert structure.parameters["factor"].tolist() == [0.8]
+    frequencies = Modes.of(structure).natural_frequencies[:3]
+    np.testing.assert_allclose(frequencies, np.sqrt(0.8) * full_frequencies([1.0] * 3, 3), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("factors", "setting", "said"),
+    [
+        ("base.mtx", "system.factors", "{K_2: K2.mtx}"),
+        ({"base": "absent.mtx"}, "system.factors.base", "there is none at"),
+        ({"base": "short.mtx"}, "system.factors.base", "as large as K, 60 x 60"),
+        ({"base": "lopsided.npz"}, "system.factors.base", "a symmetric matrix"),
+        ({"base": "nothing.mtx"}, "system.factors.base", "a matrix of zeros"),
+        ({"base": "negative.mtx"}, "system.factors.base", "positive semidefinite"),
+        ({"base": "base.mtx", "twice": "base.mtx"}, "system.factors", "is a part there twice"),
+        ({"base": {"file": "base.mtx", "value": 0}}, "system.factors.base.value", "a number > 0"),
+        ({"base": {"file": "base.mtx", "factor": 2}}, "system.factors.base.factor", "file and value"),
+        ({"the base": "base.mtx"}, "system.factors", "a name"),
+        ({"stop": "base.mtx"}, "system.factors", "another name"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(folder, factors, setting, said):
+    with pytest.raises(InputError) as error:
+        built(folder, factors, connections=STOP)
+    assert error.value.setting == setting
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
