@@ -16,6 +16,7 @@ from pinn_cli.cli.command_line import execute
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.prepare import prepare_problem
+from pinn_cli.cli.records import check_records
 from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
@@ -145,7 +146,9 @@ def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool)
     context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
     setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
     for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
-        estimator.check(prepared.problem)
+        for problem in prepared.problem.by_record:
+            estimator.check(problem)
+    check_records(prepared.problem, config.estimator, config.baseline, config.validation)
     config.validation.check(prepared.problem, setup)
     return Prepared(prepared, context, setup, in_sweep)
 
@@ -161,7 +164,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
     with stages("imports"):
         from pinn_cli.baseline.comparison import baseline_estimate
         from pinn_cli.posterior.result import posterior_result
-        from pinn_cli.report.results import Results
+        from pinn_cli.report.results import Results, further_results
         from pinn_cli.report.run_report import write_report
         from pinn_cli.training.calibrated_record import as_calibrated
     problem, context = prepared.problem.problem, prepared.context
@@ -174,7 +177,7 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         score = config.validation.score(problem, estimate, prepared.setup)
     with stages("baseline"):
         baseline = baseline_estimate(config.baseline, problem, context)
-    record = as_calibrated(prepared.problem.record, estimate)
+    record = as_calibrated(prepared.problem.record, estimate.by_record[0])
     drawn = config.figures if config.figures is not None else not prepared.in_sweep
     linear = _linear_response(config, prepared.problem.true) if drawn else None
     results = Results(
@@ -191,7 +194,8 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         prepared.problem.true if config.source.simulated else None,
         prepared.problem.validation,
     )
-    return write_report(results, directory, stages, drawn, config.exports)
+    further = further_results(results, problem.further, prepared.problem.truths[1:])
+    return write_report(replace(results, further=further), directory, stages, drawn, config.exports)
 
 
 def _linear_response(config: RunConfig, true: Structure) -> Response | None:

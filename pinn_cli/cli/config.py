@@ -18,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.cli.dof_names import in_names, named, numbered
+from pinn_cli.cli.records import data_of_records, of_record
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.memory import keep_freed_memory, leave_without_collecting
 from pinn_cli.runs.resume import ALLOWED, NEVER
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
     from pinn_cli.tracking.base import Tracking
-    from pinn_cli.training.base import Estimator, Training
+    from pinn_cli.training.base import Estimator, TrainedNetwork, Training
     from pinn_cli.validation.base import Validation
 
 VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict")
@@ -76,16 +77,28 @@ class Source:
 
     Attributes:
         measure: From the true chain to the record, with every sensor that exists, and the truth as far as it is known.
+            Of several records of one structure that of the first.
         simulated: Whether every sensor exists, so that the scheme chooses among them.
         snr_db: Of a simulated record, dB; None without noise and for a measured record.
         validate: From the true chain and what the estimator sees to the data that the identified system is tried on;
             None: there are none.
+        further: Of the other records, where several are solved together.
     """
 
     measure: Callable[[Structure], Measurements]
     simulated: bool
     snr_db: float | None
     validate: Callable[[Structure, Record], ValidationRecord] | None = None
+    further: tuple[Callable[[Structure], Measurements], ...] = ()
+
+    def measurements(self, true: Structure) -> list[Measurements]:
+        """Those of every record."""
+        each = (self.measure, *self.further)
+        found = []
+        for number, measure in enumerate(each, start=1):
+            with of_record(number, len(each)):
+                found.append(measure(true))
+        return found
 
 
 @dataclass(frozen=True)
@@ -174,7 +187,7 @@ class RunConfig:
         return self.scheme.observe(record) if self.source.simulated else record
 
     @property
-    def estimator(self) -> Estimator:
+    def estimator(self) -> TrainedNetwork:
         """The network, and how it is trained."""
         from pinn_cli.training.base import TrainedNetwork
 
@@ -313,17 +326,27 @@ def read_structure(config: DictConfig, base: Path | None) -> Structure:
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
     """A reduced model, with the static responses of the DOFs that carry a force."""
     from pinn_cli.system.finite_elements import build_finite_elements
-    from pinn_cli.system.quantities import FORCE
     from pinn_cli.system.topology import whole
 
-    forces = config.excitation.get("dofs") if _is_simulated(config) else config.data.get("force")
+    if _is_simulated(config):
+        forces = config.excitation.get("dofs")
+        loaded = list(forces) if OmegaConf.is_config(forces) else []
+    else:
+        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _loaded(node)))
+    structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
+    return whole(structure) if _is_simulated(config) else structure
+
+
+def _loaded(data: DictConfig) -> list[Any]:
+    """DOFs that carry a force in one measured record."""
+    from pinn_cli.system.quantities import FORCE
+
+    forces, channels = data.get("force"), data.get("channels")
     loaded = list(forces) if OmegaConf.is_config(forces) else []
-    channels = config.data.get("channels")
     for channel in channels.values() if OmegaConf.is_dict(channels) else ():
         if OmegaConf.is_dict(channel) and channel.get("sensor") == FORCE and channel.get("dof") is not None:
             loaded.append(channel.dof)
-    structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
-    return whole(structure) if _is_simulated(config) else structure
+    return loaded
 
 
 def _is_simulated(config: DictConfig) -> bool:
@@ -333,6 +356,23 @@ def _is_simulated(config: DictConfig) -> bool:
     return simulated
 
 
+def _measured(config: DictConfig, structure: Structure, base: Path | None) -> list[Any]:
+    """What measures every record of `data`."""
+    nodes = data_of_records(config.data)
+    if len(nodes) > 1 and config.data.get("validation") is not None:
+        allowed = f"null with the {len(nodes)} records of data.records"
+        raise InputError("data.validation", config.data.validation, allowed, "it belongs to one record")
+    measured = []
+    for number, node in enumerate(nodes, start=1):
+        with of_record(number, len(nodes)), in_names(structure.labels):
+            measured.append(build(node, "data", base=base))
+    return measured
+
+
+def _named_record(measured: Any, connections: Sequence[str], true: Structure) -> Measurements:
+    return named(partial(measured.measure, connections=connections), true.ndof, true.labels)
+
+
 def _source(config: DictConfig, structure: Structure, model_error: ModelError, seed: int, base: Path | None) -> Source:
     from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
@@ -340,18 +380,18 @@ def _source(config: DictConfig, structure: Structure, model_error: ModelError, s
     from pinn_cli.record.validation_data import validation_of
 
     if not _is_simulated(config):
-        with in_names(structure.labels):
-            measured = build(config.data, "data", base=base)
+        measured = _measured(config, structure, base)
         if model_error.name != "none":
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"
             raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
         labels, count = structure.labels, structure.incidence.shape[0]
         connections = [labels.connection(i) for i in range(count)]
         with in_names(structure.labels):
-            held = validation_of(measured)
-        measure = partial((measured if held is None else held.seen).measure, connections=connections)
+            held = validation_of(measured[0])
+        seen = measured if held is None else [held.seen]
+        first, *further = (partial(_named_record, each, connections) for each in seen)
         validate = None if held is None else partial(_validation_record, held, connections)
-        return Source(lambda true: named(measure, true.ndof, true.labels), False, None, validate)
+        return Source(first, False, None, validate, tuple(further))
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from pinn_cli.cli.records import of_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.settings.suggestion import suggestion
@@ -40,22 +41,34 @@ def numbered(config: DictConfig, labels: Labels) -> DictConfig:
         return config
     plain: Any = OmegaConf.to_container(config)
     for setting in (*MAPS, *LISTS):
-        *groups, last = setting.split(".")
-        node = plain
-        for group in groups:
-            node = node.get(group) if isinstance(node, dict) else None
-        if not isinstance(node, dict) or not isinstance(node.get(last), dict if setting in MAPS else list):
-            continue  # what is something else is refused by what reads it
-        given = node[last]
-        numbers = [_number(setting, dof, labels) for dof in given]
-        for i, number in enumerate(numbers):
-            if setting in MAPS and number in numbers[:i]:
-                raise InputError(setting, labels.dofs[number - 1], "there once only", "by its name or by its number")
-        node[last] = dict(zip(numbers, given.values(), strict=True)) if setting in MAPS else numbers
+        _number_setting(plain, setting, labels)
     data = plain.get("data")
     _number_channels("data", data, labels)
     _number_channels("data.validation", data.get("validation") if isinstance(data, dict) else None, labels)
+    records = data.get("records") if isinstance(data, dict) else None
+    entries = records if isinstance(records, list) else []
+    for i, entry in enumerate(entries, start=1):
+        with of_record(i, len(entries)):
+            for setting in (name for name in (*MAPS, *LISTS) if name.startswith("data.") and "validation" not in name):
+                _number_setting({"data": entry}, setting, labels)
+            _number_channels("data", entry, labels)
     return OmegaConf.create(plain)
+
+
+def _number_setting(plain: dict[str, Any], setting: str, labels: Labels) -> None:
+    """Put numbers in the place of the names in one setting, if it is there."""
+    *groups, last = setting.split(".")
+    node: Any = plain
+    for group in groups:
+        node = node.get(group) if isinstance(node, dict) else None
+    if not isinstance(node, dict) or not isinstance(node.get(last), dict if setting in MAPS else list):
+        return  # what is something else is refused by what reads it
+    given = node[last]
+    numbers = [_number(setting, dof, labels) for dof in given]
+    for i, number in enumerate(numbers):
+        if setting in MAPS and number in numbers[:i]:
+            raise InputError(setting, labels.dofs[number - 1], "there once only", "by its name or by its number")
+    node[last] = dict(zip(numbers, given.values(), strict=True)) if setting in MAPS else numbers
 
 
 def _number_channels(group: str, data: Any, labels: Labels) -> None:

@@ -60,6 +60,9 @@ class Inspected:
             config = numbered(config, structure.labels)
         frequencies = None if structure is None else _frequencies(structure)
         data = config.data
+        if data.get("records"):
+            hint = "one after the other: data.path=... and its columns"
+            raise InputError("data.records", data.records, "left out with inspect, which looks at one record", hint)
         if "path" in data and "format" in data:
             return cls(*_of_files(data, base), frequencies, measured=True)
         return cls(*_of_record(config, base), frequencies, measured=False)

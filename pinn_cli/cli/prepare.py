@@ -29,9 +29,10 @@ class PreparedProblem:
     Attributes:
         true: The system that a simulated record comes from.
         prescribed: The model that the estimator is given.
-        record: What it may see.
-        truth: What it is scored against, and nothing else.
+        record: What it may see; of several records the first.
+        truth: What it is scored against, and nothing else; of several records that of the first.
         problem: What it solves.
+        truths: Of every record.
         validation: What the identified system is tried on, of which no estimator is told; None: nothing.
     """
 
@@ -40,6 +41,7 @@ class PreparedProblem:
     record: Record
     truth: Truth
     problem: Problem
+    truths: tuple[Truth, ...]
     validation: ValidationRecord | None = None
 
 
@@ -57,13 +59,14 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     with stages("system"):
         true, prescribed = config.model_error.structures(config.structure)
     with stages("record"):
-        measurements = config.source.measure(true)
-        record = config.observe(measurements.record)
+        measurements = config.source.measurements(true)
+        records = [config.observe(each.record) for each in measurements]
         validate = config.source.validate
-        validation = None if validate is None else validate(true, record)
+        validation = None if validate is None else validate(true, records[0])
     with stages("problem"):
-        problem = config.scheme.problem(prescribed, record)
-    return PreparedProblem(true, prescribed, record, measurements.truth, problem, validation)
+        problem = config.scheme.joint_problem(prescribed, records)
+    truths = tuple(each.truth for each in measurements)
+    return PreparedProblem(true, prescribed, records[0], truths[0], problem, truths, validation)
 
 
 def compose_config(overrides: Sequence[str]) -> DictConfig:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from pinn_cli.training.calibrated_record import as_calibrated
+
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Response, Truth
@@ -86,6 +88,8 @@ class Results:
             model error (paper, Fig. 6).
         true: The structure that a simulated record comes from, for scoring; None of a measured record.
         validation: What the identified system is tried on and no estimator has seen; None: nothing.
+        further: Of further records that were solved together with this one, whose ``estimate`` then has the parameters
+            of all.
     """
 
     run: RunDescription
@@ -100,3 +104,26 @@ class Results:
     linear_response: Response | None = None
     true: Structure | None = None
     validation: ValidationRecord | None = None
+    further: tuple[Results, ...] = ()
+
+    @property
+    def by_record(self) -> tuple[Results, ...]:
+        """Those of every record, this one's first."""
+        own = replace(self, further=(), estimate=self.estimate.by_record[0]) if self.further else self
+        return (own, *self.further)
+
+
+def further_results(first: Results, problems: Sequence[Problem], truths: Sequence[Truth]) -> tuple[Results, ...]:
+    """Those of the records that were solved together with the first one.
+
+    Args:
+        first: With the estimate of all.
+        problems: Of the other records.
+        truths: Of the other records.
+    """
+    found = []
+    for problem, truth, estimate in zip(problems, truths, first.estimate.further, strict=True):
+        record = as_calibrated(problem.record, estimate)
+        own = replace(first, record=record, truth=truth, estimate=estimate, problem=replace(problem, record=record))
+        found.append(replace(own, baseline=None, posterior=None, score=None, linear_response=None))
+    return tuple(found)

@@ -45,7 +45,13 @@ def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, 
     """
     run = results.run
     baseline = {"name": run.baseline, **results.baseline.summary} if results.baseline else None
-    optional = {"baseline": baseline, "posterior": _sampling(results.posterior), "validation": _score(results)}
+    records = [own.estimate.summary for own in results.by_record] if results.further else None
+    optional = {
+        "records": records,
+        "baseline": baseline,
+        "posterior": _sampling(results.posterior),
+        "validation": _score(results),
+    }
     return {
         "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},

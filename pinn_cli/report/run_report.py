@@ -5,13 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pinn_cli.report.connection_forces import ConnectionForces
-from pinn_cli.report.dataset import response_dataset, write_dataset
-from pinn_cli.report.drift import Drifts, drift_table
-from pinn_cli.report.energy import DissipatedEnergy, energy_table
-from pinn_cli.report.free_run import free_run, free_run_table
 from pinn_cli.report.modes import ModeEstimates, mode_table
-from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table
+from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table, parameter_table
 from pinn_cli.report.posterior import (
     diagnostics_table,
     parameter_estimates,
@@ -19,14 +14,16 @@ from pinn_cli.report.posterior import (
     posterior_groups,
     write_posterior_data,
 )
+from pinn_cli.report.record_report import RecordReport, record_folder, records_table
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.report.terminal.parameters import diagnostics_text
 from pinn_cli.report.terminal.run import run_text
 from pinn_cli.report.terminal.validation import validation_text
 from pinn_cli.report.validation_run import ValidationRun, validation_table
+from pinn_cli.runs.side_by_side import side_by_side
 from pinn_cli.runs.writing import write_json, write_table
-from pinn_cli.verdict.judge import judge
+from pinn_cli.verdict.records import verdict_of_records
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,58 +52,60 @@ def write_report(
         What the run prints, from `pinn_cli.report.terminal.run.run_text`; the verdict comes last.
     """
     results = _with_posterior(results)
-    run, estimate, record, truth = results.run, results.estimate, results.record, results.truth
+    run, other = results.run, results.baseline
+    named = (run.baseline, other) if other else None
+    reports = [
+        RecordReport(own, directory / record_folder(number), named if number == 1 else None, exports)
+        for number, own in enumerate(results.by_record, start=1)
+    ]
+    records = side_by_side(reports, [len(report.results.record.time) for report in reports])
     with stages("free_run"):
-        free = free_run(results.prescribed, estimate, record)
+        free = records.each(RecordReport.run_free, [report is reports[0] for report in reports])[0]
     with stages("verdict"):
-        problem, other = results.problem, results.baseline
-        verdict = judge(problem, estimate, other, free.response) if problem else None
+        verdicts = records.each(RecordReport.verdict)
+        verdict = verdict_of_records(verdicts)
     with stages("report"):
-        tables = EstimatorTables.of("pinn", run, estimate, record, truth, free.response)
-        baseline = EstimatorTables.of(run.baseline, run, other, record, truth) if other else None
-        free_table = free_run_table(free, estimate, record, truth.response, run.labels_of(estimator="free_run"))
-        write_table(free_table, directory / "free_run.csv")
+        (tables, baseline), *others = records.each(RecordReport.write)
+        every, further = results.estimate.parameters, [own for own, _ in others]
+        labels = run.labels_of(estimator="pinn")
+        tables = replace(tables, parameters=parameter_table(every, results.truth.parameters, labels))
         _write_tables(results, tables.above(baseline), directory)
-        labels, named = run.labels_of(estimator="pinn"), (run.baseline, other) if other else None
-        drifts = Drifts.of(results.prescribed, estimate, truth.response)
-        write_table(drift_table(drifts, labels), directory / "drift.csv")
-        energy = DissipatedEnergy.of(results.prescribed, estimate, truth.response, results.true)
-        write_table(energy_table(energy, labels), directory / "energy.csv")
-        forces = ConnectionForces.of(results.prescribed, estimate, truth)
-        dataset = response_dataset(estimate, record, truth.response, labels, free.response, named, drifts, forces)
-        write_dataset(dataset, directory / "response.nc")
-        for export in exports:
-            export.write(dataset, directory / f"response.{export.name}")
+        if further:
+            rows = list(zip(results.by_record, (tables, *further), verdicts, strict=True))
+            write_table(records_table(rows), directory / "records.csv")
     validation = _validation(results, directory, stages)
     if figures:
         with stages("figures"):
+            records.each(RecordReport.draw)
             _draw(results, directory)
             if validation is not None:
                 _draw_validation(results, validation[0], directory)
     with stages("posterior_report"):
         diagnostics = write_posterior(results, directory, figures)
     write_json(run_record(results, verdict, stages.seconds), directory / "run.json")
+    assert free is not None
     paragraphs = diagnostics, "" if validation is None else validation_text(*validation)
-    return run_text(results, tables, baseline, (free, free_table), paragraphs, verdict, stages.seconds)
+    return run_text(results, tables, baseline, free, paragraphs, verdict, stages.seconds, further)
 
 
 def _with_posterior(results: Results) -> Results:
     """The parameters' means and intervals from their posterior, where there is one."""
     if results.posterior is None:
         return results
-    samples, estimate = results.posterior.samples, results.estimate
-    parameters = parameter_estimates(samples, [found.parameter for found in estimate.parameters])
+    samples = results.posterior.samples
+    parameters = parameter_estimates(samples, [found.parameter for found in results.estimate.parameters])
     correlation = posterior_correlation(samples.pooled)
-    return replace(results, estimate=replace(estimate, parameters=parameters, correlation=correlation))
+
+    def sampled(own: Results) -> Results:
+        return replace(own, estimate=replace(own.estimate, parameters=parameters, correlation=correlation))
+
+    return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
 
 def _write_tables(results: Results, tables: EstimatorTables, directory: Path) -> None:
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
     parameters, correlation = estimate.parameters, estimate.correlation
-    files: dict[str, Any] = {
-        "fitness": tables.fitness, "parameters": tables.parameters, "residuals": tables.residuals,
-        "history": estimate.history,
-    }  # fmt: skip
+    files: dict[str, Any] = {"parameters": tables.parameters, "history": estimate.history}
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
         files["modes"] = mode_table(modes, labels)
@@ -143,9 +142,9 @@ def _draw_validation(results: Results, run: ValidationRun, directory: Path) -> N
 
 def _draw(results: Results, directory: Path) -> None:
     # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
-    from pinn_cli.report.figures import write_figures
+    from pinn_cli.report.figures import write_run_figures
 
-    write_figures(results, directory / "figures")
+    write_run_figures(results, directory / "figures")
 
 
 def write_posterior(results: Results, directory: Path, figures: bool) -> str:

@@ -44,7 +44,9 @@ class Identity:
             base: The folder that relative paths of data start from; None: the current one.
         """
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
-        for name in FILES:
+        records = OmegaConf.select(config, "data.records")
+        records = records if isinstance(records, ListConfig) else []
+        for name in (*FILES, *(f"data.records[{i}].path" for i in range(len(records)))):
             path = OmegaConf.select(config, name)
             paths = path if isinstance(path, ListConfig) else [] if path is None else [path]
             contents = [_content(located(str(path), base)) for path in paths]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.structure import Structure
 
 
@@ -34,6 +36,16 @@ class Scheme(ABC):
         Raises:
             InputError: A setting does not fit the chain.
         """
+
+    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
+        """The estimation problem of one structure and several records, to be solved together.
+
+        Raises:
+            InputError: A setting does not fit, or the scheme has one record at a time.
+        """
+        if len(records) > 1:
+            raise InputError("data.records", f"{len(records)} records", f"one record with scheme={self.name}")
+        return self.problem(prescribed, records[0])
 
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
         """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.

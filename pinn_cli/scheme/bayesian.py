@@ -12,8 +12,9 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.prior_settings import checked_priors, read_priors, with_defaults
 from pinn_cli.scheme.problem import THROUGH, Problem
@@ -78,22 +79,29 @@ class Bayesian(Scheme):
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
-        _check_sensors(record)
+        return self.joint_problem(prescribed, [record])
+
+    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
+        """See :meth:`Scheme.joint_problem`."""
+        record, *further = records
+        _check_sensors(records)
+        _check_calibrations(records)
         if prescribed.shapes is not None:
             allowed = "state_parameter with system=matrices"
             raise InputError("scheme", "bayesian", allowed, "sensors on DOFs do not show the motion of every mode")
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]
-        chosen = unknown_parameters(prescribed, record, every_but_masses if self.unknown is None else self.unknown)
+        named = every_but_masses if self.unknown is None else self.unknown
+        chosen = unknown_parameters(prescribed, record, named, further)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)
-        starts = parameter_starts(prescribed, record, chosen, _given(record, chosen), most=1)[0]
+        starts = parameter_starts(prescribed, record, chosen, _given(record, chosen), 1, further)[0]
         scales = {parameter: start.scale for parameter, start in starts.items()}
         own = read_priors(self.priors, prescribed)
         priors = with_defaults(own, scales, self.positive)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in chosen)
         structure = at_starts(prescribed, unknown)
-        inputs = inputs_of(structure, record, self.unknown_force)
-        return Problem(structure, record, unknown, self.acceleration_through, self.initial_motion, inputs=inputs)
+        settings = self.acceleration_through, self.initial_motion, self.unknown_force
+        return Problem.of_records(structure, records, unknown, *settings)
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
@@ -125,14 +133,23 @@ def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: b
     )
 
 
-def _check_sensors(record: Record) -> None:
-    """Every connection's elongation and rate must be there, or its parameters are a guess."""
-    unseen = np.flatnonzero(~record.observed)
+def _check_calibrations(records: Sequence[Record]) -> None:
+    """What is in doubt about a sensor has no prior that a sampler could draw from."""
+    doubtful = dict.fromkeys(parameter.name for record in records for parameter in sensor_parameters(record))
+    if doubtful:
+        allowed = "sensors whose gain, offset, drift and delay are known with scheme=bayesian"
+        raise InputError("data.channels", ", ".join(doubtful), allowed, "scheme=state_parameter estimates them")
+
+
+def _check_sensors(records: Sequence[Record]) -> None:
+    """Every connection's elongation and rate must be there in one record or another, or its parameters are a guess."""
+    record = records[0]
+    unseen = np.flatnonzero(~np.any([each.observed for each in records], axis=0))
     if unseen.size:
         hint = "scheme=state_parameter estimates hidden motion and unknown parameters together"
         allowed = f"a sensor on every DOF, and there is none on {record.dof_names(unseen)}"
         raise InputError("scheme", "bayesian", allowed, hint)
-    follows = record.sensors("displacement") | record.sensors("velocity")
+    follows = np.any([each.sensors(quantity) for each in records for quantity in ("displacement", "velocity")], axis=0)
     for dof in np.flatnonzero(~follows):
         text = "DOF %s has an accelerometer only: drift below its noise leaves stiffness and damping poorly known"
         log.warning(text, record.dof_name(int(dof)))

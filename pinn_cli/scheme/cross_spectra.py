@@ -48,8 +48,13 @@ class CrossSpectra:
     felt: np.ndarray | None = None
 
     @classmethod
-    def of(cls, record: Record) -> CrossSpectra | None:
-        """Of a record whose forces are all measured or known to be zero; None of another."""
+    def of(cls, record: Record, records: int = 1) -> CrossSpectra | None:
+        """Of a record whose forces are all measured or known to be zero; None of another.
+
+        Args:
+            record: Whose.
+            records: How many are looked at together: so many times fewer frequencies of each will do.
+        """
         forced, ground = np.flatnonzero(record.sensors("force")), record.ground_acceleration
         if (not len(forced) and ground is None) or not np.isfinite(record.force).all():
             return None
@@ -59,7 +64,7 @@ class CrossSpectra:
         forces, responses = _spectrum(acting), _spectrum(measured)
         frequency = np.fft.rfftfreq(len(record.time), record.step)
         last = int(np.searchsorted(frequency, BEYOND_BAND * record_band(record), side="right"))
-        most = MOST_FREQUENCIES if record.ndof <= MANY_DOFS else MOST_FOR_MANY
+        most = max(MOST_FREQUENCIES // records, MOST_FOR_MANY) if record.ndof <= MANY_DOFS else MOST_FOR_MANY
         first = np.array(_group_starts(LOWEST_BINS, max(last, LOWEST_BINS + 8), most))
         first = first[first < len(frequency)]
         stop = np.append(first[1:], min(max(last, LOWEST_BINS + 8), len(frequency)))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
+from pinn_cli.scheme.inputs import inputs_of
+from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
@@ -43,6 +47,40 @@ class Problem:
     inputs: Inputs = field(default_factory=Inputs)
     further: tuple[Problem, ...] = ()
 
+    @classmethod
+    def of_records(
+        cls,
+        structure: Structure,
+        records: Sequence[Record],
+        uncertain: tuple[Parameter, ...],
+        acceleration_through: str,
+        initial_motion: str,
+        unknown_force: str,
+    ) -> Problem:
+        """That of one record or of several; each has the inputs and the calibrations that its own channels leave open.
+
+        Args:
+            structure: See above.
+            records: The first one's problem has the others' as ``further``.
+            uncertain: Of the structure.
+            acceleration_through: Likewise.
+            initial_motion: Likewise.
+            unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
+        """
+        believed: dict[tuple[str, str], Parameter] = {}
+        first, *further = (
+            cls(
+                structure,
+                record,
+                (*uncertain, *(_as_before(p, believed) for p in sensor_parameters(record))),
+                acceleration_through,
+                initial_motion,
+                inputs=inputs_of(structure, record, unknown_force),
+            )
+            for record in records
+        )
+        return replace(first, further=tuple(further)) if further else first
+
     @property
     def by_record(self) -> tuple[Problem, ...]:
         """A problem for every record, this one's first."""
@@ -68,3 +106,20 @@ class Problem:
     def identifies(self) -> bool:
         """Whether any parameter is unknown."""
         return any(parameter.unknown for parameter in self.uncertain)
+
+
+def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter]) -> Parameter:
+    """A sensor's parameter as an earlier record has it: a sensor of one name is one sensor.
+
+    An unknown delay's width depends on how a record was sampled, that of offset and drift on what it holds.
+    """
+    if parameter.kind not in ("gain", "delay"):
+        return parameter
+    known = believed.setdefault((parameter.kind, parameter.label), parameter)
+    if parameter.unknown and known.unknown:
+        return replace(parameter, prior_std=known.prior_std)
+    if (parameter.prescribed, parameter.prior_std) != (known.prescribed, known.prior_std):
+        said = f"{parameter.prescribed:g} +- {parameter.prior_std:g} and {known.prescribed:g} +- {known.prior_std:g}"
+        hint = "a sensor that was calibrated anew has another name"
+        raise InputError("data.channels", f"{parameter.name}: {said}", "the same in all records", hint)
+    return parameter

@@ -7,7 +7,7 @@ one to the other.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +59,7 @@ def screened(
     known: Mapping[str, np.ndarray],
     guess: Mapping[str, np.ndarray],
     influence: np.ndarray | None = None,
+    further: Sequence[Record] = (),
 ) -> list[Candidate]:
     """Candidates, the best first; none where a force is unknown or nothing is.
 
@@ -68,12 +69,16 @@ def screened(
         known: ``m`` to (n,), ``c`` and ``k`` to (C,), NaN where unknown.
         guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
         influence: (n,), how far each coordinate moves with the ground; None: by one.
+        further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
+            are left out.
     """
-    spectra = CrossSpectra.of(record)
-    if spectra is None or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
+    records = [record, *further]
+    found_spectra = [CrossSpectra.of(each, len(records)) for each in records]
+    seen = [(each, spectra) for each, spectra in zip(records, found_spectra, strict=True) if spectra is not None]
+    if not seen or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
         return []
-    model = LinearFit(spectra, stretch, known, guess["k"], influence)
-    starts = _starts(model, record, guess)
+    model = JointFit([LinearFit(spectra, stretch, known, guess["k"], influence) for _, spectra in seen])
+    starts = _starts(model, [each for each, _ in seen], guess)
     found: list[tuple[float, np.ndarray]] = []
     for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
         model.smooth(width)
@@ -144,29 +149,11 @@ class LinearFit:
             c[self.free["c"]] = np.exp(x[-1]) * critical[self.free["c"]]
         return {"m": m, "c": c, "k": k}
 
-    def misfit(self, x: np.ndarray) -> float:
-        """See :class:`Candidate`."""
-        residual, _ = self._residual(x, slopes=False)
-        return float(np.sum(np.abs(residual) ** 2)) / max(self.size, 1e-300)
-
-    def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """The misfit and the unknowns at the bottom of the valley that x lies in."""
-
-        def residual(x: np.ndarray) -> np.ndarray:
-            return _real(self._residual(x, slopes=False)[0].reshape(-1))
-
-        def jacobian(x: np.ndarray) -> np.ndarray:
-            return _real(self._residual(x, slopes=True)[1].reshape(-1, len(x)))
-
-        bounds = (x - FARTHEST, x + FARTHEST)
-        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
-        return self.misfit(found.x), found.x
-
     def _smoothed(self, values: np.ndarray) -> np.ndarray:
         flat = values.reshape(len(values), -1)
         return (self.kernel @ flat).reshape(-1, *values.shape[1:])
 
-    def _residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+    def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
         s, p = self.spectra, self.parameters(x)
         connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
@@ -204,13 +191,50 @@ class LinearFit:
         return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
 
 
+class JointFit:
+    """The same of several records of one structure: one vector of unknowns, and the misfits of all of them.
+
+    Args:
+        each: Of every record; they differ in their spectra alone.
+    """
+
+    def __init__(self, each: Sequence[LinearFit]) -> None:
+        self.each = each
+        self.known, self.free, self.stretch = each[0].known, each[0].free, each[0].stretch
+        self.start, self.parameters = each[0].start, each[0].parameters
+
+    def smooth(self, width: float) -> None:
+        """See :meth:`LinearFit.smooth`."""
+        for fit in self.each:
+            fit.smooth(width)
+
+    def misfit(self, x: np.ndarray) -> float:
+        """See :class:`Candidate`."""
+        residuals = [fit.residual(x, slopes=False)[0] for fit in self.each]
+        square = sum(float(np.sum(np.abs(residual) ** 2)) for residual in residuals)
+        return square / max(sum(fit.size for fit in self.each), 1e-300)
+
+    def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """The misfit and the unknowns at the bottom of the valley that x lies in."""
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            return _real(np.concatenate([fit.residual(x, slopes=False)[0].reshape(-1) for fit in self.each]))
+
+        def jacobian(x: np.ndarray) -> np.ndarray:
+            return _real(np.concatenate([fit.residual(x, slopes=True)[1].reshape(-1, len(x)) for fit in self.each]))
+
+        bounds = (x - FARTHEST, x + FARTHEST)
+        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
+        return self.misfit(found.x), found.x
+
+
 def last_ends(stretch: np.ndarray) -> np.ndarray:
     """(C,), of every connection, a row of (C, n), the last coordinate that stretches it; of a chain its own mass."""
     last: np.ndarray = stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)
     return last
 
 
-def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+def _starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """The guess, and the best of many with a common factor on its stiffnesses or masses that the record can tell."""
     mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
     stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
@@ -220,7 +244,8 @@ def _starts(model: LinearFit, record: Record, guess: Mapping[str, np.ndarray]) -
     if not stiff.size:
         return [model.start(mass, stiffness)]
     slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)
-    least, most = 2.0 * np.log10(SLOWEST / record.duration / fast), 2.0 * np.log10(FASTEST * record_band(record) / slow)
+    duration, band = max(each.duration for each in records), max(map(record_band, records))
+    least, most = 2.0 * np.log10(SLOWEST / duration / fast), 2.0 * np.log10(FASTEST * band / slow)
     factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
     lighter = np.ones_like(factors) if len(model.free["k"]) else factors

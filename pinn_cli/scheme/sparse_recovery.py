@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
-from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
@@ -59,8 +58,11 @@ class SparseRecovery(Scheme):
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""
+        return self.joint_problem(prescribed, [record])
+
+    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
+        """See :meth:`Scheme.joint_problem`."""
         check_given(prescribed)
-        uncertain = *believed_parameters(prescribed, self.parameter_uncertainty), *sensor_parameters(record)
+        uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         through, begins = self.acceleration_through, self.initial_motion
-        inputs = inputs_of(prescribed, record, self.unknown_force)
-        return Problem(prescribed, record, uncertain, through, begins, inputs=inputs)
+        return Problem.of_records(prescribed, records, uncertain, through, begins, self.unknown_force)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
@@ -9,17 +11,22 @@ from pinn_cli.record.record import Record
 from pinn_cli.system.structure import Structure
 
 
-def parameter_scales(structure: Structure, record: Record) -> dict[str, float]:
+def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[str, float]:
     """Kind of parameter to the value with which it alone would carry the force that acts, at the motion that there is.
 
     With F, U, V, A the root mean squares of force, displacement, velocity and acceleration: m is F / A, c is F / V, k
     is F / U, and a nonlinear parameter is F over the force that a value of one makes at (U, V). Only orders of
-    magnitude: an elongation is not a displacement.
+    magnitude: an elongation is not a displacement. Of several records the median counts.
 
     Args:
         structure: For its nonlinearity; its parameters are not read.
-        record: What was measured.
+        records: What was measured.
     """
+    every = [_scales(structure, record) for record in records]
+    return {kind: float(np.median([scales[kind] for scales in every])) for kind in every[0]}
+
+
+def _scales(structure: Structure, record: Record) -> dict[str, float]:
     size = motion_amplitudes(record)
     measured = record.force[:, record.sensors("force")]
     force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0

@@ -7,7 +7,7 @@ chain comes near, they come from the record's own scale (:mod:`pinn_cli.scheme.s
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,7 @@ def parameter_starts(
     unknown: Collection[Parameter],
     given: Mapping[Parameter, float],
     most: int | None,
+    further: Sequence[Record] = (),
 ) -> list[dict[Parameter, Start]]:
     """Starts of the unknown parameters, the most promising first.
 
@@ -68,16 +69,19 @@ def parameter_starts(
         given: What the user says of them. Of masses and springs their ratios count, and one start is what was given; a
             damper or a nonlinear parameter starts there.
         most: Starts at most; None: those that compete; 0: one, at what was given, whatever the record says.
+        further: Other records of the same structure.
     """
+    records = (record, *further)
     if prescribed.shapes is not None:
-        return [_starts(prescribed, record, unknown, given, _of_modes(prescribed, unknown, given))]
-    known, guess = _known(prescribed, unknown), _guess(prescribed, record, unknown, given)
+        return [_starts(prescribed, records, unknown, given, _of_modes(prescribed, unknown, given))]
+    known, guess = _known(prescribed, unknown), _guess(prescribed, records, unknown, given)
     stretch, moved = prescribed.incidence.matrix.toarray(), prescribed.with_ground
-    candidates = [] if most == 0 else [c for c in screened(record, stretch, known, guess, moved) if c.misfit < HOPELESS]
+    every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
+    candidates = [c for c in every if c.misfit < HOPELESS]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     linear = [candidate.parameters for candidate in candidates[:most]]
-    return [_starts(prescribed, record, unknown, given, values) for values in linear or [_unscreened(known, guess)]]
+    return [_starts(prescribed, records, unknown, given, values) for values in linear or [_unscreened(known, guess)]]
 
 
 def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
@@ -90,10 +94,10 @@ def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, n
 
 
 def _guess(
-    prescribed: Structure, record: Record, unknown: Collection[Parameter], given: Mapping[Parameter, float]
+    prescribed: Structure, records: Sequence[Record], unknown: Collection[Parameter], given: Mapping[Parameter, float]
 ) -> dict[str, np.ndarray]:
     """Masses (n,) and stiffnesses (C,) with the right ratios, as far as anybody has said something about them."""
-    scales = parameter_scales(prescribed, record)
+    scales = parameter_scales(prescribed, records)
     out = {}
     for kind in ("m", "k"):
         values = prescribed.parameters[kind].detach().cpu().double().numpy().copy()
@@ -136,12 +140,13 @@ def _stiffness_felt(prescribed: Structure) -> np.ndarray:
 
 def _starts(
     prescribed: Structure,
-    record: Record,
+    records: Sequence[Record],
     unknown: Collection[Parameter],
     given: Mapping[Parameter, float],
     linear: Mapping[str, np.ndarray],
 ) -> dict[Parameter, Start]:
-    scales, size = parameter_scales(prescribed, record), motion_amplitudes(record)["displacement"]
+    scales = parameter_scales(prescribed, records)
+    size = float(np.median([motion_amplitudes(record)["displacement"] for record in records]))
     out, springs = {}, unit_forces(prescribed, size, 0.0)
     # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
     typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}

@@ -10,9 +10,8 @@ from dataclasses import replace
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
-from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
-from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES, inputs_of
+from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
@@ -89,19 +88,24 @@ class StateParameter(Scheme):
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
-        chosen = unknown_parameters(prescribed, record, self.unknown)
+        return self.joint_problem(prescribed, [record])
+
+    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
+        """See :meth:`Scheme.joint_problem`."""
+        record, *further = records
+        chosen = unknown_parameters(prescribed, record, self.unknown, further)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
         problems: list[Problem] = []
-        through, inputs = self.acceleration_through, inputs_of(prescribed, record, self.unknown_force)
-        for start in parameter_starts(prescribed, record, chosen, self._given(prescribed, record, chosen), self.starts):
+        given = self._given(prescribed, record, chosen)
+        settings = self.acceleration_through, self.initial_motion, self.unknown_force
+        for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
             unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
-            uncertain += sensor_parameters(record)
             structure = at_starts(prescribed, unknown)
-            problems.append(Problem(structure, record, uncertain, through, self.initial_motion, inputs=inputs))
+            problems.append(Problem.of_records(structure, records, uncertain, *settings))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:

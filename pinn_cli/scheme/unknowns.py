@@ -27,7 +27,9 @@ def all_names(structure: Structure) -> dict[str, Parameter]:
     return {parameter.name: parameter for parameter in structure.every_parameter()}
 
 
-def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequence[str] | None) -> list[Parameter]:
+def unknown_parameters(
+    structure: Structure, record: Record, unknown: str | Sequence[str] | None, further: Sequence[Record] = ()
+) -> list[Parameter]:
     """The unknown parameters, in the chain's order.
 
     Args:
@@ -37,13 +39,14 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
             the nonlinear parameters of every connection that ends at a DOF without a sensor. Of a chain: connection i
             if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it,
             and the factors of its parts.
+        further: Other records of the same structure; a sensor in any of them is one.
 
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
     """
-    names = all_names(structure)
+    names, records = all_names(structure), (record, *further)
     if unknown is None:
-        hidden = _hidden_connections(structure, record)
+        hidden = _hidden_connections(structure, np.any([each.observed for each in records], axis=0))
         chosen = {
             name
             for name, p in names.items()
@@ -58,18 +61,18 @@ def unknown_parameters(structure: Structure, record: Record, unknown: str | Sequ
             raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
     found = [parameter for name, parameter in names.items() if name in chosen]
     for parameter in found:
-        _check_touched(parameter, structure, record)
+        _check_touched(parameter, structure, records)
     return found
 
 
-def _hidden_connections(structure: Structure, record: Record) -> np.ndarray:
+def _hidden_connections(structure: Structure, observed: np.ndarray) -> np.ndarray:
     """(C,) bool: those that end at a DOF without a sensor; of a chain DOF i counts as the end of connection i alone."""
     stretch = structure.incidence.matrix
     if structure.shapes is not None:  # the modes come first, and no sensor measures them
         return np.arange(stretch.shape[0]) >= structure.groups[0].incidence.shape[0]
     if stretch.shape[0] == stretch.shape[1] and (stretch != Incidence.chain(structure.ndof).matrix).nnz == 0:
-        return ~record.observed
-    hidden: np.ndarray = abs(stretch) @ ~record.observed > 0
+        return ~observed
+    hidden: np.ndarray = abs(stretch) @ ~observed > 0
     return hidden
 
 
@@ -101,14 +104,14 @@ def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter])
     return allowed, f"the estimator's model is a {structure.nonlinearity_name} chain"
 
 
-def _check_touched(parameter: Parameter, structure: Structure, record: Record) -> None:
+def _check_touched(parameter: Parameter, structure: Structure, records: Sequence[Record]) -> None:
     """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
     if structure.shapes is not None:
         if parameter.kind == MASS:
             allowed, hint = "parameters of connections", "the mass of a mode is one: its shape holds its size"
             raise InputError("scheme.unknown", parameter.name, allowed, hint)
         return
-    enforced = record.unforced | record.sensors("force")
+    enforced = np.any([record.unforced | record.sensors("force") for record in records], axis=0)
     if not enforced[structure.ends(parameter)].any():
         raise InputError(
             "scheme.unknown",
@@ -118,8 +121,8 @@ def _check_touched(parameter: Parameter, structure: Structure, record: Record) -
         )
     if parameter.kind != MASS:
         return
-    jumps = record.intersample == "zero_order_hold" and record.sensors("force")[parameter.index]
-    if jumps and record.sensors("acceleration")[parameter.index]:
+    jumps = [record for record in records if record.intersample == "zero_order_hold"]
+    if any(r.sensors("force")[parameter.index] and r.sensors("acceleration")[parameter.index] for r in jumps):
         raise InputError(
             "scheme.unknown",
             parameter.name,

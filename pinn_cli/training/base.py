@@ -44,6 +44,11 @@ class Estimator(ABC):
         """Whether it says how probable the record is under its model, as ``log_evidence`` of its summary."""
         return False
 
+    @property
+    def solves_records(self) -> bool:
+        """Whether it solves the records of a problem together, its ``further`` ones included."""
+        return False
+
 
 def built(design: NetworkDesign, problem: Problem) -> Network:
     """A network with an output for every unknown function of a problem; one of one's own may know of motions alone."""
@@ -70,6 +75,10 @@ class Training(ABC):
 
     def gives_evidence(self, design: NetworkDesign) -> bool:
         """See :attr:`Estimator.gives_evidence`, with a network of the given design."""
+        return False
+
+    def solves_records(self, design: NetworkDesign) -> bool:
+        """See :attr:`Estimator.solves_records`, with a network of the given design."""
         return False
 
 
@@ -107,3 +116,8 @@ class TrainedNetwork(Estimator):
     def gives_evidence(self) -> bool:
         """See :attr:`Estimator.gives_evidence`."""
         return self.training.gives_evidence(self.design)
+
+    @property
+    def solves_records(self) -> bool:
+        """See :attr:`Estimator.solves_records`."""
+        return self.training.solves_records(self.design)

@@ -117,8 +117,9 @@ class Estimate:
         correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
         likelihoods: Of the parameters, for a sampler; None where no posterior distribution was asked for.
         connections: Their elongations; None where the training gives no standard deviations of them.
-        further: Of further records that were solved together with this one; parameters, correlation and history are
-            the same.
+        further: Of further records that were solved together with this one, each with its own parameters; history is
+            the same. ``parameters`` and ``correlation`` are then those of all records.
+        own: How many of ``parameters``, the first ones, are this record's own; None: all.
     """
 
     response: Response
@@ -130,11 +131,16 @@ class Estimate:
     likelihoods: ParameterLikelihoods | None = None
     connections: ConnectionHistories | None = None
     further: tuple[Estimate, ...] = ()
+    own: int | None = None
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:
         """That of every record, this one's first."""
-        return (replace(self, further=()) if self.further else self, *self.further)
+        if not self.further:
+            return (self,)
+        correlation = None if self.correlation is None else self.correlation[: self.own, : self.own]
+        alone = replace(self, further=(), own=None, parameters=self.parameters[: self.own], correlation=correlation)
+        return (alone, *self.further)
 
 
 @dataclass(frozen=True, eq=False)

@@ -114,6 +114,10 @@ class GaussNewton(Training):
         """See :meth:`Training.gives_evidence`: weights that were fixed are no noise levels."""
         return not self.weights and design.name != "mlp"
 
+    def solves_records(self, design: NetworkDesign) -> bool:
+        """See :meth:`Training.solves_records`."""
+        return not self.weights and design.name != "mlp"
+
     def _over_all_weights(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
         """Of a network whose features are learned too, in the space of its residuals."""
         if problem.priors:

@@ -64,9 +64,11 @@ class Validation(ABC):
 
     Attributes:
         name: What score.csv calls it.
+        scores_records: Whether it scores what several records were solved for together.
     """
 
     name: ClassVar[str]
+    scores_records: ClassVar[bool] = False
 
     @abstractmethod
     def check(self, problem: Problem, setup: Setup) -> None:

@@ -18,6 +18,7 @@ class EvidenceScore(Validation):
     """
 
     name = "evidence"
+    scores_records = True
 
     def check(self, problem: Problem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""

@@ -11,6 +11,7 @@ class NoValidation(Validation):
     """The estimate alone."""
 
     name = "none"
+    scores_records = True
 
     def check(self, problem: Problem, setup: Setup) -> None:
         """Anything goes."""

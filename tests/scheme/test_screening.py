@@ -100,10 +100,10 @@ def test_slopes_of_the_misfit_are_those_of_its_values(stretch):
     free |= {"c": np.full(count, np.nan), "k": np.where(np.arange(count) < 5, np.nan, 0.0)}
     fit = LinearFit(CrossSpectra.of(made.record), stretch, free, stiffness)
     x = fit.start(guess(made)["m"], stiffness)
-    _, slopes = fit._residual(x, slopes=True)
+    _, slopes = fit.residual(x, slopes=True)
     assert slopes.shape[-1] == len(x) == 3 + min(count, 5) + 1
     for i, move in enumerate(1e-6 * np.eye(len(x))):
-        ends = [fit._residual(x + s * move, slopes=False)[0] for s in (1.0, -1.0)]
+        ends = [fit.residual(x + s * move, slopes=False)[0] for s in (1.0, -1.0)]
         rise = (ends[0] - ends[1]) / 2e-6
         np.testing.assert_allclose(slopes[..., i], rise, atol=1e-6 * np.abs(rise).max())
 
@@ -139,8 +139,8 @@ def test_an_earthquake_tells_stiffnesses_as_a_force_does(frame):
     np.testing.assert_allclose(best.parameters["k"], springs, rtol=0.05)
     fit = LinearFit(CrossSpectra.of(record), np.eye(3) - np.eye(3, k=-1), {**free, "m": np.full(3, np.nan)}, guess["k"])
     x = fit.start(1.2 * masses, 0.9 * springs)
-    residual, slopes = fit._residual(x, slopes=True)
+    residual, slopes = fit.residual(x, slopes=True)
     for i, step in enumerate(1e-6 * np.eye(len(x))):
-        numerical = (fit._residual(x + step, False)[0] - fit._residual(x - step, False)[0]) / 2e-6
+        numerical = (fit.residual(x + step, False)[0] - fit.residual(x - step, False)[0]) / 2e-6
         np.testing.assert_allclose(slopes[..., i], numerical, atol=1e-6 * np.abs(numerical).max())
     assert residual.shape[-1] == 1

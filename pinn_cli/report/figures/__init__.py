@@ -41,6 +41,36 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
     Returns:
         The files written.
     """
+    return write_record_figures(results, directory) + write_run_figures(results, directory)
+
+
+def write_run_figures(results: Results, directory: Path | str) -> list[Path]:
+    """Those that are about parameters and training, which several records have in common.
+
+    Returns:
+        The files written.
+    """
+    estimate, truth, figures = results.estimate, results.truth, {}
+    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
+    if modes is not None:
+        figures["modes"] = modes_figure(modes, results.run.truth_label)
+    if results.prescribed.labels.connections and results.prescribed.shapes is None:
+        figures["structure"] = structure_figure(results.prescribed)
+    if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
+        figures["history"] = history_figure(estimate.history)
+    if any(given.prescribed or given.unknown for given in estimate.parameters):
+        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters)
+    if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
+        figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
+    return [path for name, figure in figures.items() for path in save(figure, directory, name)]
+
+
+def write_record_figures(results: Results, directory: Path | str) -> list[Path]:
+    """Those that are about one record.
+
+    Returns:
+        The files written.
+    """
     estimate, record, truth, run = results.estimate, results.record, results.truth, results.run
     baseline = (run.baseline, results.baseline.response) if results.baseline else None
     figures = {
@@ -51,20 +81,9 @@ def write_figures(results: Results, directory: Path | str) -> list[Path]:
         "error_map": error_map_figure(estimate, record, truth.response),
         "drift": drift_figure(Drifts.of(results.prescribed, estimate, truth.response), run.truth_label),
     }
-    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
-    if modes is not None:
-        figures["modes"] = modes_figure(modes, run.truth_label)
     forces = ConnectionForces.of(results.prescribed, estimate, truth)
     if forces is not None and forces.memory.size:
         figures["hysteresis"] = hysteresis_figure(forces, run.truth_label)
-    if results.prescribed.labels.connections and results.prescribed.shapes is None:
-        figures["structure"] = structure_figure(results.prescribed)
-    if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
-        figures["history"] = history_figure(estimate.history)
-    if any(given.prescribed or given.unknown for given in estimate.parameters):
-        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters)
-    if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
-        figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
     return [path for name, figure in figures.items() for path in save(figure, directory, name)]
 
 

@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from pinn_cli.record.record import GROUND, UNITS
 from pinn_cli.report import published
@@ -17,9 +18,7 @@ from pinn_cli.report.terminal.fitness import comparison_text, fitness_text, free
 from pinn_cli.report.terminal.parameters import parameters_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    import pandas as pd
+    from collections.abc import Mapping, Sequence
 
     from pinn_cli.report.free_run import FreeRun
     from pinn_cli.report.results import Results, RunDescription
@@ -57,6 +56,7 @@ def run_text(
     posterior_and_validation: tuple[str, str],
     verdict: Verdict | None,
     seconds: Mapping[str, float],
+    further: Sequence[EstimatorTables] = (),
 ) -> str:
     """All that a run prints, in paragraphs that an empty line parts; the verdict comes last.
 
@@ -71,6 +71,7 @@ def run_text(
         posterior_and_validation: The texts of a posterior and of a validation on other data; "" without one.
         verdict: Where there is one.
         seconds: By stage.
+        further: Tables of the network for further records.
     """
     run, estimate = results.run, results.estimate
     warnings = identifiability_warnings(estimate.parameters, estimate.correlation)
@@ -78,7 +79,7 @@ def run_text(
     their_parameters = (baseline.name, baseline.parameters) if baseline else None
     known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
     paragraphs = [
-        "" if run.simulated else sensors_text(tables.residuals, their_residuals),
+        "" if run.simulated else sensors_text(_of_records(tables, further), their_residuals),
         parameters_text(tables.parameters, warnings, their_parameters),
         fitness_text(tables.fitness, results.record.observed, _published(run)),
         free_run_text(*free_run) if known else free_run_line(*free_run),
@@ -95,6 +96,14 @@ def _published(run: RunDescription) -> pd.DataFrame:
     values, labels = published.fitness(), run.labels_of(estimator="pinn")
     same = ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
     return values[(values[same] == [labels[name] for name in same]).all(axis=1)]
+
+
+def _of_records(first: EstimatorTables, further: Sequence[EstimatorTables]) -> pd.DataFrame:
+    """Residuals of all records, with a column that says of which, where there are several."""
+    if not further:
+        return first.residuals
+    numbered = (tables.residuals.assign(record=i) for i, tables in enumerate((first, *further), start=1))
+    return pd.concat(numbered, ignore_index=True)
 
 
 def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None = None) -> str:
@@ -119,6 +128,8 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
     if len(shown) > SENSORS_SHOWN:
         shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
         notes.append(f"the {len(shown)} of {len(table)} sensors with the largest NMSE; all: residuals.csv")
+    if "record" in shown:
+        columns = {"record": Column("record", -7, str), **columns}
     # A column of dashes says nothing: there may be no free run, and a training may find no noise.
     columns = {name: column for name, column in columns.items() if shown[name].notna().any()}
     return "\n".join([*table_lines(columns, shown), *notes, *_NOTES])

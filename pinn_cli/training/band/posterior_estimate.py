@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,6 +14,7 @@ from scipy.sparse import csr_matrix
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
+from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.discrepancy_search import Trained
@@ -22,7 +25,7 @@ from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.posterior import ReadoutPosterior
-from pinn_cli.training.estimate import ConnectionHistories, Estimate
+from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
 from pinn_cli.training.history import History
 
 
@@ -38,10 +41,32 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
     }
     table = history.table()
     first, *further = (
-        replace(own, parameters=parameters, correlation=correlation, history=table, summary=found | own.summary)
-        for own in evidence.each_record(record_estimate, trained)
+        replace(
+            own,
+            history=table,
+            summary=found | own.summary,
+            **_own_parameters(parameters, correlation, problem, columns),
+        )
+        for own, problem, columns in zip(
+            evidence.each_record(record_estimate, trained),
+            evidence.problem.by_record,
+            evidence.equations.columns,
+            strict=True,
+        )
     )
-    return replace(first, further=tuple(further))
+    if not further:
+        return first
+    every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
+    return replace(first, further=tuple(further), **every)
+
+
+def _own_parameters(
+    every: Sequence[ParameterEstimate], correlation: np.ndarray, problem: Problem, columns: np.ndarray
+) -> dict[str, Any]:
+    """One record's parameters as its problem has them, and their correlation."""
+    pairs = zip(columns, problem.uncertain, strict=True)
+    parameters = [replace(every[column], parameter=parameter) for column, parameter in pairs]
+    return {"parameters": parameters, "correlation": correlation[np.ix_(columns, columns)]}
 
 
 def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:

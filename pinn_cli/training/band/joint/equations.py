@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.runs.side_by_side import Items
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.joint import member
-from pinn_cli.training.band.joint.member import FactorKey, Place, SystemKey
-from pinn_cli.training.band.joint.workers import Members
+from pinn_cli.training.band.joint.member import FactorKey, Member, Place, SystemKey
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Bounded, Point
 from pinn_cli.training.noise_model import NoiseModel
+
+# What changes of a sensor from one record to the next.
+OF_ONE_RECORD = ("offset", "drift")
 
 
 class JointEquations(Bounded):
@@ -37,11 +42,9 @@ class JointEquations(Bounded):
         unknown: (p,) bool.
     """
 
-    def __init__(self, each: Sequence[NormalEquations], members: Members) -> None:
+    def __init__(self, each: Sequence[NormalEquations], members: Items[Member]) -> None:
         self.each, self.members = tuple(each), members
-        self.uncertain = tuple(dict.fromkeys(p for own in self.each for p in own.uncertain))
-        column = {parameter: i for i, parameter in enumerate(self.uncertain)}
-        self.columns = [np.array([column[p] for p in own.uncertain], dtype=int) for own in self.each]
+        self.uncertain, self.columns = joined_parameters([own.uncertain for own in self.each])
         self.is_plain = all(own.is_plain for own in self.each)
         self.lower = self.gathered([own.lower for own in self.each])
         self.scale = torch.as_tensor(self.gathered([own.scale.cpu().numpy() for own in self.each]))
@@ -111,6 +114,33 @@ class JointEquations(Bounded):
         number = self.number()
         levels = zip(self.places(point), noise.by_record, strict=True)
         return JointSystem(self, point, noise, [SystemKey(number, *each) for each in levels])
+
+
+def joined_parameters(each: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parameter, ...], list[np.ndarray]]:
+    """All parameters of several records, those of the first one first, and of every record the places of its own.
+
+    A parameter of the structure is the same in all records. So are the gain and the delay of a sensor of one name.
+    Offset and drift of a sensor are another record's own: they have the number of the record in their name there.
+    """
+    place: dict[tuple[object, ...], int] = {}
+    every: list[Parameter] = []
+    columns = []
+    for number, own in enumerate(each, start=1):
+        places = []
+        for parameter in own:
+            of_record = parameter.kind in OF_ONE_RECORD
+            key: tuple[object, ...] = (
+                parameter.kind,
+                parameter.label if parameter.kind in CALIBRATION_UNITS else parameter.index,
+            )
+            key = (*key, number) if of_record else key
+            if key not in place:
+                place[key] = len(every)
+                renamed = replace(parameter, label=f"{parameter.label}_record_{number}")
+                every.append(renamed if of_record and number > 1 else parameter)
+            places.append(place[key])
+        columns.append(np.array(places, dtype=int))
+    return tuple(every), columns
 
 
 @dataclass(frozen=True, eq=False)

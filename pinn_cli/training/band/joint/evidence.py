@@ -8,14 +8,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pinn_cli.runs.side_by_side import side_by_side
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.discrepancy_search import DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence, parameter_term
 from pinn_cli.training.band.joint import member
 from pinn_cli.training.band.joint.equations import JointEquations, JointFactor
-from pinn_cli.training.band.joint.member import PartKey
-from pinn_cli.training.band.joint.workers import members_of
+from pinn_cli.training.band.joint.member import Member, PartKey
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel
 
@@ -35,7 +35,10 @@ class JointEvidence(DiscrepancySearch):
 
     def __init__(self, problem: Problem, records: Sequence[Evidence]) -> None:
         first = records[0]
-        equations = JointEquations([own.equations for own in records], members_of(records))
+        each = [own.equations for own in records]
+        on_cpu = all(equations.target.force.device.type == "cpu" for equations in each)
+        sizes = [equations.layout.size for equations in each]
+        equations = JointEquations(each, side_by_side([Member(own) for own in records], sizes, copied=on_cpu))
         super().__init__(equations, first.iterations, first.tolerance, first.watch, first.learn_spread)
         self.equations, self.problem, self.records = equations, problem, tuple(records)
 

@@ -11,17 +11,19 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
+from pinn_cli.runs import side_by_side
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint import evidence as joint_evidence
+from pinn_cli.training.band.joint.equations import joined_parameters
 from pinn_cli.training.band.joint.evidence import JointEvidence
-from pinn_cli.training.band.joint.workers import Members
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.posterior_estimate import posterior_estimate
 from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel
 
 STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))
@@ -45,14 +47,10 @@ def together(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) ->
         Evidence(NormalEquations(Spline(knots_per_period=4.0).build(p.record), p), 20, 1e-9, lambda losses, noise: None)
         for p in own
     ]
-    if here:
-        made = joint_evidence.members_of
-        joint_evidence.members_of = lambda found: Members([joint_evidence.member.Member(e) for e in found])
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "usable_cores", lambda: [0] if here else [0, 1])
         evidence = JointEvidence(problem, each)
-    finally:
-        if here:
-            joint_evidence.members_of = made
+    assert (type(evidence.equations.members) is side_by_side.Items) == here
     levels = [replace(starting_noise(e), discrepancy=0.02, spread=0.8) for e in each]
     return evidence, NoiseModel.of_records(levels)
 
@@ -221,3 +219,40 @@ def test_several_noise_models_move_together():
         np.testing.assert_allclose(after.response["acceleration"], 2.0 * before.response["acceleration"])
         np.testing.assert_allclose(after.force, 3.0 * before.force)
         assert not after.further
+
+
+def sensor(kind: str, index: int, name: str) -> Parameter:
+    return Parameter(kind, index, 1.0, 2.0, unknown=True, label=name)
+
+
+def test_gain_and_delay_go_with_the_sensor_and_its_offset_with_the_record():
+    """Sensors are known by name: their number among the gauges of another record may be another one."""
+    first = (STIFFNESSES[0], sensor("gain", 0, "f"), sensor("offset", 0, "f"), sensor("delay", 1, "a1"))
+    second = (STIFFNESSES[0], sensor("offset", 1, "f"), sensor("gain", 1, "f"), sensor("delay", 0, "a2"))
+    every, columns = joined_parameters([first, second])
+    names = ["k_1", "gain_f", "offset_f", "delay_a1", "offset_f_record_2", "delay_a2"]
+    assert [p.name for p in every] == names
+    assert [list(places) for places in columns] == [[0, 1, 2, 3], [0, 4, 1, 5]]
+    assert every[: len(first)] == first
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
+    evidence, noise = together(uncertain)
+    trained = evidence.train(noise, evidence.equations.start())
+    estimate = posterior_estimate(evidence, trained, History(progress=False))
+    every = {found.name: found for found in estimate.parameters}
+    assert set(every) == {"k_1", "k_2", "c_2"}
+    assert len(estimate.by_record) == 2
+    for own, moving, record in zip(estimate.by_record, uncertain, records(), strict=True):
+        assert tuple(found.parameter for found in own.parameters) == moving
+        assert all(found.estimate == every[found.name].estimate for found in own.parameters)
+        assert own.correlation.shape == (len(moving),) * 2
+        assert len(own.response.time) == len(record.time)
+        assert not own.further
+    places = [list(every).index(found.name) for found in estimate.further[0].parameters]
+    np.testing.assert_array_equal(estimate.further[0].correlation, estimate.correlation[np.ix_(places, places)])
+    deviations = [every[name].std for name in every]
+    covariance = np.diag(np.linalg.inv(dense(evidence, trained.solution.point, noise)[0]))[-3:]
+    unit = evidence.equations.scale.numpy()
+    assert np.all(np.array(deviations) >= 0.98 * np.sqrt(covariance) * unit)

@@ -1,8 +1,9 @@
-"""Where the parts of several records are computed: one after the other, or side by side on the cores.
+"""Work on several items alike, such as records: one after the other, or side by side on the cores.
 
-Threads would wait for each other: much of the work are short steps of Python. So the records are shared out among
-copies of this process, which stay as long as the records do. Every record's numbers are computed in the same way
-wherever that is, and put together in the records' order: they do not depend on how many cores there are.
+Threads would wait for each other: much of the work are short steps of Python. So the items are shared out among copies
+of this process, which stay as long as what holds them does: what a function changes of an item stays changed there, and
+there alone. Every item's numbers are computed in the same way wherever that is, and come in the items' order: they do
+not depend on how many cores there are.
 """
 
 from __future__ import annotations
@@ -18,53 +19,51 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing import Pipe, current_process
 from multiprocessing.connection import Connection
-from typing import Any, TypeVar
-
-import torch
+from typing import Any, Generic, TypeVar
 
 from pinn_cli.runs.cores import usable_cores
 from pinn_cli.settings.errors import DivergenceError, InputError
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.member import Member
 
 R = TypeVar("R")
+T = TypeVar("T")
 
 
-class Members:
-    """Every record's part, in this process.
+class Items(Generic[T]):
+    """Items that are worked on in this process, one after the other.
 
     Args:
-        members: One for each record.
+        items: Which.
     """
 
-    def __init__(self, members: Sequence[Member]) -> None:
-        self.members = list(members)
+    def __init__(self, items: Sequence[T]) -> None:
+        self.items = list(items)
 
     def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
-        """What a function makes of every member, in their order.
+        """What a function makes of every item, in their order.
 
         Args:
-            function: Of a file's, of (member, its own of every argument).
-            arguments: Each with one entry for every member.
+            function: Of a file's, of (item, its own of every argument).
+            arguments: Each with one entry for every item.
         """
-        return [function(*given) for given in zip(self.members, *arguments, strict=True)]
+        return [function(*given) for given in zip(self.items, *arguments, strict=True)]
 
 
 # The ends of all pipes to copies that are alive: a copy must not keep those of others open.
 _ends: weakref.WeakSet[Connection] = weakref.WeakSet()
 
 
-class SharedOutMembers(Members):
+class SharedOutItems(Items[T]):
     """The same in copies of this process, which end with this object or with the process.
 
     Args:
-        members: One for each record.
+        items: Which.
         copies: How many.
+        sizes: Of the work on each; None: all alike.
     """
 
-    def __init__(self, members: Sequence[Member], copies: int) -> None:
-        super().__init__(members)
-        self.shares = shared_out([member.evidence.equations.layout.size for member in members], copies)
+    def __init__(self, items: Sequence[T], copies: int, sizes: Sequence[int] | None = None) -> None:
+        super().__init__(items)
+        self.shares = shared_out([1] * len(items) if sizes is None else sizes, copies)
         self.ends: list[Connection] = []
         pids: list[int] = []
         for _ in self.shares:
@@ -74,8 +73,8 @@ class SharedOutMembers(Members):
         self.close = weakref.finalize(self, _end, os.getpid(), self.ends, pids)
 
     def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
-        """See :meth:`Members.each`."""
-        tasks = list(zip(*arguments, strict=True)) if arguments else [()] * len(self.members)
+        """See :meth:`Items.each`."""
+        tasks = list(zip(*arguments, strict=True)) if arguments else [()] * len(self.items)
         found: dict[int, R] = {}
         try:
             for end, share in zip(self.ends, self.shares, strict=True):
@@ -84,31 +83,35 @@ class SharedOutMembers(Members):
                 found.update(_received(end))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self.close()
-            raise MemoryError("a process that solved some of the records was killed: out of memory?") from None
+            raise MemoryError("a process that worked on some of the records was killed: out of memory?") from None
         except BaseException:
             self.close()  # whatever is still on its way belongs to no question any more
             raise
-        return [found[i] for i in range(len(self.members))]
+        return [found[i] for i in range(len(self.items))]
 
     def _copy(self) -> tuple[int, Connection]:
         mine, its = Pipe()
         pid = os.fork()
         if pid == 0:
-            _serve(self.members, its, [mine, *_ends])
+            _serve(self.items, its, [mine, *_ends])
         its.close()
         _ends.add(mine)
         return pid, mine
 
 
-def members_of(records: Sequence[Evidence]) -> Members:
-    """Of the records' evidence, on as many cores as there are; on a GPU in this process, as where it has no copies."""
-    members = [Member(evidence) for evidence in records]
-    copies = min(len(members), len(usable_cores()))
-    on_cpu = all(evidence.equations.target.force.device.type == "cpu" for evidence in records)
+def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True) -> Items[T]:
+    """Items on as many cores as there are.
+
+    Args:
+        items: Which.
+        sizes: Of the work on each; None: all alike.
+        copied: False: in this process all the same, as where a GPU holds them.
+    """
+    copies = min(len(items), len(usable_cores()))
     # macOS has fork, but its own libraries do not survive it.
-    if copies < 2 or not on_cpu or not sys.platform.startswith("linux") or current_process().daemon:
-        return Members(members)
-    return SharedOutMembers(members, copies)
+    if copies < 2 or not copied or not sys.platform.startswith("linux") or current_process().daemon:
+        return Items(items)
+    return SharedOutItems(items, copies, sizes)
 
 
 def shared_out(sizes: Sequence[int], copies: int) -> list[list[int]]:
@@ -126,7 +129,7 @@ def _received(end: Connection) -> dict[int, Any]:
     return dict(answer)
 
 
-def _serve(members: Sequence[Member], questions: Connection, others: Sequence[Connection]) -> None:
+def _serve(items: Sequence[Any], questions: Connection, others: Sequence[Connection]) -> None:
     """What a copy does until nobody asks any more; it never returns to what this process was about."""
     status = 1
     try:
@@ -137,10 +140,11 @@ def _serve(members: Sequence[Member], questions: Connection, others: Sequence[Co
         for other in others:
             other.close()
         gc.freeze()
-        torch.set_num_threads(1)  # other threads are not copied
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(1)  # other threads are not copied
         with suppress(EOFError, BrokenPipeError):
             for function, tasks in _asked(questions):
-                questions.send_bytes(_answer(members, function, tasks))
+                questions.send_bytes(_answer(items, function, tasks))
         status = 0
     finally:
         os._exit(status)
@@ -151,9 +155,9 @@ def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[tup
         yield pickle.loads(questions.recv_bytes())
 
 
-def _answer(members: Sequence[Member], function: Callable[..., Any], tasks: Sequence[tuple[int, Any]]) -> bytes:
+def _answer(items: Sequence[Any], function: Callable[..., Any], tasks: Sequence[tuple[int, Any]]) -> bytes:
     try:
-        return pickle.dumps([(i, function(members[i], *given)) for i, given in tasks], pickle.HIGHEST_PROTOCOL)
+        return pickle.dumps([(i, function(items[i], *given)) for i, given in tasks], pickle.HIGHEST_PROTOCOL)
     except (InputError, DivergenceError, MemoryError) as error:
         return pickle.dumps(error)
     except Exception as error:

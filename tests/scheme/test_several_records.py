@@ -1,0 +1,134 @@
+"""One problem from several records: what is unknown, where it starts, what each record leaves open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from independent_records import frame, frame_record
+from small_problems import accelerations, measured, small_chain
+
+from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.screening import screened
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.scheme.starting_values import parameter_scales
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.structure import Structure
+
+CHAIN = small_chain("linear")
+
+
+def roving(dofs: tuple[int, ...] = (1, 2, 3)) -> list[Record]:
+    """A record for every DOF, each with one accelerometer."""
+    return [accelerations(measured(CHAIN, snr_db=40.0, seed=dof).record, (dof,)) for dof in dofs]
+
+
+def test_believed_parameters_are_one_set_and_every_record_has_its_own_inputs():
+    first, second = roving((1, 2))
+    second = replace(second, force=np.where(second.unforced, second.force, np.nan))
+    problem = SparseRecovery().joint_problem(CHAIN, [first, second])
+    one, other = problem.by_record
+    assert one.uncertain == other.uncertain
+    assert [p.prior_std for p in one.uncertain] == [p.prior_std for p in other.uncertain]
+    assert one.inputs.forces == ()
+    assert other.inputs.forces == (0,)
+    assert (one.record, other.record) == (first, second)
+    assert not one.further
+    assert SparseRecovery().joint_problem(CHAIN, [first]).further == ()
+
+
+def test_a_connection_is_hidden_where_no_record_has_a_sensor():
+    def unknown(dofs: tuple[int, ...]) -> list[str]:
+        problem = StateParameter(parameter_uncertainty=0.0).joint_problem(CHAIN, roving(dofs))
+        assert {p.uncertain for p in problem.by_record} == {problem.uncertain}
+        return [p.name for p in problem.uncertain]
+
+    assert unknown((1,)) == ["k_2", "k_3"]
+    assert unknown((1, 2)) == ["k_3"]
+    with pytest.raises(InputError, match="every DOF has a sensor"):
+        unknown((1, 2, 3))
+
+
+def test_all_records_start_at_the_same_place_and_so_do_their_alternatives():
+    problem = StateParameter(unknown="k_*", parameter_uncertainty=0.0).joint_problem(CHAIN, roving((1, 3)))
+    for start in (problem, *problem.alternatives):
+        assert len(start.by_record) == 2
+        assert len({own.structure for own in start.by_record}) == 1
+        starts = [[p.prescribed for p in own.uncertain] for own in start.by_record]
+        assert starts[0] == starts[1]
+
+
+def test_a_roving_accelerometer_is_sensors_enough_for_a_bayesian_scheme():
+    problem = Bayesian(unknown="k_*").joint_problem(CHAIN, roving())
+    assert len(problem.priors) == 3
+    with pytest.raises(InputError, match="there is none on DOF 3"):
+        Bayesian(unknown="k_*").joint_problem(CHAIN, roving((1, 2)))
+
+
+def test_scales_are_the_median_of_the_records():
+    first, second, third = roving()
+    alone = [parameter_scales(CHAIN, [record])["k"] for record in (first, second, third)]
+    assert parameter_scales(CHAIN, [first, second, third])["k"] == np.median(alone)
+
+
+def test_what_one_accelerometer_leaves_open_three_records_tell():
+    """The screening's misfit is that of all records: the best start is the frame, from a guess ten times off."""
+    made = [
+        frame_record(cubic=False, duration=10.0, sensors=(("acceleration", (dof,)),), seed=dof).record
+        for dof in (1, 2, 3)
+    ]
+    stretch, truth = np.eye(3) - np.eye(3, k=-1), frame()
+    known = {"m": truth.m, "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
+    guess = {"m": truth.m, "k": np.full(3, 1.5e5)}
+    best = screened(made[0], stretch, known, guess, further=made[1:])[0]
+    np.testing.assert_allclose(best.parameters["k"], truth.k, rtol=0.05)
+
+
+class OneAtATime(Scheme):
+    """Somebody's own."""
+
+    name = "own"
+
+    def observe(self, record: Record) -> Record:
+        return record
+
+    def problem(self, prescribed: Structure, record: Record) -> Problem:
+        return Problem(prescribed, record)
+
+
+def test_a_scheme_of_ones_own_has_one_record_unless_it_says_otherwise():
+    records = roving((1, 2))
+    assert OneAtATime().joint_problem(CHAIN, records[:1]).record is records[0]
+    with pytest.raises(InputError, match=r"data\.records=2 records: must be one record with scheme=own"):
+        OneAtATime().joint_problem(CHAIN, records)
+
+
+def with_gauge(record: Record, **calibration: Calibration) -> Record:
+    values = record.force[:, 0]
+    return replace(record, gauges=(Gauge("f", "force", {0: 1.0}, record.time, values, calibration),))
+
+
+def test_a_sensor_of_one_name_is_one_sensor():
+    unknown, believed = Calibration(1.0, 10.0, unknown=True), Calibration(1.0, 0.1)
+    delay = [Calibration(0.0, width, unknown=True) for width in (0.1, 0.2)]
+    records = [with_gauge(record, gain=unknown, delay=own) for record, own in zip(roving((1, 2)), delay, strict=True)]
+    problem = SparseRecovery(parameter_uncertainty=0.0).joint_problem(CHAIN, records)
+    widths = [[p.prior_std for p in own.uncertain] for own in problem.by_record]
+    assert widths == [[10.0, 0.1], [10.0, 0.1]]
+    records = [with_gauge(record, gain=own) for record, own in zip(roving((1, 2)), (unknown, believed), strict=True)]
+    with pytest.raises(InputError, match="gain_f.*the same in all records"):
+        SparseRecovery(parameter_uncertainty=0.0).joint_problem(CHAIN, records)
+
+
+def test_a_bayesian_scheme_says_that_it_has_no_calibrations():
+    records = [with_gauge(record, gain=Calibration(1.0, 0.1)) for record in roving()]
+    assert sensor_parameters(records[0])
+    with pytest.raises(InputError, match=r"data\.channels=gain_f: must be sensors whose gain"):
+        Bayesian(unknown="k_*").joint_problem(CHAIN, records)

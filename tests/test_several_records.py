@@ -1,0 +1,87 @@
+"""Three records of a frame with one accelerometer that roves, through the whole program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from calls import PinnRun
+from independent_records import frame, frame_record
+
+TRUTH = frame().k
+FRAME = ("data=csv", "system=linear", "system.ndof=3", "system.m=2000", "system.c=[3000,2800,2400]", "figures=false")
+UNKNOWN = ("scheme=state_parameter", "scheme.unknown=k_*", "scheme.parameter_uncertainty=0")
+
+
+def write(folder: Path, duration: float, snr_db: float, force_gain: float = 1.0) -> None:
+    """A file for every storey, with the roof's force and that storey's acceleration, of motions of their own."""
+    for storey in (1, 2, 3):
+        made = frame_record(
+            cubic=False, duration=duration, snr_db=snr_db, sensors=(("acceleration", (storey,)),), seed=storey
+        ).record
+        columns = {"t": made.time, "f": force_gain * made.force[:, 2], "a": made.acceleration[:, storey - 1]}
+        pd.DataFrame(columns).to_csv(folder / f"storey_{storey}.csv", index=False)
+
+
+def parameters(directory: Path) -> pd.DataFrame:
+    return pd.read_csv(directory / "parameters.csv").set_index("parameter")
+
+
+def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> None:
+    write(tmp_path, duration=6.0, snr_db=30.0)
+    paths = [tmp_path / f"storey_{storey}.csv" for storey in (1, 2, 3)]
+    records = ",".join(f"{{path: '{path}', acceleration: {{{i}: a}}}}" for i, path in enumerate(paths, start=1))
+    command = (*FRAME, *UNKNOWN, "data.force={3: f}", f"data.records=[{records}]", f"hydra.run.dir={tmp_path}/run")
+    done = pinn_run(*command)
+    assert done.status == 0, done.err
+    found = parameters(done.directory)
+    assert list(found.index) == ["k_1", "k_2", "k_3"]
+    assert np.all(np.abs(found["estimate"] / TRUTH - 1.0) < 0.02)
+    summary = pd.read_csv(done.directory / "records.csv")
+    assert list(summary["folder"]) == [".", "record_2", "record_3"]
+    assert list(summary["samples"]) == [600, 600, 600]
+    run = json.loads((done.directory / "run.json").read_text())
+    assert len(run["records"]) == 3
+    assert run["records"][1]["sigma_acceleration"][0] is None
+    for folder, storey in zip(summary["folder"], (1, 2, 3), strict=True):
+        residuals = pd.read_csv(done.directory / folder / "residuals.csv")
+        assert list(zip(residuals["quantity"], residuals["dof"], strict=True)) == [
+            ("acceleration", storey),
+            ("force", 3),
+        ]
+        with xr.open_dataset(done.directory / folder / "response.nc") as response:
+            measured = pd.read_csv(paths[storey - 1])["a"]
+            np.testing.assert_allclose(response["acceleration_observed"][:, storey - 1], measured)
+        assert (done.directory / folder / "fitness.csv").is_file()
+        assert (done.directory / folder / "parameters.csv").is_file() == (folder == ".")
+    assert "2      acceleration 2" in done.out
+    again = pinn_run(*command, "resume=auto")
+    assert "finished before" in again.out
+
+
+@pytest.mark.slow
+def test_a_roving_accelerometer_and_a_load_cell_of_unknown_gain(pinn_run: PinnRun, tmp_path: Path) -> None:
+    """Together the records tell every stiffness to a per cent; three runs on their own do not agree."""
+    write(tmp_path, duration=20.0, snr_db=20.0, force_gain=1.1)
+
+    def entry(storey: int) -> str:
+        load_cell, roving = "f: {sensor: force, dof: 3, gain: unknown}", f"a: {{sensor: acceleration, dof: {storey}}}"
+        return f"path: '{tmp_path}/storey_{storey}.csv', channels: {{{load_cell}, {roving}}}"
+
+    alone = []
+    for storey in (1, 2, 3):
+        path, _, channels = entry(storey).partition(", channels: ")
+        done = pinn_run(*FRAME, *UNKNOWN, f"data.path={path.removeprefix('path: ')}", f"data.channels={channels}")
+        assert done.status == 0, done.err
+        alone.append(parameters(done.directory)["estimate"][["k_1", "k_2", "k_3"]].to_numpy())
+    records = ",".join(f"{{{entry(storey)}}}" for storey in (1, 2, 3))
+    done = pinn_run(*FRAME, *UNKNOWN, f"data.records=[{records}]")
+    assert done.status == 0, done.err
+    found = parameters(done.directory)["estimate"]
+    assert list(found.index) == ["k_1", "k_2", "k_3", "gain_f"]
+    assert np.all(np.abs(found[["k_1", "k_2", "k_3"]].to_numpy() / TRUTH - 1.0) < 0.01)
+    assert np.ptp(alone, axis=0).max() > 0.1 * TRUTH.max()
