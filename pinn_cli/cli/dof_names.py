@@ -24,6 +24,8 @@ OF_DATA = ("force", "displacement", "velocity", "acceleration")
 MAPS = tuple(f"{group}.{name}" for group in ("data", "data.validation") for name in OF_DATA)
 # What stands for the support among the ends of a channel.
 GROUND_NAMES = ("ground", 0)
+# Of simulated records alone: a measured one has the sensors that it has.
+SIMULATED = "scheme.unobserved"
 LISTS = ("data.holdout", "excitation.dofs", "excitation.force.dofs", "scheme.unobserved", "validation.dofs")
 
 
@@ -40,7 +42,10 @@ def numbered(config: DictConfig, labels: Labels) -> DictConfig:
     if not labels.dofs:
         return config
     plain: Any = OmegaConf.to_container(config)
+    measured = "path" in (plain.get("data") or {})
     for setting in (*MAPS, *LISTS):
+        if measured and setting == SIMULATED:
+            continue  # its default is of the paper's chain; what a user says is refused by what reads it
         _number_setting(plain, setting, labels)
     data = plain.get("data")
     _number_channels("data", data, labels)

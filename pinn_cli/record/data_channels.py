@@ -206,19 +206,31 @@ def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> tuple[dict[int
     if given[0] == "dof":
         return {_dof(f"{setting}.dof", place): 1.0}, None
     if given[0] == "between":
-        ends = entries(place)
-        if len(ends) != 2 or isinstance(place, str) or ends[0] == ends[1]:
-            raise InputError(
-                f"{setting}.between", place, "two DOFs [a, b]: the sensor feels u_a - u_b, and ground is 0"
-            )
-        each = zip(ends, (1.0, -1.0), strict=True)
-        return {_dof(f"{setting}.between", end): sign for end, sign in each if end not in ("ground", 0)}, None
+        return _between(f"{setting}.between", place), None
+    return _weights(f"{setting}.weights", place), None
+
+
+def _between(setting: str, place: Any) -> dict[int, float]:
+    """Weights of a sensor that feels u_a - u_b."""
+    ends = ["ground" if end == 0 else end for end in entries(place)]
+    if len(ends) != 2 or ends[0] == ends[1]:
+        raise InputError(setting, place, "two DOFs [a, b]: the sensor feels u_a - u_b, and ground is 0")
+    return {_dof(setting, end): sign for end, sign in zip(ends, (1.0, -1.0), strict=True) if end != "ground"}
+
+
+def _weights(setting: str, place: Any) -> dict[int, float]:
+    """Weights of a sensor that feels any sum."""
     if not isinstance(place, Mapping) or not place:
-        raise InputError(f"{setting}.weights", place, "a map of DOF: weight, such as {1: 0.4, 2: -0.2}")
-    return {
-        _dof(f"{setting}.weights", dof): float(finite_number(f"{setting}.weights.{dof}", weight))
-        for dof, weight in place.items()
-    }, None
+        raise InputError(setting, place, "a map of DOF: weight, such as {1: 0.4, 2: -0.2}")
+    weights: dict[int, float] = {}
+    for key, given in place.items():
+        dof, weight = _dof(setting, key), float(finite_number(f"{setting}.{key}", given))
+        if dof in weights:
+            raise InputError(setting, key, "there once only")
+        if weight == 0.0:
+            raise InputError(f"{setting}.{key}", given, "a weight that is not 0", "leave out what it does not feel")
+        weights[dof] = weight
+    return weights
 
 
 def _dof(setting: str, dof: Any) -> int:

@@ -111,6 +111,15 @@ class Gauge:
         """(N,), what it felt at other times, by straight lines between its samples; see :meth:`calibrated`."""
         return np.interp(time, *self.calibrated(found))
 
+    def started_at(self, values: Mapping[str, float]) -> Gauge:
+        """The same where the search for its unknown numbers starts elsewhere; what is believed stays.
+
+        Args:
+            values: Kind to value.
+        """
+        unknown = {kind: replace(self.of(kind), value=v) for kind, v in values.items() if self.of(kind).unknown}
+        return replace(self, calibration={**self.calibration, **unknown}) if unknown else self
+
     def until(self, time: float) -> Gauge:
         """The same without samples after a time, s."""
         kept = self.time <= time

@@ -15,7 +15,7 @@ from pinn_cli.record.clock import TIME_UNITS
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.held_out import not_held_out, scored_by
 from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.record.record import (
     GROUND,
@@ -144,28 +144,18 @@ class MeasuredData:
             if quantity != GROUND:
                 target = truth if dof in self.holdout else seen
                 getattr(target, quantity)[:, dof - 1] = column
+        for gauge in found.gauges:
+            if gauge.dof is not None and gauge.quantity != GROUND and gauge.dof + 1 in self.holdout:
+                getattr(truth, gauge.quantity)[:, gauge.dof] = scored_by(gauge, time, self.holdout)
         seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
         record = Record(
             **seen.measurable,
             unforced=unforced,
             intersample=self.intersample,
             frame=self.frame,
-            gauges=self._not_held_out(found.gauges),
+            gauges=not_held_out(found.gauges, self.holdout),
         )
         return Measurements(record, Truth(truth))
-
-    def _not_held_out(self, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
-        """The gauges that an estimator may see.
-
-        Raises:
-            InputError: One that feels a DOF which is held out and cannot be scored.
-        """
-        held = {dof - 1 for dof in self.holdout}
-        for gauge in gauges:
-            if held & set(gauge.weights) and not (gauge.fills and gauge.feels_one):
-                allowed = "DOFs whose every channel measures that DOF alone"
-                raise InputError("data.holdout", list(self.holdout), allowed, f"channel {gauge.name} feels others too")
-        return tuple(gauge for gauge in gauges if not held & set(gauge.weights))
 
     @cached_property
     def _every_channel(self) -> tuple[DataChannel, ...]:
@@ -251,6 +241,10 @@ class MeasuredData:
         if all(dofs & set(self.holdout) for dofs in response):
             allowed = "such that a displacement, velocity or acceleration column is left"
             raise InputError("data.holdout", list(self.holdout), allowed)
+        if all(c.dof is None for c in self._every_channel if c.sensor in RESPONSE_QUANTITIES):
+            allowed = "one displacement, velocity or acceleration at least that feels one DOF alone"
+            hint = "the size and the band of the motion are read off it"
+            raise InputError("data.channels", "drifts and weighted sums only", allowed, hint)
 
     def _check_columns_differ(self) -> None:
         files = self._files

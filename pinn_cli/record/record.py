@@ -224,6 +224,25 @@ class Record:
         missing = self.missing.get(quantity)
         return None if missing is None or not missing[:, channel].any() else ~missing[:, channel]
 
+    def started_at(self, calibrations: Mapping[int, Mapping[str, float]]) -> Record:
+        """The record whose gauges' unknown numbers start elsewhere; its columns show what they then say.
+
+        Args:
+            calibrations: Number of a gauge, from 0, to its numbers by kind.
+        """
+        gauges = tuple(gauge.started_at(calibrations.get(i, {})) for i, gauge in enumerate(self.gauges))
+        columns: dict[str, Any] = {
+            name: np.array(getattr(self, name)) for name in {g.quantity for g in gauges if g.dof is not None}
+        }
+        for gauge in gauges:
+            if gauge.dof is not None:
+                shown = gauge.history(self.time)
+                if gauge.quantity == GROUND:
+                    columns[GROUND] = shown
+                else:
+                    columns[gauge.quantity][:, gauge.dof] = shown
+        return replace(self, gauges=gauges, **columns)
+
     @property
     def observed(self) -> np.ndarray:
         """(n,) bool: the DOFs with a displacement, velocity or acceleration sensor."""

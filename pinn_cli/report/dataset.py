@@ -46,9 +46,10 @@ def response_dataset(
 
     Returns:
         For each quantity ``displacement`` (estimate), ``displacement_std``, ``displacement_true`` (left out where no
-        DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor) and ``displacement_free_run``
-        (left out where there is none), and so on for velocity, acceleration and force (which has no free run), over
-        ``time`` (s) and ``dof`` (from 1, of a chain nearest the fixed end; ``dof_name`` where DOFs have names); last
+        DOF's truth is known), ``displacement_observed`` (NaN where there is no sensor, and where it has no sample) and
+        ``displacement_free_run`` (left out where there is none), and so on for velocity, acceleration and force (which
+        has no free run), over ``time`` (s) and ``dof`` (from 1, of a chain nearest the fixed end; ``dof_name`` where
+        DOFs have names); last
         ``displacement_<name>`` of the baseline and ``displacement_<name>_std``. Where the ground moves,
         ``ground_acceleration`` and the same of it over ``time``, each left out where there is none. ``drift``,
         ``drift_std`` and, where known, ``drift_true`` over ``time`` and ``connection`` (its name, or its number from
@@ -91,11 +92,12 @@ def _of_the_ground(
     estimate: Estimate, record: Record, truth: Response | None
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
     """Its acceleration, estimated, true and observed, as far as there is one; see :func:`response_dataset`."""
+    observed = None if record.ground_acceleration is None else _observed(record, GROUND)[:, 0]
     sources = {
         "": (estimate.response.ground_acceleration, "estimated ground acceleration"),
         "_std": (estimate.std.ground_acceleration, "standard deviation of the estimated ground acceleration"),
         "_true": (None if truth is None else truth.ground_acceleration, "true ground acceleration"),
-        "_observed": (record.ground_acceleration, "observed ground acceleration"),
+        "_observed": (observed, "observed ground acceleration"),
     }
     return {
         GROUND + suffix: (("time",), values, {"long_name": long_name, "units": UNITS[GROUND]})
@@ -125,7 +127,8 @@ def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:
 
 def _observed(record: Record, quantity: str) -> np.ndarray:
     # A force that is known to be zero is 0 in the record; nobody has measured it.
-    return np.where(record.sensors(quantity), getattr(record, quantity), np.nan)
+    shown = np.where(record.sensors(quantity), record.histories(quantity), np.nan)
+    return np.where(record.missing[quantity], np.nan, shown) if quantity in record.missing else shown
 
 
 def _internal_forces(forces: ConnectionForces | None) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:

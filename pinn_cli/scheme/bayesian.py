@@ -138,7 +138,9 @@ def _check_calibrations(records: Sequence[Record]) -> None:
     doubtful = dict.fromkeys(parameter.name for record in records for parameter in sensor_parameters(record))
     if doubtful:
         allowed = "sensors whose gain, offset, drift and delay are known with scheme=bayesian"
-        raise InputError("data.channels", ", ".join(doubtful), allowed, "scheme=state_parameter estimates them")
+        raise InputError(
+            "data.channels", f"{', '.join(doubtful)} in doubt", allowed, "scheme=state_parameter estimates them"
+        )
 
 
 def _check_sensors(records: Sequence[Record]) -> None:

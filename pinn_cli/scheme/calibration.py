@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping
+
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
@@ -9,17 +12,32 @@ from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, UNITS
 
 
+def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Record:
+    """The record whose sensors' unknown gains and delays start where a screening has found them.
+
+    Args:
+        record: What was measured.
+        starts: Where parameters start, those of the structure among them.
+    """
+    found: defaultdict[int, dict[str, float]] = defaultdict(dict)
+    for parameter, value in starts.items():
+        if parameter.kind in CALIBRATION_UNITS:
+            found[parameter.index][parameter.kind] = value
+    return record.started_at(found) if found else record
+
+
 def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
     """The calibrations that are not known, of every gauge of a record.
 
     Raises:
-        InputError: No gain is known or believed: the scale of motions and forces cannot be told then.
+        InputError: No gain is known. Motions, forces and the noise found can then all be larger or smaller together.
     """
     gauges = record.gauges
     plain = any((record.sensors(q) & ~record.gauged(q)).any() for q in (*record.response_quantities, "force"))
-    if gauges and not plain and all(gauge.of("gain").unknown for gauge in gauges):
-        hint = "with every gain unknown nothing tells how large motions and forces are"
-        raise InputError("data.channels", "gain: unknown on all", "one gain at least that is known or believed", hint)
+    if gauges and not plain and not any(gauge.of("gain").is_known for gauge in gauges):
+        allowed = "one channel at least whose gain is a number: the reference"
+        hint = "with every gain in doubt nothing tells how large motions and forces are"
+        raise InputError("data.channels", "gain in doubt on all", allowed, hint)
     return tuple(parameter for number, gauge in enumerate(gauges) for parameter in _in_doubt(gauge, number))
 
 

@@ -8,13 +8,14 @@ one to the other.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.scheme.channel_doubts import ChannelDoubts
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 
 # Relative widths of the smoothing, one after the other, and how many starts go on to each.
@@ -47,10 +48,12 @@ class Candidate:
     Attributes:
         parameters: ``m`` to (n,); ``c``, ``k`` to (C,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
+        calibration: Number of a gauge to its gain and its delay, s, where those are in doubt.
     """
 
     parameters: dict[str, np.ndarray]
     misfit: float
+    calibration: dict[int, dict[str, float]] = field(default_factory=dict)
 
 
 def screened(
@@ -75,19 +78,24 @@ def screened(
     records = [record, *further]
     found_spectra = [CrossSpectra.of(each, len(records)) for each in records]
     seen = [(each, spectra) for each, spectra in zip(records, found_spectra, strict=True) if spectra is not None]
-    if not seen or not any(np.isnan(known[kind]).any() for kind in ("m", "k")):
+    # Of several records the channels are taken as they are believed to be: a sensor may be the same one in two of them.
+    doubts = [ChannelDoubts(each, spectra) for each, spectra in seen] if len(records) == 1 else [None] * len(seen)
+    doubtful = any(one is not None and len(one) for one in doubts)
+    if not seen or not (doubtful or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
         return []
-    model = JointFit([LinearFit(spectra, stretch, known, guess["k"], influence) for _, spectra in seen])
+    pairs = zip(seen, doubts, strict=True)
+    model = JointFit([LinearFit(spectra, stretch, known, guess["k"], influence, own) for (_, spectra), own in pairs])
     starts = _starts(model, [each for each, _ in seen], guess)
     found: list[tuple[float, np.ndarray]] = []
     for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
         model.smooth(width)
+        starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
         starts = [starts[i] for _, i in ranked[: 2 * survivors]]
         found = sorted((model.fitted(x) for x in starts[:survivors]), key=lambda pair: pair[0])
         found = _distinct(found)
         starts = [x for _, x in found]
-    return [Candidate(model.parameters(x), misfit) for misfit, x in found]
+    return [Candidate(model.parameters(x), misfit, model.calibration(x)) for misfit, x in found]
 
 
 class LinearFit:
@@ -98,6 +106,7 @@ class LinearFit:
         stretch, known: See :func:`screened`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
         influence: See :func:`screened`.
+        doubts: What is in doubt of the channels; None: nothing.
     """
 
     def __init__(
@@ -107,12 +116,15 @@ class LinearFit:
         known: Mapping[str, np.ndarray],
         typical: np.ndarray,
         influence: np.ndarray | None = None,
+        doubts: ChannelDoubts | None = None,
     ) -> None:
+        self.doubts = doubts if doubts is not None and len(doubts) else None
         self.influence = np.ones(stretch.shape[1]) if influence is None else influence
         self.spectra, self.known = spectra, known
         self.end, self.typical = last_ends(stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
         self.damped = len(self.free["c"]) > 0
+        self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped
         self.stretch = stretch
         self.smooth(WIDTHS[0])
 
@@ -136,7 +148,8 @@ class LinearFit:
             for kind, value in (("m", mass), ("k", stiffness))
         )
         damping = [np.log(DAMPING)] if self.damped else []
-        return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping))
+        in_doubt = np.zeros(0 if self.doubts is None else len(self.doubts))
+        return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping, in_doubt))
 
     def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """``m`` (n,), ``c`` and ``k`` (C,) at the unknowns x; unknown dampers have one damping ratio."""
@@ -146,38 +159,72 @@ class LinearFit:
         k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
         if self.damped:
             critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
-            c[self.free["c"]] = np.exp(x[-1]) * critical[self.free["c"]]
+            c[self.free["c"]] = np.exp(x[self.count - 1]) * critical[self.free["c"]]
         return {"m": m, "c": c, "k": k}
 
+    def calibration(self, x: np.ndarray) -> dict[int, dict[str, float]]:
+        """See :class:`Candidate`."""
+        return {} if self.doubts is None else self.doubts.calibration(x[self.count :])
+
+    def outline(self, x: np.ndarray) -> float:
+        """The misfit of the sizes alone, each channel's as large as it comes nearest: whatever gains and delays are."""
+        cross, _, _, _ = self._cross(x, np.zeros(0))
+        size, common = np.abs(self.scale * self._smoothed(cross)), np.abs(self.common)
+        gain = (size * common).sum(0) / np.maximum((size**2).sum(0), 1e-300)
+        return float(np.sum((gain * size - common) ** 2)) / max(self.size, 1e-300)
+
+    def aligned(self, x: np.ndarray) -> np.ndarray:
+        """The unknowns with every doubtful channel shifted and scaled to where the others want it, one by one."""
+        if self.doubts is None:
+            return x
+        x, doubts = x.copy(), self.doubts
+        omega = self.kernel @ self.spectra.omega
+        for channel in 2 * doubts.doubtful:
+            places = {kind: self.count + i for kind, i in doubts.places(channel).items()}
+            x[list(places.values())] = 0.0
+            cross, _, _, driven = self._cross(x, x[self.count :])
+            acts, number = channel >= doubts.sensors, channel - doubts.sensors
+            own = self.scale * self._smoothed(driven[number] if acts else cross)
+            rest = self.scale * self._smoothed(cross) - own if acts else np.zeros_like(own)
+            pick = np.ones(own.shape[1], bool) if acts else np.arange(own.shape[1]) == channel
+            own, wanted = own[:, pick], (self.common - rest)[:, pick]
+            together = (own.conj() * wanted).sum((1, 2))
+            sign = -1.0 if acts else 1.0
+            gain = 1.0
+            if "delay" in places:
+                doubt = doubts.doubts[places["delay"] - self.count]
+                tried = doubts.tried_delays(doubt)
+                shifted = (np.exp(1j * sign * np.outer(tried * doubt.std, omega)) @ together).real
+                best = int(np.argmax(shifted))
+                x[places["delay"]], gain = tried[best], float(shifted[best])
+            else:
+                gain = float(together.real.sum())
+            ratio = gain / max(float((np.abs(own) ** 2).sum()), 1e-300)
+            if "gain" in places and ratio > 0:
+                x[places["gain"]] = float(np.clip(sign * np.log(ratio), -FARTHEST, FARTHEST))
+        return x
+
     def _smoothed(self, values: np.ndarray) -> np.ndarray:
-        flat = values.reshape(len(values), -1)
-        return (self.kernel @ flat).reshape(-1, *values.shape[1:])
+        # Real and imaginary parts side by side: a complex product would take twice as long.
+        flat = np.ascontiguousarray(values).reshape(len(values), -1).view(np.float64)
+        return (self.kernel @ flat).view(np.complex128).reshape(-1, *values.shape[1:])
 
     def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
         s, p = self.spectra, self.parameters(x)
-        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
-        stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
-        stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
-        flexibility = np.linalg.inv(stiffness)
-        moved = flexibility[:, :, s.forced]  # (B, n, F)
-        if s.felt is not None:
-            shaken = -flexibility @ (p["m"] * self.influence)
-            moved = np.concatenate((moved, shaken[:, :, None]), axis=2)
-        response = s.differentiation[:, :, None] * moved[:, s.sensors]
-        if s.felt is not None:
-            response[:, :, -1] += s.felt * self.influence[s.sensors]
-        residual = self.scale * self._smoothed(response @ s.of_forces) - self.common
+        cross, flexibility, of_forces, driven_by = self._cross(x, x[self.count :])
+        residual = self.scale * self._smoothed(cross) - self.common
         if not slopes:
             return residual, np.empty(0)
-        seen = s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
+        shown = 1.0 if self.doubts is None else self.doubts.factors(x[self.count :])[0][:, :, None]
+        seen = shown * s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
         by = []
-        driven = moved @ s.of_forces
+        driven = self._moved(p, flexibility) @ of_forces
         pull, stretched = seen @ self.stretch.T, self.stretch @ driven
         for dof in self.free["m"]:
             slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
             if s.felt is not None:  # a heavier mass also feels more of the ground
-                slope = slope - p["m"][dof] * self.influence[dof] * seen[:, :, [dof]] * s.of_forces[:, [-1]]
+                slope = slope - p["m"][dof] * self.influence[dof] * seen[:, :, [dof]] * of_forces[:, [-1]]
             # Critical damping grows with the mass.
             for i in self.free["c"][self.end[self.free["c"]] == dof]:
                 slope = slope - 0.5j * s.omega[:, None, None] * p["c"][i] * pull[:, :, [i]] * stretched[:, [i]]
@@ -188,7 +235,39 @@ class LinearFit:
         if self.damped:
             c = self.free["c"]
             by.append(-1j * s.omega[:, None, None] * (pull[:, :, c] * p["c"][c]) @ stretched[:, c])
+        if self.doubts is not None:
+            by += self.doubts.slopes(cross, driven_by)
         return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
+
+    def _cross(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Cross spectra of what sensors and forces show, and what they are made of.
+
+        Returns:
+            The cross spectra (B, S, F); the flexibility (B, n, n); the spectra of the forces that act with those that
+            are shown (B, F, F); what each force adds to the first (F, B, S, F), empty where no channel is in doubt.
+        """
+        s, p = self.spectra, self.parameters(x)
+        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
+        stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
+        stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
+        flexibility = np.linalg.inv(stiffness)
+        response = s.differentiation[:, :, None] * self._moved(p, flexibility)[:, s.sensors]
+        if s.felt is not None:
+            response[:, :, -1] += s.felt * self.influence[s.sensors]
+        if self.doubts is None or not len(y):
+            return response @ s.of_forces, flexibility, s.of_forces, np.empty(0)
+        of_sensors, of_acting = self.doubts.factors(y)
+        response, of_forces = of_sensors[:, :, None] * response, s.of_forces / of_acting[:, :, None]
+        driven = np.einsum("bsf,bfg->fbsg", response, of_forces)
+        return driven.sum(0), flexibility, of_forces, driven
+
+    def _moved(self, p: Mapping[str, np.ndarray], flexibility: np.ndarray) -> np.ndarray:
+        """(B, n, F), displacements for one of what acts."""
+        moved = flexibility[:, :, self.spectra.forced]
+        if self.spectra.felt is None:
+            return moved
+        shaken = -flexibility @ (p["m"] * self.influence)
+        return np.concatenate((moved, shaken[:, :, None]), axis=2)
 
 
 class JointFit:
@@ -202,6 +281,9 @@ class JointFit:
         self.each = each
         self.known, self.free, self.stretch = each[0].known, each[0].free, each[0].stretch
         self.start, self.parameters = each[0].start, each[0].parameters
+        # Only of a lone record is anything in doubt, see `screened`.
+        self.doubts, self.calibration = each[0].doubts, each[0].calibration
+        self.outline, self.aligned = each[0].outline, each[0].aligned
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
@@ -238,6 +320,8 @@ def _starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.n
     """The guess, and the best of many with a common factor on its stiffnesses or masses that the record can tell."""
     mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
     stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
+    if not len(model.free["m"]) and not len(model.free["k"]):
+        return [model.start(mass, stiffness)]
     rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
     # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
     stiff = rates[rates > LOOSE * rates[-1]]
@@ -250,7 +334,7 @@ def _starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.n
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
     lighter = np.ones_like(factors) if len(model.free["k"]) else factors
     tried = [model.start(mass / by, factor * stiffness) for factor, by in zip(factors, lighter, strict=True)]
-    misfits = np.array([model.misfit(x) for x in tried])
+    misfits = np.array([model.misfit(x) if model.doubts is None else model.outline(x) for x in tried])
     valleys = [
         i
         for i in range(len(tried))

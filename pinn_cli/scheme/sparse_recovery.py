@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
+from pinn_cli.scheme.starts import parameter_starts
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.structure import Structure
 
@@ -63,6 +65,15 @@ class SparseRecovery(Scheme):
     def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
         """See :meth:`Scheme.joint_problem`."""
         check_given(prescribed)
+        if len(records) == 1:
+            records = [self._calibrated(prescribed, records[0])]
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         through, begins = self.acceleration_through, self.initial_motion
         return Problem.of_records(prescribed, records, uncertain, through, begins, self.unknown_force)
+
+    def _calibrated(self, prescribed: Structure, record: Record) -> Record:
+        """The record whose sensors' unknown gains and delays start where they fit the prescribed structure."""
+        if not any(parameter.unknown for parameter in sensor_parameters(record)):
+            return record
+        starts = parameter_starts(prescribed, record, (), {}, most=1)[0]
+        return calibrated_starts(record, {parameter: start.value for parameter, start in starts.items()})

@@ -80,8 +80,21 @@ def parameter_starts(
     candidates = [c for c in every if c.misfit < HOPELESS]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
-    linear = [candidate.parameters for candidate in candidates[:most]]
-    return [_starts(prescribed, records, unknown, given, values) for values in linear or [_unscreened(known, guess)]]
+    if not candidates[:most]:
+        return [_starts(prescribed, records, unknown, given, _unscreened(known, guess))]
+    return [
+        _starts(prescribed, records, unknown, given, one.parameters) | _of_sensors(one.calibration)
+        for one in candidates[:most]
+    ]
+
+
+def _of_sensors(calibration: Mapping[int, Mapping[str, float]]) -> dict[Parameter, Start]:
+    """Gains and delays that sensors may have."""
+    return {
+        Parameter(kind, number): Start(value, abs(value))
+        for number, of in calibration.items()
+        for kind, value in of.items()
+    }
 
 
 def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:

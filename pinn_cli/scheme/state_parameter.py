@@ -10,6 +10,7 @@ from dataclasses import replace
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
+from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
@@ -104,8 +105,9 @@ class StateParameter(Scheme):
         for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
             unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
+            own = calibrated_starts(record, {parameter: one.value for parameter, one in start.items()})
             structure = at_starts(prescribed, unknown)
-            problems.append(Problem.of_records(structure, records, uncertain, *settings))
+            problems.append(Problem.of_records(structure, [own, *further], uncertain, *settings))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:

@@ -63,7 +63,9 @@ def _shown(
 
     felt_at, felt = gauge.calibrated(found)
     step = (time[-1] - time[0]) / (len(time) - 1)
-    place = np.rint((felt_at - time[0]) / step).astype(np.int64)
+    # All samples of one sensor move alike: where it is late by half a step, each still has a place of its own.
+    late = int(np.rint((gauge.time[0] - felt_at[0]) / step))
+    place = np.rint((gauge.time - time[0]) / step).astype(np.int64) - late
     inside = (place >= 0) & (place < len(time)) & (felt_at >= time[0]) & (felt_at <= time[-1])
     shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
     left = felt[inside] - make_interp_spline(time, estimated, DEGREE)(felt_at[inside])

@@ -1,0 +1,306 @@
+"""``data.channels``: what every key means, and what a value that cannot be meant says in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.record.data_channels import DataChannel, data_channels
+from pinn_cli.record.measured_data import MeasuredData
+from pinn_cli.record.record import Record
+from pinn_cli.settings.errors import InputError
+
+STEP, ROWS = 0.01, 200
+TIME = np.round(STEP * np.arange(ROWS), 2)
+A1, A2, U, F = np.sin(20 * TIME), np.cos(13 * TIME), 1e-3 * np.sin(9 * TIME), 500 * np.cos(7 * TIME)
+ROOF = {"sensor": "acceleration", "dof": 2}
+
+
+@pytest.fixture
+def rig(tmp_path) -> Path:
+    columns = {"t": TIME, "a1": A1, "a2": A2, "u": U, "f": F}
+    pd.DataFrame(columns).to_csv(tmp_path / "rig.csv", index=False)
+    return tmp_path
+
+
+def record_of(base: Path, connections: tuple[str, ...] = (), **channels: Any) -> Record:
+    return measured(base, channels).measure(3, connections).record
+
+
+def measured(base: Path, channels: Any, **settings: Any) -> MeasuredData:
+    return MeasuredData("rig.csv", channels=channels, base=base, **settings)
+
+
+def one(**keys: Any) -> DataChannel:
+    (channel,) = data_channels({"x": keys})
+    return channel
+
+
+def refusal(**keys: Any) -> str:
+    with pytest.raises(InputError) as error:
+        one(**keys)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_every_key(rig):
+    record = record_of(
+        rig,
+        ("storey", "brace"),
+        roof={"sensor": "acceleration", "dof": "2", "column": "a1", "unit": "g"},
+        u={"sensor": "displacement", "between": [2, 1], "unit": "mm"},
+        a2={"sensor": "connection_force", "connection": "brace", "unit": "kN"},
+        f={"sensor": "force", "dof": 3, "unit": "kN", "gain": "unknown", "delay": {"value": 0.01, "uncertainty": 0.02}},
+    )
+    np.testing.assert_allclose(record.acceleration[:, 1], 9.80665 * A1)
+    drift, brace, force = record.gauges
+    assert (drift.name, drift.quantity, drift.weights, drift.dof) == ("u", "displacement", {1: 1.0, 0: -1.0}, None)
+    np.testing.assert_allclose(drift.values, 1e-3 * U)
+    assert (brace.quantity, brace.connection, brace.weights) == ("connection_force", 1, {})
+    np.testing.assert_allclose(brace.values, 1e3 * A2)
+    assert (force.quantity, force.dof) == ("force", 2)
+    gain, delay = force.of("gain"), force.of("delay")
+    assert (gain.value, gain.unknown, gain.std > 1) == (1.0, True, True)
+    assert (delay.value, delay.std, delay.unknown) == (0.01, 0.02, False)
+    assert record.unforced.tolist() == [True, True, False]
+    np.testing.assert_allclose(record.force[:, 2], 1e3 * np.interp(TIME + 0.01, TIME, F))
+
+
+def test_short_and_long_form_are_the_same_record(rig):
+    short = MeasuredData("rig.csv", force={3: "f"}, acceleration={1: "a1", 2: "a2"}, base=rig).measure(3).record
+    force, roof = {"sensor": "force", "dof": 3}, {**ROOF, "column": "a2"}
+    long = record_of(rig, f=force, a1={"sensor": "acceleration", "dof": 1}, roof=roof)
+    for quantity in ("time", "force", "acceleration", "velocity", "displacement"):
+        np.testing.assert_array_equal(getattr(long, quantity), getattr(short, quantity))
+    assert long.gauges == ()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "unit", "factor"),
+    [
+        ("acceleration", "g", 9.80665),
+        ("acceleration", "mg", 9.80665e-3),
+        ("ground_acceleration", "gal", 1e-2),
+        ("acceleration", "cm/s^2", 1e-2),
+        ("velocity", "mm/s", 1e-3),
+        ("displacement", "1e-6", 1e-6),
+        ("displacement", 1e-6, 1e-6),
+        ("displacement", "in", 0.0254),
+        ("displacement", "m", 1.0),
+        ("force", "kN", 1e3),
+        ("force", "lbf", 4.4482216152605),
+        ("connection_force", "kN", 1e3),
+    ],
+)
+def test_units(sensor, unit, factor):
+    place = {"ground_acceleration": {}, "connection_force": {"connection": 1}}.get(sensor, {"dof": 1})
+    assert one(sensor=sensor, unit=unit, **place).factor == pytest.approx(factor)
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({"unit": "furlonk"}, "data.channels.x.unit=furlonk: must be a unit such as m/s^2"),
+        ({"unit": "mm"}, "mm measures [length], and the channel's sensor is one of acceleration"),
+        ({"unit": "kN"}, "kN measures [mass] * [length] / [time] ** 2"),
+        ({"unit": "__import__('os')"}, "data.channels.x.unit=__import__('os'): must be a unit"),
+        ({"unit": 0}, "data.channels.x.unit=0: must be a finite number > 0"),
+        ({"unit": "-1e-6"}, "data.channels.x.unit=-1e-06: must be a finite number > 0"),
+        ({"unit": True}, "data.channels.x.unit=True: must be a unit"),
+        ({"unit": [1]}, "data.channels.x.unit=[1]: must be a unit"),
+        ({"unit": ""}, "data.channels.x.unit=: must be a unit"),
+        ({"sensor": "acelerometer"}, "data.channels.x.sensor=acelerometer: must be"),
+        ({"sensor": None}, "data.channels.x.sensor=None: must be"),
+        ({"gian": "unknown"}, "data.channels.x.gian=unknown: must be one of the keys"),
+        ({"gian": "unknown"}, "gain"),
+        ({"dof": 0}, "data.channels.x.dof=0: must be a DOF, counted from 1"),
+        ({"dof": True}, "data.channels.x.dof=True: must be a DOF"),
+        ({"dof": 1.5}, "data.channels.x.dof=1.5: must be a DOF"),
+        ({"dof": None}, "must be one of dof, between, weights with sensor: acceleration"),
+        ({"between": [1, 2]}, "data.channels.x={dof: 1, between: [1, 2]}: must be one of dof, between, weights"),
+        ({"connection": "brace"}, "must be one of dof, between, weights with sensor: acceleration"),
+        ({"dof": None, "between": [1]}, "data.channels.x.between=[1]: must be two DOFs [a, b]"),
+        ({"dof": None, "between": [1, 1]}, "data.channels.x.between=[1, 1]: must be two DOFs [a, b]"),
+        ({"dof": None, "between": "12"}, "data.channels.x.between=12: must be two DOFs"),
+        ({"dof": None, "between": ["ground", 0]}, "must be two DOFs [a, b]"),
+        ({"dof": None, "weights": {}}, "data.channels.x.weights={}: must be a map of DOF: weight"),
+        ({"dof": None, "weights": [0.4]}, "data.channels.x.weights=[0.4]: must be a map of DOF: weight"),
+        ({"dof": None, "weights": {1: "a"}}, "data.channels.x.weights.1=a: must be a finite number"),
+        ({"dof": None, "weights": {1: 0.0}}, "data.channels.x.weights.1=0.0: must be a weight that is not 0"),
+        ({"dof": None, "weights": {1: 1.0, "1": 2.0}}, "data.channels.x.weights=1: must be there once only"),
+        ({"column": 3}, "data.channels.x.column=3: must be the name of a column"),
+        ({"column": ""}, "data.channels.x.column=: must be the name of a column"),
+        ({"gain": 0}, "data.channels.x.gain=0: must be a gain that is not 0"),
+        ({"gain": "about 1"}, "data.channels.x.gain=about 1: must be a number, unknown, or {value"),
+        ({"gain": float("nan")}, "data.channels.x.gain=nan: must be a number, unknown"),
+        ({"offset": {"value": 1}}, "data.channels.x.offset={'value': 1}: must be a number, unknown, or {value"),
+        ({"offset": {"value": 1, "uncertainty": -1}}, "data.channels.x.offset.uncertainty=-1: must be >= 0"),
+        ({"delay": {"value": 1, "uncertainty": "a"}}, "data.channels.x.delay="),
+        ({"drift": [1, 2]}, "data.channels.x.drift=[1, 2]: must be a number, unknown"),
+    ],
+)
+def test_what_cannot_be_meant(keys, expected):
+    given = {"sensor": "acceleration", "dof": 1} | keys
+    assert expected in refusal(**given)
+
+
+def test_places_of_other_sensors():
+    assert "must be no dof, between, weights or connection" in refusal(sensor="ground_acceleration", dof=1)
+    assert "must be one of dof with sensor: force" in refusal(sensor="force", weights={1: 1.0})
+    assert "must be one of connection with sensor: connection_force" in refusal(sensor="connection_force", dof=1)
+
+
+def test_what_is_no_map():
+    assert data_channels(None) == data_channels({}) == ()
+    for given, named in ((["a1"], "data.channels"), ({"a1": 1}, "data.channels.a1"), ("a1", "data.channels")):
+        with pytest.raises(InputError) as error:
+            data_channels(given)
+        assert error.value.setting == named
+
+
+@pytest.mark.parametrize(
+    ("place", "weights"),
+    [
+        ({"between": [2, 1]}, {1: 1.0, 0: -1.0}),
+        ({"between": [2, "ground"]}, {1: 1.0}),
+        ({"between": [0, 2]}, {1: -1.0}),
+        ({"weights": {1: 0.4, "2": -0.2}}, {0: 0.4, 1: -0.2}),
+        ({"dof": 3}, {2: 1.0}),
+    ],
+)
+def test_what_a_sensor_feels(place, weights):
+    channel = one(sensor="displacement", **place)
+    assert channel.weights == weights
+    assert channel.place == (("displacement", max(weights) + 1) if list(weights.values()) == [1.0] else None)
+
+
+def test_what_is_known_of_a_calibration_is_taken_out(rig):
+    """gain, offset and drift of a channel in its own unit: value = gain x + offset + drift (t - start)."""
+    shown = {"sensor": "displacement", "dof": 1, "unit": "mm", "gain": 2.0, "offset": 0.5, "drift": -0.1}
+    record = record_of(rig, u=shown)
+    assert record.gauges == ()
+    np.testing.assert_allclose(record.displacement[:, 0], 1e-3 * (U - 0.5 + 0.1 * TIME) / 2.0, atol=1e-15)
+    (late,) = record_of(rig, u={**shown, "delay": 0.02}).gauges
+    at, felt = late.calibrated()
+    np.testing.assert_allclose(at, TIME - 0.02)
+    np.testing.assert_allclose(felt, record.displacement[:, 0], atol=1e-15)
+
+
+def test_drift_counts_from_the_start_of_the_window(rig):
+    shown = {"sensor": "displacement", "dof": 1, "drift": 1.0}
+    record = measured(rig, {"u": shown}, start=0.5).measure(1).record
+    np.testing.assert_allclose(record.displacement[:, 0], U[50:] - (TIME[50:] - 0.5), atol=1e-12)
+
+
+def test_two_sensors_of_one_dof(rig):
+    record = record_of(rig, a1=ROOF, a2={**ROOF, "gain": 1.1})
+    np.testing.assert_array_equal(record.acceleration[:, 1], A1)
+    (second,) = record.gauges
+    assert (second.name, second.fills, second.dof) == ("a2", False, None)
+    assert not record.gauged("acceleration").any()
+    np.testing.assert_allclose(second.calibrated()[1], A2 / 1.1)
+
+
+def test_the_plain_sensor_of_a_dof_fills_its_column_whatever_the_order(rig):
+    record = record_of(rig, a1={**ROOF, "offset": "unknown"}, a2=ROOF)
+    np.testing.assert_array_equal(record.acceleration[:, 1], A2)
+    (gauge,) = record.gauges
+    assert (gauge.name, gauge.fills) == ("a1", False)
+
+
+@pytest.mark.parametrize(
+    ("channels", "expected"),
+    [
+        ({"a1": {**ROOF, "delay": 2.5}}, "data.channels.a1.delay=2.5: must be shorter than the record, 1.99 s"),
+        ({"a1": {**ROOF, "delay": {"value": -9, "uncertainty": 1}}}, "data.channels.a1.delay=-9"),
+        ({"a1": {**ROOF, "dof": 4}}, "data.channels.a1=4: must be a DOF between 1 and system.ndof=3"),
+        ({"b": ROOF}, "data.channels.b='b': must be a column of rig.csv"),
+        ({"a1": ROOF, "b": {**ROOF, "column": "a1"}}, "data.channels.b='a1': must be another column"),
+        ({"t": ROOF}, "data.channels.t='t': must be another column than data.time"),
+        ({"f": {"sensor": "force", "dof": 1}}, "{}: must be a map of DOF: column in at least one of them"),
+        (
+            {"u": {"sensor": "displacement", "between": [2, 1]}},
+            "data.channels=drifts and weighted sums only: must be one displacement, velocity or acceleration",
+        ),
+        (
+            {"a1": ROOF, "a2": {"sensor": "connection_force", "connection": "brce"}},
+            "data.channels.a2.connection=brce: must be a connection: storey, brace; did you mean brace?",
+        ),
+        ({"a1": ROOF, "a2": {"sensor": "connection_force", "connection": 3}}, "data.channels.a2.connection=3"),
+    ],
+)
+def test_what_does_not_fit_the_file_or_the_structure(rig, channels, expected):
+    with pytest.raises(InputError) as error:
+        record_of(rig, ("storey", "brace"), **channels)
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_connection_by_its_number(rig):
+    gauges = record_of(rig, ("storey", "brace"), a1=ROOF, f={"sensor": "connection_force", "connection": 2}).gauges
+    assert gauges[0].connection == 1
+
+
+@pytest.mark.parametrize("cell", ["=1+1", "=A2", "@SUM(1)", "__import__('os').getcwd()", "{'a': 1}"])
+def test_cells_are_read_as_numbers_and_never_evaluated(rig, cell):
+    table = pd.read_csv(rig / "rig.csv").astype(object)
+    table.loc[7, "a1"] = cell
+    table.to_csv(rig / "rig.csv", index=False)
+    with pytest.raises(InputError, match="column 'a1', line 9") as error:
+        record_of(rig, a1={**ROOF, "gain": "unknown"}, a2=ROOF)
+    assert "must be a finite number" in str(error.value)
+
+
+def test_the_header_tells_the_unit_where_nobody_else_does():
+    channel = one(sensor="acceleration", dof=1)
+    assert channel.in_unit("g").factor == pytest.approx(9.80665)
+    assert channel.in_unit("").factor == 1.0
+    assert one(sensor="acceleration", dof=1, unit="mg").in_unit("g").factor == pytest.approx(9.80665e-3)
+    for header in ("volts", "V", "mm"):
+        with pytest.raises(InputError) as error:
+            channel.in_unit(header)
+        assert "must be a channel whose unit is known: give data.channels.x.unit" in str(error.value)
+        assert f"its header says '{header}'" in str(error.value)
+
+
+class TestHoldout:
+    """A DOF that is held out scores the estimate: only by what was measured there."""
+
+    def measured(self, rig: Path, **keys: Any):
+        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": {**ROOF, **keys}}
+        return measured(rig, channels, holdout=[2]).measure(3)
+
+    def test_a_known_calibration_is_taken_out(self, rig):
+        truth = self.measured(rig, unit="g", gain=2.0).truth.response
+        np.testing.assert_allclose(truth.acceleration[:, 1], 9.80665 * A2 / 2.0)
+
+    @pytest.mark.parametrize("keys", [{"gain": "unknown"}, {"delay": 0.01}, {"offset": {"value": 0, "uncertainty": 1}}])
+    def test_what_nobody_can_calibrate_is_refused(self, rig, keys):
+        with pytest.raises(InputError) as error:
+            self.measured(rig, **keys)
+        assert str(error.value).startswith("data.holdout=[2]: must be DOFs whose channels")
+
+    def test_samples_that_are_missing_score_nothing(self, rig):
+        table = pd.read_csv(rig / "rig.csv")
+        table.loc[20:60, "a2"] = np.nan
+        table.to_csv(rig / "rig.csv", index=False)
+        found = self.measured(rig)
+        assert found.record.gauges == ()
+        shown = found.truth.response.acceleration[:, 1]
+        np.testing.assert_array_equal(np.isnan(shown), np.isnan(table["a2"]))
+        np.testing.assert_array_equal(shown[61:], A2[61:])
+
+    def test_a_second_sensor_of_the_dof_is_not_shown_either(self, rig):
+        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": ROOF, "f": {**ROOF, "gain": 2.0}}
+        found = measured(rig, channels, holdout=[2]).measure(3)
+        assert found.record.gauges == ()
+        np.testing.assert_array_equal(found.truth.response.acceleration[:, 1], A2)
+
+    def test_a_sensor_that_feels_another_dof_too_is_refused(self, rig):
+        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "u": {"sensor": "displacement", "between": [2, 1]}}
+        with pytest.raises(InputError, match="channel u feels others too"):
+            measured(rig, channels, holdout=[2]).measure(3)

@@ -1,0 +1,114 @@
+"""Sensors with a gain, an offset, a drift and a delay: what they show, and what of it is unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pinn_cli.record.gauge import (
+    WIDEST_DELAY,
+    WIDEST_GAIN,
+    WIDEST_OFFSET,
+    Calibration,
+    Gauge,
+    unknown_calibration,
+)
+from pinn_cli.record.record import Record
+
+TIME = 2.0 + 0.01 * np.arange(400)
+UNKNOWN = Calibration(1.0, 10.0, unknown=True)
+
+
+def motion(time: np.ndarray) -> np.ndarray:
+    return np.sin(3.0 * time)
+
+
+def shown(gain: float, offset: float, drift: float, delay: float) -> Gauge:
+    """y(t) = gain x(t - delay) + offset + drift (t - start)."""
+    values = gain * motion(TIME - delay) + offset + drift * (TIME - TIME[0])
+    numbers = {"gain": gain, "offset": offset, "drift": drift, "delay": delay}
+    return Gauge("a1", "acceleration", {0: 1.0}, TIME, values, {k: Calibration(v) for k, v in numbers.items()})
+
+
+def test_what_is_known_is_taken_out():
+    gauge = shown(1.3, -0.4, 0.2, 0.05)
+    at, felt = gauge.calibrated()
+    np.testing.assert_allclose(at, TIME - 0.05)
+    np.testing.assert_allclose(felt, motion(at), atol=1e-12)
+    inside = TIME[TIME[-1] - 0.06 > TIME]
+    np.testing.assert_allclose(gauge.history(inside), motion(inside), atol=2e-4)
+
+
+def test_what_is_found_overrules_what_is_believed():
+    gauge, perfect = shown(1.3, -0.4, 0.2, 0.05), shown(1.0, 0.0, 0.0, 0.0)
+    found = {"gain": 1.3, "offset": -0.4, "drift": 0.2, "delay": 0.05}
+    for one, other in zip(
+        Gauge("a1", "acceleration", {0: 1.0}, TIME, gauge.values).calibrated(found), gauge.calibrated(), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(perfect.calibrated()[1], perfect.values)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "weights", "fills", "dof", "feels_one"),
+    [
+        ("acceleration", {2: 1.0}, True, 2, True),
+        ("acceleration", {2: 1.0}, False, None, True),
+        ("displacement", {2: -1.0}, True, None, True),
+        ("displacement", {2: 1.0, 1: -1.0}, True, None, False),
+        ("ground_acceleration", {}, True, 0, True),
+        ("connection_force", {}, True, None, False),
+        ("force", {1: 1.0}, True, 1, True),
+    ],
+)
+def test_what_it_feels(quantity, weights, fills, dof, feels_one):
+    gauge = Gauge("x", quantity, weights, TIME, motion(TIME), fills=fills)
+    assert (gauge.dof, gauge.feels_one) == (dof, feels_one)
+
+
+def test_priors_of_what_is_unknown_have_the_size_of_the_channel():
+    values = 5.0 + 2.0 * motion(TIME) + 3.0 * (TIME - TIME[0])
+    rms, duration = np.std(values), TIME[-1] - TIME[0]
+    gain = unknown_calibration("gain", TIME, values)
+    assert (gain.value, gain.std, gain.unknown) == (1.0, WIDEST_GAIN, True)
+    offset, drift = (unknown_calibration(kind, TIME, values) for kind in ("offset", "drift"))
+    assert (offset.value, drift.value) == (pytest.approx(values.mean()), 0.0)
+    assert (offset.std, drift.std) == (
+        pytest.approx(WIDEST_OFFSET * rms),
+        pytest.approx(WIDEST_OFFSET * rms / duration),
+    )
+    assert unknown_calibration("delay", TIME, values).std == pytest.approx(WIDEST_DELAY * 0.01)
+
+
+def test_where_offset_and_drift_are_unknown_a_straight_line_says_where_they_start():
+    values = 5.0 + 3.0 * (TIME - TIME[0])
+    offset, drift = (unknown_calibration(kind, TIME, values, both=True) for kind in ("offset", "drift"))
+    assert (offset.value, drift.value) == (pytest.approx(5.0), pytest.approx(3.0))
+
+
+def test_the_delay_of_a_slow_channel_is_counted_in_its_own_samples():
+    assert unknown_calibration("delay", TIME[::5], motion(TIME[::5])).std == pytest.approx(WIDEST_DELAY * 0.05)
+
+
+def test_a_channel_of_zeros_has_a_prior_too():
+    assert unknown_calibration("offset", TIME, np.zeros(400)).std > 0
+
+
+def test_a_search_may_start_elsewhere_where_a_number_is_unknown_and_nowhere_else():
+    numbers = {"gain": UNKNOWN, "delay": Calibration(0.0, 0.01)}
+    gauge = Gauge("a1", "acceleration", {0: 1.0}, TIME, motion(TIME), numbers)
+    nothing = np.full((400, 2), np.nan)
+    acceleration = nothing.copy()
+    acceleration[:, 0] = gauge.history(TIME)
+    still = np.zeros((400, 2))
+    record = Record(TIME, nothing, nothing, acceleration, still, np.array([True, True]), gauges=(gauge,))
+    again = record.started_at({0: {"gain": 2.0, "delay": 0.03}})
+    (moved,) = again.gauges
+    assert (moved.of("gain").value, moved.of("gain").std, moved.of("delay").value) == (2.0, 10.0, 0.0)
+    np.testing.assert_allclose(again.acceleration[:, 0], acceleration[:, 0] / 2.0)
+    np.testing.assert_array_equal(record.acceleration, acceleration)
+
+
+def test_samples_until_a_time():
+    kept = shown(1.0, 0.0, 0.0, 0.0).until(3.0)
+    assert (len(kept.time), len(kept.values), kept.start) == (101, 101, 2.0)

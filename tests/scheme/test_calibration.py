@@ -1,0 +1,153 @@
+"""What is in doubt about sensors: parameters in every scheme, and where the search for them starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from independent_records import IndependentRecord, frame, measured, random_force
+
+from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
+from pinn_cli.scheme.channel_doubts import ChannelDoubts
+from pinn_cli.scheme.cross_spectra import CrossSpectra
+from pinn_cli.scheme.screening import LinearFit
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
+from pinn_cli.system.parameters import Parameter
+
+RATE = 100.0
+STRETCH = np.eye(3) - np.eye(3, k=-1)
+BELIEVED = {"gain": Calibration(1.0, 0.05), "offset": Calibration(0.0, 0.1)}
+
+
+@cache
+def exact() -> IndependentRecord:
+    """The frame of three storeys, from rest, without noise."""
+    structure, time = frame(cubic=False), np.arange(1500) / RATE
+    truth = structure.moved(random_force(0.5, 12.0, 2000.0, 15.0), time)
+    return measured(structure, truth, {"acceleration": (1, 2, 3)}, 60.0)
+
+
+def changed(quantity: str, dof: int, gain: float, delay: int, kinds: tuple[str, ...] = ("gain", "delay")) -> Gauge:
+    """A channel with another gain, so many samples late; both unknown."""
+    values = gain * np.roll(getattr(exact().record, quantity)[:, dof], delay)
+    time = exact().record.time
+    return Gauge(
+        f"{quantity[0]}{dof + 1}",
+        quantity,
+        {dof: 1.0},
+        time,
+        values,
+        {kind: unknown_calibration(kind, time, values) for kind in kinds},
+    )
+
+
+def with_gauges(*gauges: Gauge) -> Record:
+    record = exact().record
+    columns = {q: getattr(record, q).copy() for q in ("acceleration", "force")}
+    for gauge in gauges:
+        columns[gauge.quantity][:, gauge.dof] = gauge.values
+    return replace(record, gauges=gauges, **columns)
+
+
+def chain(k=1.4e5):
+    structure = exact().structure
+    return build_chain(3, Linear(), m=structure.m.tolist(), c=structure.c.tolist(), k=np.broadcast_to(k, 3).tolist())
+
+
+def test_parameters_of_every_gauge_in_doubt():
+    roof = replace(changed("acceleration", 2, 1.0, 0), name="roof")
+    cell = replace(changed("force", 2, 1.0, 0), calibration=BELIEVED, name="cell")
+    found = sensor_parameters(with_gauges(roof, cell))
+    assert [p.name for p in found] == ["gain_roof", "delay_roof", "gain_cell", "offset_cell"]
+    assert [p.index for p in found] == [0, 0, 1, 1]
+    assert [p.unknown for p in found] == [True, True, False, False]
+    assert [p.owner for p in found] == ["sensor roof", "sensor roof", "sensor cell", "sensor cell"]
+    assert [p.unit for p in found] == ["", "s", "", "N"]
+    assert [p.prior_std for p in found][2:] == [0.05, 0.1]
+    assert sensor_parameters(exact().record) == ()
+
+
+def test_one_gain_must_be_known():
+    every = [changed("acceleration", dof, 1.0, 0) for dof in range(3)] + [changed("force", 2, 1.0, 0)]
+    believed = [replace(gauge, calibration=BELIEVED) for gauge in every]
+    for doubtful in (every, believed):
+        with pytest.raises(InputError) as error:
+            sensor_parameters(with_gauges(*doubtful))
+        assert str(error.value).startswith("data.channels=gain in doubt on all: must be one channel at least whose")
+        sensor_parameters(with_gauges(*doubtful[1:]))
+        sensor_parameters(with_gauges(*doubtful[1:], replace(every[0], calibration={"gain": Calibration(1.1)})))
+
+
+def test_schemes_have_them_among_their_parameters():
+    record, k = with_gauges(changed("acceleration", 0, 1.0, 0)), exact().structure.k
+    names = {"gain_a1", "delay_a1"}
+    assert names <= {p.name for p in SparseRecovery().problem(chain(k), record).uncertain}
+    assert names <= {p.name for p in StateParameter(unknown=["k_*"]).problem(chain(), record).uncertain}
+
+
+def test_bayesian_takes_no_sensor_for_perfect_that_is_in_doubt():
+    unknown = changed("acceleration", 0, 1.0, 0)
+    for gauge in (unknown, replace(unknown, calibration=BELIEVED)):
+        with pytest.raises(InputError) as error:
+            Bayesian().problem(chain(), with_gauges(gauge))
+        assert str(error.value).startswith("data.channels=gain_a1, ")
+        assert "scheme=state_parameter estimates them" in str(error.value)
+        assert "\n" not in str(error.value)
+    Bayesian().problem(chain(), with_gauges(replace(unknown, calibration={})))
+
+
+class TestScreening:
+    """Gains and delays that hide the springs are found with them, from a guess a decade off."""
+
+    each = (("acceleration", 0, 1.3, 3), ("acceleration", 2, 0.8, -2), ("force", 2, 1.2, 1))
+
+    def record(self) -> Record:
+        return with_gauges(*(changed(*one) for one in self.each))
+
+    def test_springs_gains_and_delays_are_found_together(self):
+        problem = StateParameter(unknown=["k_*"]).problem(chain(), self.record())
+        start = {p.name: p.prescribed for p in problem.uncertain}
+        for i, k in enumerate(exact().structure.k, 1):
+            assert start[f"k_{i}"] == pytest.approx(k, rel=0.02)
+        for name, (_, _, gain, delay) in zip(("a1", "a3", "f3"), self.each, strict=True):
+            assert start[f"gain_{name}"] == pytest.approx(gain, rel=0.03)
+            assert start[f"delay_{name}"] == pytest.approx(delay / RATE, abs=2e-3)
+        (first, *_) = problem.record.gauges
+        assert first.of("delay").value == start["delay_a1"]
+        assert problem.structure.parameters["k"][0] == start["k_1"]
+
+    def test_sparse_recovery_starts_there_too(self):
+        problem = SparseRecovery().problem(chain(exact().structure.k), self.record())
+        start = {p.name: p.prescribed for p in problem.uncertain}
+        assert start["delay_a3"] == pytest.approx(-0.02, abs=2e-3)
+        assert start["gain_f3"] == pytest.approx(1.2, rel=0.03)
+
+    def test_slopes_of_the_misfit(self):
+        s, record = exact().structure, self.record()
+        spectra = CrossSpectra.of(record)
+        known = {"m": s.m, "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
+        fit = LinearFit(spectra, STRETCH, known, s.k, None, ChannelDoubts(record, spectra))
+        x = fit.start(s.m, s.k)
+        x[fit.count :] = np.random.default_rng(0).normal(size=len(x) - fit.count) * 0.2
+        _, slopes = fit.residual(x, slopes=True)
+        for i in range(len(x)):
+            step = 1e-6 * (np.arange(len(x)) == i)
+            change = (fit.residual(x + step, False)[0] - fit.residual(x - step, False)[0]) / 2e-6
+            np.testing.assert_allclose(slopes[..., i], change, atol=1e-6 * np.abs(change).max())
+
+
+def test_what_is_believed_stays_where_it_is_believed():
+    gauge = replace(changed("acceleration", 0, 1.0, 0), calibration={**BELIEVED, "delay": Calibration(0.0, 0.05, True)})
+    record = with_gauges(gauge)
+    again = calibrated_starts(record, {Parameter("gain", 0): 2.0, Parameter("delay", 0): 0.02, Parameter("k", 0): 5.0})
+    assert (again.gauges[0].of("gain").value, again.gauges[0].of("delay").value) == (1.0, 0.02)
+    assert calibrated_starts(record, {Parameter("k", 0): 5.0}) is record

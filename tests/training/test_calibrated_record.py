@@ -1,0 +1,85 @@
+"""The record as its sensors turned out to be calibrated: what reports and verdicts compare an estimate with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.record import Record, Response
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.calibrated_record import as_calibrated
+from pinn_cli.training.estimate import Estimate, ParameterEstimate
+
+TIME = 0.02 * np.arange(200)
+FOUND = {"gain": 1.5, "offset": 0.3, "drift": -0.2, "delay": 0.05}
+
+
+def motion(time: np.ndarray) -> np.ndarray:
+    return np.sin(5.0 * time)
+
+
+def gauge(there: np.ndarray, noise: np.ndarray, quantity: str = "acceleration", weights=None) -> Gauge:
+    """What a sensor with the calibration `FOUND` shows; all four are unknown."""
+    shown = FOUND["gain"] * (motion(TIME - FOUND["delay"]) + noise) + FOUND["offset"]
+    shown += FOUND["drift"] * (TIME - TIME[there][0])
+    unknown = {kind: Calibration(float(kind == "gain"), 1.0, unknown=True) for kind in FOUND}
+    return Gauge("a1", quantity, {0: 1.0} if weights is None else weights, TIME[there], shown[there], unknown)
+
+
+def record_of(*gauges: Gauge, ground: bool = False) -> Record:
+    nothing = np.full((200, 2), np.nan)
+    acceleration = np.stack((np.zeros(200), motion(TIME)), axis=1)
+    shaken = motion(TIME) if ground else None
+    still = np.zeros((200, 2))
+    record = Record(TIME, nothing, nothing, acceleration, still, np.ones(2, bool), gauges=gauges)
+    return replace(record, ground_acceleration=shaken)
+
+
+def estimate(found=FOUND) -> Estimate:
+    same = np.stack((motion(TIME), motion(TIME)), axis=1)
+    response = Response(TIME, same, same, same, 0.0 * same, motion(TIME))
+    parameters = [
+        ParameterEstimate(Parameter(kind, 0, label="a1"), value, 0.01, value, value) for kind, value in found.items()
+    ]
+    return Estimate(response, response, parameters, pd.DataFrame(), {})
+
+
+def test_a_record_without_gauges_stays_as_it_is():
+    record = record_of()
+    assert as_calibrated(record, estimate({})) is record
+
+
+@pytest.mark.parametrize("share", [1.0, 0.4])
+def test_columns_show_what_a_sensor_felt_by_what_was_found(share):
+    rng = np.random.default_rng(0)
+    noise, there = 0.1 * rng.normal(size=200), rng.random(200) <= share
+    record = record_of(gauge(there, noise))
+    calibrated = as_calibrated(record, estimate())
+    left = calibrated.acceleration[:, 0] - motion(TIME)
+    seen = calibrated.there("acceleration", 0)
+    # What it felt at t - delay stands at the record's nearest time: half a step between two of them.
+    assert seen is not None
+    assert seen.sum() == pytest.approx((there[3:]).sum(), abs=2)
+    np.testing.assert_allclose(np.sort(left[seen]), np.sort(noise[there & (TIME >= 0.05)])[: seen.sum()], atol=1e-5)
+    np.testing.assert_array_equal(left[~seen], 0.0)
+    np.testing.assert_array_equal(calibrated.acceleration[:, 1], record.acceleration[:, 1])
+    assert calibrated.there("acceleration", 1) is None
+
+
+def test_a_sensor_of_several_dofs_fills_no_column():
+    record = record_of(gauge(np.ones(200, bool), np.zeros(200), "displacement", {0: 1.0, 1: -1.0}))
+    calibrated = as_calibrated(record, estimate())
+    assert np.isnan(calibrated.displacement).all()
+    assert not any(where.any() for where in calibrated.missing.values())
+
+
+def test_the_ground():
+    there = np.arange(200) % 4 > 0
+    record = record_of(gauge(there, np.zeros(200), "ground_acceleration", {}), ground=True)
+    calibrated = as_calibrated(record, estimate())
+    np.testing.assert_allclose(calibrated.ground_acceleration, motion(TIME), atol=1e-5)
+    assert calibrated.there("ground_acceleration", 0).sum() < 160
