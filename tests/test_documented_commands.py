@@ -59,7 +59,8 @@ def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     time = 0.01 * np.arange(400)
     columns = {name: np.sin((3 + i) * time) + np.cos(11 * time) for i, name in enumerate(("f1", "a1", "a3"))}
     pd.DataFrame({"t": np.round(time, 2), **columns}).to_csv(tmp_path / "rig.csv", index=False)
-    (experiment,) = re.findall(r"^```yaml\n(.*?)^```", OWN_RECORD.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    blocks = re.findall(r"^```yaml\n(.*?)^```", OWN_RECORD.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    (experiment,) = (block for block in blocks if "case: my_rig" in block)
     (tmp_path / "my_configs" / "experiment").mkdir(parents=True)
     (tmp_path / "my_configs" / "experiment" / "my_rig.yaml").write_text(experiment)
     monkeypatch.chdir(tmp_path)
