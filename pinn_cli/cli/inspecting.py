@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from pinn_cli.cli.config import RunConfig, read_structure, resolved
+from pinn_cli.cli.config import RunConfig, resolved
 from pinn_cli.cli.dof_names import numbered
+from pinn_cli.cli.source import read_structure
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.settings.legal_values import entries, finite_number

@@ -1,0 +1,159 @@
+"""What vibrates, and where its record comes from: the structure and the source of a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from pinn_cli.cli.dof_names import in_names, named
+from pinn_cli.cli.records import data_of_records, of_record
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.instantiation import build, construct
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Measurements, Record
+    from pinn_cli.record.validation_data import ValidationData, ValidationRecord
+    from pinn_cli.system.model_error import ModelError
+    from pinn_cli.system.structure import Structure
+
+SIMULATED = "pinn_cli.record.simulated.Simulated"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the record comes from.
+
+    Attributes:
+        measure: From the true chain to the record, with every sensor that exists, and the truth as far as it is known.
+            Of several records of one structure that of the first.
+        simulated: Whether every sensor exists, so that the scheme chooses among them.
+        snr_db: Of a simulated record, dB; None without noise and for a measured record.
+        validate: From the true chain and what the estimator sees to the data that the identified system is tried on;
+            None: there are none.
+        further: Of the other records, where several are solved together.
+    """
+
+    measure: Callable[[Structure], Measurements]
+    simulated: bool
+    snr_db: float | None
+    validate: Callable[[Structure, Record], ValidationRecord] | None = None
+    further: tuple[Callable[[Structure], Measurements], ...] = ()
+
+    def measurements(self, true: Structure) -> list[Measurements]:
+        """Those of every record."""
+        each = (self.measure, *self.further)
+        found = []
+        for number, measure in enumerate(each, start=1):
+            with of_record(number, len(each)):
+                found.append(measure(true))
+        return found
+
+
+def read_structure(config: DictConfig, base: Path | None) -> Structure:
+    """The structure; of a measured one values may be missing, which the scheme then has to be asked for."""
+    from pinn_cli.system.building import build_chain, build_partial_chain
+    from pinn_cli.system.topology import build_partial_structure, build_structure
+
+    if config.system.get("kind") == "matrices":
+        return _finite_elements(config, base)
+    named = config.system.get("kind") == "structure"
+    whole, partial = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
+    return construct(whole if _is_simulated(config) else partial, config.system, "system")
+
+
+def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
+    """A reduced model, with the static responses of the DOFs that carry a force."""
+    from pinn_cli.system.finite_elements import build_finite_elements
+    from pinn_cli.system.topology import whole
+
+    if _is_simulated(config):
+        forces = config.excitation.get("dofs")
+        loaded = list(forces) if OmegaConf.is_config(forces) else []
+    else:
+        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _loaded(node)))
+    structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
+    return whole(structure) if _is_simulated(config) else structure
+
+
+def _loaded(data: DictConfig) -> list[Any]:
+    """DOFs that carry a force in one measured record."""
+    from pinn_cli.system.quantities import FORCE
+
+    forces, channels = data.get("force"), data.get("channels")
+    loaded = list(forces) if OmegaConf.is_config(forces) else []
+    for channel in channels.values() if OmegaConf.is_dict(channels) else ():
+        if OmegaConf.is_dict(channel) and channel.get("sensor") == FORCE and channel.get("dof") is not None:
+            loaded.append(channel.dof)
+    return loaded
+
+
+def _is_simulated(config: DictConfig) -> bool:
+    simulated, kind = config.data.get("_target_") == SIMULATED, config.data.get("kind")
+    if simulated != (kind == "simulated"):
+        raise InputError("data.kind", kind, "left as the file of the option has it", "choose by data=...")
+    return simulated
+
+
+def _measured(config: DictConfig, structure: Structure, base: Path | None) -> list[Any]:
+    """What measures every record of `data`."""
+    nodes = data_of_records(config.data)
+    if len(nodes) > 1 and config.data.get("validation") is not None:
+        allowed = f"null with the {len(nodes)} records of data.records"
+        raise InputError("data.validation", config.data.validation, allowed, "it belongs to one record")
+    measured = []
+    for number, node in enumerate(nodes, start=1):
+        with of_record(number, len(nodes)), in_names(structure.labels):
+            measured.append(build(node, "data", base=base))
+    return measured
+
+
+def _named_record(measured: Any, connections: Sequence[str], true: Structure) -> Measurements:
+    return named(partial(measured.measure, connections=connections), true.ndof, true.labels)
+
+
+def read_source(
+    config: DictConfig, structure: Structure, model_error: ModelError, seed: int, base: Path | None
+) -> Source:
+    """Where the record comes from.
+
+    Raises:
+        InputError: A setting that no record can have.
+    """
+    from pinn_cli.record.noise import Noise
+    from pinn_cli.record.simulation import Simulation
+    from pinn_cli.record.size import check_size
+    from pinn_cli.record.validation_data import validation_of
+
+    if not _is_simulated(config):
+        measured = _measured(config, structure, base)
+        if model_error.name != "none":
+            hint = "a measured record brings its own truth; system=... is the model that you prescribe"
+            raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
+        labels, count = structure.labels, structure.incidence.shape[0]
+        connections = [labels.connection(i) for i in range(count)]
+        with in_names(structure.labels):
+            held = validation_of(measured[0])
+        seen = measured if held is None else [held.seen]
+        first, *further = (partial(_named_record, each, connections) for each in seen)
+        validate = None if held is None else partial(_validation_record, held, connections)
+        return Source(first, False, None, validate, tuple(further))
+    simulation = construct(Simulation, config.simulation, "simulation")
+    noise = construct(Noise, config.noise, "noise", seed=seed)
+    check_size(simulation, structure, noise.repeats)
+    span = {"ndof": structure.ndof, "duration": simulation.duration, "samples": simulation.samples}
+    excitation = build(config.excitation, "excitation", base=base, **span)
+    simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
+    return Source(lambda true: named(simulated.measure, true, true.labels), simulated=True, snr_db=noise.snr_db)
+
+
+def _validation_record(
+    held: ValidationData, connections: Sequence[str], true: Structure, seen: Record
+) -> ValidationRecord:
+    with in_names(true.labels):
+        found = held.read(seen, true.ndof, connections)
+    return replace(found, record=replace(found.record, dofs=true.labels.dofs))
