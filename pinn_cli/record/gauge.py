@@ -17,6 +17,8 @@ import numpy as np
 
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND
 
+# Of the spline between even samples, and the part of a step by which those may come early or late.
+DEGREE, EVEN = 5, 0.02
 # Of the residuals and noise levels of all gauges.
 GAUGE = "gauge"
 
@@ -93,6 +95,13 @@ class Gauge:
         return self.quantity == GROUND or (self.quantity != CONNECTION_FORCE and len(self.weights) == 1)
 
     @property
+    def even_step(self) -> float | None:
+        """From sample to sample, s; None where they are uneven."""
+        steps = np.diff(self.time)
+        step = float(np.median(steps))
+        return step if np.ptp(steps) < EVEN * step else None
+
+    @property
     def start(self) -> float:
         """The time from which its drift counts, s."""
         return float(self.time[0])
@@ -108,8 +117,19 @@ class Gauge:
         return self.time - value["delay"], felt / (value["gain"] or 1.0)
 
     def history(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
-        """(N,), what it felt at other times, by straight lines between its samples; see :meth:`calibrated`."""
-        return np.interp(time, *self.calibrated(found))
+        """(N,), what it felt at other times; see :meth:`calibrated`.
+
+        Through even samples by a spline of fifth degree; by straight lines where they are uneven or missing. Beyond its
+        samples it stays what it was at the last one.
+        """
+        felt_at, felt = self.calibrated(found)
+        if np.array_equal(felt_at, time):
+            return felt
+        if len(felt) <= DEGREE or self.even_step is None:
+            return np.interp(time, felt_at, felt)
+        from scipy.interpolate import make_interp_spline
+
+        return np.asarray(make_interp_spline(felt_at, felt, DEGREE)(np.clip(time, felt_at[0], felt_at[-1])))
 
     def started_at(self, values: Mapping[str, float]) -> Gauge:
         """The same where the search for its unknown numbers starts elsewhere; what is believed stays.

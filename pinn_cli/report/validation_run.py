@@ -161,7 +161,7 @@ def _at_rest(structure: Structure) -> list[np.ndarray]:
 def _as_calibrated(record: Record, estimate: Estimate) -> Record:
     """The record whose columns show what gauges felt with the calibrations that were found, by the sensors' names.
 
-    Between a gauge's samples its column goes in straight lines, and is no measurement.
+    Where a gauge has no sample its column is no measurement.
     """
     found: dict[str, dict[str, float]] = {}
     for each in estimate.parameters:

@@ -27,8 +27,6 @@ FINEST_SENSOR = 1e-6
 # Where a sensor's noise starts that no spectrum shows, over the rms of its channel, unless the emptiest part of its
 # spectrum has less.
 FIRST_SENSOR = 0.1
-# Part of a step by which samples may come early or late and still have a spectrum.
-EVEN = 0.02
 # Features over samples from which on they follow whatever the samples are.
 FOLLOWS_ALL = 0.9
 
@@ -215,7 +213,7 @@ def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 def first_level(gauge: Gauge) -> float:
     """Where the noise of a gauge starts: what the spectrum of its samples shows, where these are even."""
-    rms, step = float(np.std(gauge.values)), _even_step(gauge)
+    rms, step = float(np.std(gauge.values)), gauge.even_step
     level = FIRST_SENSOR * rms
     if step:
         level = visible_floor(gauge.values, step) or min(level, lowest_level(gauge.values, step))
@@ -227,16 +225,9 @@ def finest_level(gauge: Gauge) -> float:
 
     Where the motion does not tell a load cell's noise, none at all would do as well, and bands would be too narrow.
     """
-    step = _even_step(gauge) if gauge.quantity == FORCE else None
+    step = gauge.even_step if gauge.quantity == FORCE else None
     shown = (visible_floor(gauge.values, step) if step else None) or 0.0
     return max(shown, FINEST_SENSOR * float(np.std(gauge.values)))
-
-
-def _even_step(gauge: Gauge) -> float | None:
-    """From sample to sample, s; None where they are uneven."""
-    steps = np.diff(gauge.time)
-    step = float(np.median(steps))
-    return step if np.ptp(steps) < EVEN * step else None
 
 
 def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:

@@ -112,3 +112,20 @@ def test_a_search_may_start_elsewhere_where_a_number_is_unknown_and_nowhere_else
 def test_samples_until_a_time():
     kept = shown(1.0, 0.0, 0.0, 0.0).until(3.0)
     assert (len(kept.time), len(kept.values), kept.start) == (101, 101, 2.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.025, -0.013])
+def test_a_late_sensor_shows_what_it_felt_between_its_samples(delay):
+    time = 0.01 * np.arange(400)
+    felt = np.sin(2.0 * np.pi * 12.0 * time)
+    late = np.sin(2.0 * np.pi * 12.0 * (time - delay))
+    gauge = Gauge("a", "acceleration", {0: 1.0}, time, late, {"delay": Calibration(delay)})
+    shown = gauge.history(time)
+    np.testing.assert_allclose(shown[10:-10], felt[10:-10], atol=2e-3)
+
+
+def test_between_uneven_samples_there_are_straight_lines():
+    time = np.delete(0.01 * np.arange(50), range(20, 30))
+    gauge = Gauge("a", "acceleration", {0: 1.0}, time, time**2)
+    assert gauge.even_step is None
+    np.testing.assert_allclose(gauge.history(np.array([0.245])), np.interp(0.245, time, time**2))
