@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
+from pinn_cli.cli.records import data_of_records
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.instantiation import build
 
@@ -147,8 +148,9 @@ def test_the_config_lists_every_setting_and_reads_the_file(rig):
     of_csv = {name: value for name, value in OmegaConf.load(CONF).items() if name != "defaults"}
     settings = OmegaConf.merge(OmegaConf.load(SHARED), of_csv, {**SETTINGS, "holdout": [2]})
     fields = set(MeasuredData.__dataclass_fields__) - {"base"}
-    assert set(settings) - {"_target_"} == fields
-    source = build(settings, "data", base=rig)
+    assert set(settings) - {"_target_", "records"} == fields
+    (own,) = data_of_records(settings)
+    source = build(own, "data", base=rig)
     assert source.measure(3).record.observed.tolist() == [True, False, True]
 
 

@@ -13,6 +13,7 @@ import xarray as xr
 from omegaconf import OmegaConf
 from scipy.io import netcdf_file, savemat
 
+from pinn_cli.cli.records import data_of_records
 from pinn_cli.record.files.formats import FORMATS, format_of
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.settings.errors import InputError
@@ -137,7 +138,8 @@ def data(folder: Path, name: str, choice: str, settings: dict) -> MeasuredData:
     """By the settings of ``conf/data``."""
     option = {key: value for key, value in OmegaConf.load(CONF / f"{choice}.yaml").items() if key != "defaults"}
     node = OmegaConf.merge(OmegaConf.load(CONF / "_measured.yaml"), option, {"path": name, **settings})
-    return build(node, "data", base=folder)
+    (own,) = data_of_records(node)
+    return build(own, "data", base=folder)
 
 
 def message(folder: Path, name: str, choice: str, settings: dict | None = None) -> str:
