@@ -130,5 +130,5 @@ def test_a_sensor_of_one_name_is_one_sensor():
 def test_a_bayesian_scheme_says_that_it_has_no_calibrations():
     records = [with_gauge(record, gain=Calibration(1.0, 0.1)) for record in roving()]
     assert sensor_parameters(records[0])
-    with pytest.raises(InputError, match=r"data\.channels=gain_f: must be sensors whose gain"):
+    with pytest.raises(InputError, match=r"data\.channels=gain_f in doubt: must be sensors whose gain"):
         Bayesian(unknown="k_*").joint_problem(CHAIN, records)
