@@ -51,7 +51,6 @@ def _in_doubt(gauge: Gauge, number: int) -> tuple[Parameter, ...]:
             prior_std=gauge.of(kind).std,
             unknown=gauge.of(kind).unknown,
             unit=unit if kind in ("gain", "delay") else UNITS[gauge.quantity] + unit,
-            title=kind.capitalize(),
             label=gauge.name,
         )
         for kind, unit in CALIBRATION_UNITS.items()
