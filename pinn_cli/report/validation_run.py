@@ -9,8 +9,9 @@ may lead out of the band.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,19 +19,21 @@ import pandas as pd
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.ensemble import Members, spread_of
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.record import RESPONSE_QUANTITIES, UNITS
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.report.results import with_labels
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.calibrated_record import sample_places, with_gauges
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
 from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel
+    from pinn_cli.record.gauge import Gauge
     from pinn_cli.record.record import Record, Response
     from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.system.structure import Structure
@@ -163,28 +166,18 @@ def _as_calibrated(record: Record, estimate: Estimate) -> Record:
 
     Where a gauge has no sample its column is no measurement.
     """
-    found: dict[str, dict[str, float]] = {}
+    found: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for each in estimate.parameters:
         if each.kind in CALIBRATION_UNITS:
-            found.setdefault(each.parameter.label, {})[each.kind] = each.estimate
-    columns = {quantity: getattr(record, quantity).copy() for quantity in QUANTITIES}
-    missing = {quantity: np.zeros(values.shape, dtype=bool) for quantity, values in columns.items()}
-    ground = record.ground_acceleration
-    for gauge in record.gauges:
-        if gauge.dof is None:
-            continue
-        history = gauge.history(record.time, found.get(gauge.name))
-        if gauge.quantity not in columns:
-            ground = history
-            continue
-        columns[gauge.quantity][:, gauge.dof] = history
-        place = np.rint((gauge.calibrated(found.get(gauge.name))[0] - record.time[0]) / record.step).astype(np.int64)
-        absent = np.ones(len(record.time), dtype=bool)
-        absent[place[(place >= 0) & (place < len(absent))]] = False
-        missing[gauge.quantity][:, gauge.dof] = absent
-    if not record.gauges:
-        return record
-    return replace(record, **columns, ground_acceleration=ground, missing=missing)
+            found[each.parameter.label][each.kind] = each.estimate
+
+    def shown(gauge: Gauge) -> tuple[np.ndarray, np.ndarray]:
+        place, inside = sample_places(gauge, found[gauge.name], record.time)
+        there = np.zeros(len(record.time), dtype=bool)
+        there[place[inside]] = True
+        return gauge.history(record.time, found[gauge.name]), there
+
+    return with_gauges(record, shown) if record.gauges else record
 
 
 def _members(

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.gauge import DEGREE, Gauge
 from pinn_cli.record.record import GROUND, QUANTITIES, Record, Response
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
-
-# Of the spline that goes through an estimate to see it between its samples.
-DEGREE = 5
 
 
 def as_calibrated(record: Record, estimate: Estimate) -> Record:
@@ -28,13 +25,25 @@ def as_calibrated(record: Record, estimate: Estimate) -> Record:
     if not record.gauges:
         return record
     found = _by_gauge(record, estimate.parameters)
+    return with_gauges(
+        record, lambda gauge: _shown(gauge, found[gauge.name], record.time, _estimated(estimate.response, gauge))
+    )
+
+
+def with_gauges(record: Record, shown: Callable[[Gauge], tuple[np.ndarray, np.ndarray]]) -> Record:
+    """The record whose gauges' columns show something else.
+
+    Args:
+        record: Whose gauges they are.
+        shown: From a gauge to its column (N,), and to where it has a sample there, (N,) bool.
+    """
     columns: dict[str, Any] = {quantity: getattr(record, quantity).copy() for quantity in QUANTITIES}
     columns[GROUND] = None if record.ground_acceleration is None else record.ground_acceleration[:, None].copy()
     missing = {quantity: np.zeros(values.shape, bool) for quantity, values in columns.items() if values is not None}
     for gauge in record.gauges:
         if gauge.dof is not None:
-            shown, there = _shown(gauge, found[gauge.name], record.time, _estimated(estimate.response, gauge))
-            columns[gauge.quantity][:, gauge.dof], missing[gauge.quantity][:, gauge.dof] = shown, ~there
+            column, there = shown(gauge)
+            columns[gauge.quantity][:, gauge.dof], missing[gauge.quantity][:, gauge.dof] = column, ~there
     if columns[GROUND] is not None:
         columns[GROUND] = columns[GROUND][:, 0]
     return replace(record, **columns, missing=missing)
@@ -55,18 +64,24 @@ def _estimated(response: Response, gauge: Gauge) -> np.ndarray:
     return values if gauge.quantity == GROUND else values[:, gauge.dof]
 
 
+def sample_places(gauge: Gauge, found: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(J,), the place of each sample among the times (N,), and (J,) bool, those that are within them."""
+    felt_at = gauge.calibrated(found)[0]
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    # All samples of one sensor move alike: where it is late by half a step, each still has a place of its own.
+    late = int(np.rint((gauge.time[0] - felt_at[0]) / step))
+    place = np.rint((gauge.time - time[0]) / step).astype(np.int64) - late
+    inside = (place >= 0) & (place < len(time)) & (felt_at >= time[0]) & (felt_at <= time[-1])
+    return place, inside
+
+
 def _shown(
     gauge: Gauge, found: dict[str, float], time: np.ndarray, estimated: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,), the estimate with the gauge's residuals on it, and (N,) bool, where it has one."""
     from scipy.interpolate import make_interp_spline
 
-    felt_at, felt = gauge.calibrated(found)
-    step = (time[-1] - time[0]) / (len(time) - 1)
-    # All samples of one sensor move alike: where it is late by half a step, each still has a place of its own.
-    late = int(np.rint((gauge.time[0] - felt_at[0]) / step))
-    place = np.rint((gauge.time - time[0]) / step).astype(np.int64) - late
-    inside = (place >= 0) & (place < len(time)) & (felt_at >= time[0]) & (felt_at <= time[-1])
+    (felt_at, felt), (place, inside) = gauge.calibrated(found), sample_places(gauge, found, time)
     shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
     left = felt[inside] - make_interp_spline(time, estimated, DEGREE)(felt_at[inside])
     shown[place[inside]] += left
