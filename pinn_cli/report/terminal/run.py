@@ -13,7 +13,7 @@ from pinn_cli.record.record import GROUND, UNITS
 from pinn_cli.report import published
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.parameters import identifiability_warnings
-from pinn_cli.report.terminal.columns import WIDTH, Column, number, percent, table_lines
+from pinn_cli.report.terminal.columns import WIDTH, Column, number, percent, sensor_lines
 from pinn_cli.report.terminal.fitness import comparison_text, fitness_text, free_run_line, free_run_text
 from pinn_cli.report.terminal.parameters import parameters_text
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pinn_cli.validation.base import Score
     from pinn_cli.verdict.finding import Verdict
 
-SENSORS_SHOWN = 24
 _NOTES = (
     "noise: standard deviation found; NMSE: mean square residual over the sensor's variance (0: perfect,",
     "100: predicts nothing); free run: the same of the estimated system under the measured force;",
@@ -124,15 +123,11 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
         # Both have the same sensors in the same order.
         shown["baseline"] = theirs["nmse_percent"].to_numpy()
         columns["baseline"] = Column(f"{name} (%)", len(name) + 5, partial(number, digits=3))
-    notes = []
-    if len(shown) > SENSORS_SHOWN:
-        shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
-        notes.append(f"the {len(shown)} of {len(table)} sensors with the largest NMSE; all: residuals.csv")
     if "record" in shown:
         columns = {"record": Column("record", -7, str), **columns}
-    # A column of dashes says nothing: there may be no free run, and a training may find no noise.
-    columns = {name: column for name, column in columns.items() if shown[name].notna().any()}
-    return "\n".join([*table_lines(columns, shown), *notes, *_NOTES])
+    # There may be no free run, and a training may find no noise.
+    lines, notes = sensor_lines(columns, shown, "residuals.csv")
+    return "\n".join([*lines, *notes, *_NOTES])
 
 
 def _sensors(table: pd.DataFrame) -> pd.Series:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pinn_cli.report.terminal.columns import Column, number, percent, table_lines
+from pinn_cli.report.terminal.columns import Column, number, percent, sensor_lines
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from pinn_cli.report.validation_run import ValidationRun
 
-SENSORS_SHOWN = 24
 _COLUMNS = {
     "sensor": Column("validation data", -18, str),
     "unit": Column("unit", -6, str),
@@ -41,8 +40,5 @@ def validation_text(run: ValidationRun, table: pd.DataFrame) -> str:
         "deviation (parameters, start, force, discrepancy as a random force); inside: samples within 95 %",
     ]
     shown = table.assign(sensor=table["quantity"] + " " + table["dof"].astype(str))
-    if len(shown) > SENSORS_SHOWN:
-        shown = shown.loc[shown["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
-        notes.append(f"the {len(shown)} of {len(table)} sensors with the largest NMSE; all: validation.csv")
-    columns = {name: column for name, column in _COLUMNS.items() if shown[name].notna().any()}
-    return "\n".join([*table_lines(columns, shown), *notes])
+    lines, left_out = sensor_lines(_COLUMNS, shown, "validation.csv")
+    return "\n".join([*lines, *notes, *left_out])
