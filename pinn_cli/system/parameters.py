@@ -135,14 +135,18 @@ class ParameterVector(Generic[T]):
         self.first, self.places = dict(zip(self.kinds, ends, strict=False)), ends[-1]
         self.column = np.array([self.first[p.kind] + p.index for p in self.moving], dtype=np.int64)
 
-    def scattered(self, distances: Array) -> dict[str, Array]:
-        """Kind to the distances of all its members, 0 of those that are held; of all :attr:`kinds`."""
+    def placed(self, distances: Array) -> Array:
+        """(places,), the distances of all members of :attr:`kinds`, 0 of those that are held."""
         if isinstance(distances, np.ndarray):
             every = np.zeros(self.places)
             every[self.column] = distances
-        else:
-            column = torch.as_tensor(self.column, device=distances.device)
-            every = distances.new_zeros(self.places).index_copy(0, column, distances)
+            return every
+        column = torch.as_tensor(self.column, device=distances.device)
+        return distances.new_zeros(self.places).index_copy(0, column, distances)
+
+    def scattered(self, distances: Array) -> dict[str, Array]:
+        """Kind to the distances of all its members, 0 of those that are held; of all :attr:`kinds`."""
+        every = self.placed(distances)
         ends = [*self.first.values(), self.places][1:]
         return {kind: every[first:end] for (kind, first), end in zip(self.first.items(), ends, strict=True)}
 

@@ -143,8 +143,7 @@ class NormalEquations(Bounded):
     def moved_gauges(self, point: Point, step: Point) -> list[Tensor]:
         """Change of what every gauge would show with a small step of weights and parameters, each (I, S)."""
         parameters = self.parameters(point)
-        spread = torch.cat(list(self.spread.values())) if self.spread else point.parameters
-        by = torch.cat(list(self.vector.scattered(step.parameters).values())) if self.spread else step.parameters
+        spread, by = self.vector.placed(self.scale), self.vector.placed(step.parameters)
         return [rows.moved(point.unknowns, parameters, step.unknowns, by, spread) for rows in self.gauge_rows]
 
     def start(self) -> Point:
@@ -279,7 +278,7 @@ class NormalEquations(Bounded):
         if not self.gauge_rows:
             return
         parameters = self.parameters(point)
-        spread = torch.cat(list(self.spread.values())) if self.spread else point.parameters
+        spread = self.vector.placed(self.scale)
         for rows, sigma in zip(self.gauge_rows, noise.response[GAUGE], strict=True):
             rows.add_to(sums, point.unknowns, parameters, float(sigma) ** -2, spread)
             if noise.taken_up is not None and "gain" in rows.places:
@@ -322,7 +321,7 @@ class NormalEquations(Bounded):
         displacement, velocity, acceleration, _ = self.states(self.physics, step)
         force = rows.applied(displacement, velocity, acceleration)
         if self.vector.kinds:
-            by = torch.cat(list(self.vector.scattered(step.parameters).values()))
+            by = self.vector.placed(step.parameters)
             force = force + torch.einsum("isnkx,nkx->isn", rows.parameter, self.pattern.of_parameters(by))
         force = force * self.target.equation
         return force if self.averages is None else self.averages(force)
