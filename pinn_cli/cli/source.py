@@ -62,8 +62,8 @@ def read_structure(config: DictConfig, base: Path | None) -> Structure:
     if config.system.get("kind") == "matrices":
         return _finite_elements(config, base)
     named = config.system.get("kind") == "structure"
-    whole, partial = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
-    return construct(whole if _is_simulated(config) else partial, config.system, "system")
+    whole, incomplete = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
+    return construct(whole if _is_simulated(config) else incomplete, config.system, "system")
 
 
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:

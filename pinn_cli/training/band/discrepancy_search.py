@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+import torch
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.band.bordered import BorderedFactor
@@ -50,6 +51,23 @@ class Trained:
     noise: NoiseModel
     factor: BorderedFactor
     log_evidence: float
+
+    def drawn(self, count: int, of_mean_length: bool = False) -> list[Point]:
+        """Draws from the posterior, as steps from the solution; the same ones every time.
+
+        Args:
+            count: How many.
+            of_mean_length: Whether each is as long as a draw is on average: few of them then add up to what they must.
+        """
+        size = len(self.factor.scale) + len(self.factor.schur)
+        normals = np.random.default_rng(0).standard_normal((size, count))
+        if of_mean_length:
+            normals *= np.sqrt(size) / np.linalg.norm(normals, axis=0)
+        weights, parameters = self.factor.draws(normals)
+        like = self.solution.point.unknowns
+        return [
+            Point(*(torch.as_tensor(x).to(like) for x in drawn)) for drawn in zip(weights.T, parameters.T, strict=True)
+        ]
 
 
 class DiscrepancySearch(ABC):

@@ -16,7 +16,6 @@ from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.point import Point
 
 # Draws from the posterior that tell how much of what drives the forces the record has told.
 DRAWS = 8
@@ -149,11 +148,8 @@ def _told(evidence: Evidence, trained: Trained) -> Told | None:
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
     found = power(equations.residuals(point)["physics"])
-    size = len(trained.factor.scale) + len(trained.factor.schur)
     rows, scatter = equations.rows(equations.physics, point), np.zeros_like(found)
-    weights, parameters = trained.factor.draws(np.random.default_rng(0).standard_normal((size, DRAWS)))
-    for w, x in zip(weights.T, parameters.T, strict=True):
-        drawn = Point(*(torch.as_tensor(v).to(point.unknowns) for v in (w, x)))
+    for drawn in trained.drawn(DRAWS):
         scatter += power(equations.moved_force(rows, drawn)) / DRAWS
     told = len(inputs.forces) - scatter / float(innovation[forces][0]) ** 2
     frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))

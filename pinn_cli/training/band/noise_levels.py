@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
@@ -20,7 +19,6 @@ from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
@@ -96,16 +94,11 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
     add up to what they must; a few draws tell each to some per cent.
     """
     equations, noise, point = evidence.equations, trained.noise, trained.solution.point
-    size = len(trained.factor.scale) + len(trained.factor.schur)
-    normals = np.random.default_rng(0).standard_normal((size, DRAWS))
-    normals *= np.sqrt(size) / np.linalg.norm(normals, axis=0)
-    weights, parameters = trained.factor.draws(normals)
     rows = equations.rows(equations.physics, point)
     physics = equations.weights(noise)["physics"]
     response = {quantity: np.zeros(len(sigma)) for quantity, sigma in noise.response.items()}
     enforced = np.zeros(equations.dynamics.size)
-    for w, x in zip(weights.T, parameters.T, strict=True):
-        drawn = Point(*(torch.as_tensor(v).to(point.unknowns) for v in (w, x)))
+    for drawn in trained.drawn(DRAWS, of_mean_length=True):
         seen = equations.jet(equations.observation, drawn)
         for quantity in response:
             if quantity == GAUGE:
