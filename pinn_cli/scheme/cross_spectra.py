@@ -7,8 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Record
 from pinn_cli.record.spectrum import LOWEST_BINS, lowest_level, record_band
+from pinn_cli.scheme.lagged_products import Products
+from pinn_cli.system.quantities import FORCE
 
 # Frequencies closer than this part of their value are taken together: no resonance is narrower that is worth a start.
 RELATIVE_RESOLUTION = 0.005
@@ -32,7 +34,10 @@ class CrossSpectra:
         orders: (S,), 0, 1, 2 for displacement, velocity, acceleration.
         of_forces: (B, F, F), force times conjugate force.
         of_both: (B, S, F), response times conjugate force.
-        of_sensors: (B, S), power of the response.
+        of_sensors: (B, S), power of the response; where samples are missing, with the scatter that this brings.
+        of_acting: (B, F), power of what acts, likewise.
+        scatter: (B, S, F), variance that missing samples bring to one frequency of ``of_both``; None: none is missing.
+        count: (B,), frequencies in every group.
         force_floor, sensor_floor: (F,) and (S,), what white noise adds to either power, at most.
     """
 
@@ -43,6 +48,9 @@ class CrossSpectra:
     of_forces: np.ndarray
     of_both: np.ndarray
     of_sensors: np.ndarray
+    of_acting: np.ndarray
+    scatter: np.ndarray | None
+    count: np.ndarray
     force_floor: np.ndarray
     sensor_floor: np.ndarray
     felt: np.ndarray | None = None
@@ -59,9 +67,10 @@ class CrossSpectra:
         if (not len(forced) and ground is None) or not np.isfinite(record.force).all():
             return None
         acting = record.force[:, forced] if ground is None else np.column_stack((record.force[:, forced], ground))
-        channels = [(q, dof) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
+        channels = [(q, int(dof)) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         measured = np.stack([getattr(record, q)[:, dof] for q, dof in channels], axis=1)
-        forces, responses = _spectrum(acting), _spectrum(measured)
+        driving = [(FORCE, int(dof)) for dof in forced] + ([] if ground is None else [(GROUND, 0)])
+        products = Products.of_samples(record, acting, measured, driving, channels)
         frequency = np.fft.rfftfreq(len(record.time), record.step)
         last = int(np.searchsorted(frequency, BEYOND_BAND * record_band(record), side="right"))
         most = max(MOST_FREQUENCIES // records, MOST_FOR_MANY) if record.ndof <= MANY_DOFS else MOST_FOR_MANY
@@ -79,9 +88,12 @@ class CrossSpectra:
             forced,
             np.array([dof for _, dof in channels]),
             np.array([RESPONSE_QUANTITIES.index(q) for q, _ in channels]),
-            averaged(np.einsum("bi,bj->bij", forces, forces.conj())),
-            averaged(np.einsum("bs,bj->bsj", responses, forces.conj())),
-            averaged(np.abs(responses) ** 2),
+            averaged(products.of_forces),
+            averaged(products.of_both),
+            averaged(products.of_sensors),
+            averaged(products.acting),
+            products.scatter_of(averaged),
+            count,
             _floor(acting, record.step),
             _floor(measured, record.step),
             None
@@ -104,12 +116,8 @@ class CrossSpectra:
         return weights[kept] / weights[kept].sum(axis=1, keepdims=True)
 
 
-def _spectrum(x: np.ndarray) -> np.ndarray:
-    return np.fft.rfft((x - x.mean(axis=0)) * np.hanning(len(x))[:, None], axis=0)
-
-
 def _floor(x: np.ndarray, step: float) -> np.ndarray:
-    """(C,) power of white noise in :func:`_spectrum` of channels (N, C), at most."""
+    """(C,) power of white noise in the spectra of channels (N, C), at most."""
     return np.array([lowest_level(column, step) for column in x.T]) ** 2 * float(np.sum(np.hanning(len(x)) ** 2))
 
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.screening import DAMPING, last_ends, screened
+from pinn_cli.scheme.linear_fit import DAMPING, last_ends
+from pinn_cli.scheme.screening import screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value, unit_forces
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
@@ -29,6 +30,8 @@ FACTOR_SCALE = 1.0
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
 # a start of their own, so many at most.
 HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
+# Where missing samples scatter everything, the right chain explains a little only. One that does not move has 1.
+NEARLY_NOTHING = 0.98
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ def parameter_starts(
     known, guess = _known(prescribed, unknown), _guess(prescribed, records, unknown, given)
     stretch, moved = prescribed.incidence.matrix.toarray(), prescribed.with_ground
     every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
-    candidates = [c for c in every if c.misfit < HOPELESS]
+    candidates = [c for c in every if c.misfit < HOPELESS + (NEARLY_NOTHING - HOPELESS) * c.scatter]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     if not candidates[:most]:

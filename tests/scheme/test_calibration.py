@@ -15,7 +15,7 @@ from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.channel_doubts import ChannelDoubts
 from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.screening import LinearFit
+from pinn_cli.scheme.linear_fit import LinearFit
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError

@@ -13,7 +13,8 @@ from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.screening import LinearFit, screened
+from pinn_cli.scheme.linear_fit import LinearFit
+from pinn_cli.scheme.screening import screened
 from pinn_cli.system.chain import chain_of
 from pinn_cli.system.connection import Linear
 

@@ -1,0 +1,259 @@
+"""How well a linear structure makes of the measured force what the sensors saw: the misfit of its cross spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from pinn_cli.scheme.channel_doubts import ChannelDoubts
+from pinn_cli.scheme.cross_spectra import CrossSpectra
+
+# Relative width of the smoothing, to begin with.
+WIDEST = 0.15
+# Loss factor that every spring has at least: nothing is singular at a resonance then.
+LEAST_LOSS = 1e-5
+# Damping ratio at which damping starts where it is unknown.
+DAMPING = 0.02
+# Power over the noise floor at which a frequency counts half.
+ABOVE_FLOOR = 10.0
+# How far one start and width may take a parameter, as a logarithm.
+FARTHEST = np.log(20.0)
+# Frequencies next to each other that a Hann window makes one.
+TOGETHER = 1.5
+# Evaluations of the misfit for one start and width, at most.
+EVALUATIONS = 30
+
+
+class LinearFit:
+    """Masses, stiffnesses and the damping of a structure as logarithms, and the misfit of its frequency response.
+
+    Args:
+        spectra: Of the record.
+        stretch, known: See :func:`pinn_cli.scheme.screening.screened`.
+        typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
+        influence: See :func:`pinn_cli.scheme.screening.screened`.
+        doubts: What is in doubt of the channels; None: nothing.
+        width: Of the smoothing, to begin with.
+    """
+
+    def __init__(
+        self,
+        spectra: CrossSpectra,
+        stretch: np.ndarray,
+        known: Mapping[str, np.ndarray],
+        typical: np.ndarray,
+        influence: np.ndarray | None = None,
+        doubts: ChannelDoubts | None = None,
+        width: float = WIDEST,
+    ) -> None:
+        self.doubts = doubts if doubts is not None and len(doubts) else None
+        self.influence = np.ones(stretch.shape[1]) if influence is None else influence
+        self.spectra, self.known = spectra, known
+        self.end, self.typical = last_ends(stretch), float(np.median(typical))
+        self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
+        self.damped = len(self.free["c"]) > 0
+        self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped
+        self.stretch = stretch
+        self.smooth(width)
+
+    def smooth(self, width: float) -> None:
+        """Choose how widely the misfit is smoothed."""
+        s = self.spectra
+        self.kernel = s.smoothing(width)
+        sensed, driven = self.kernel @ s.of_sensors, self.kernel @ s.of_acting
+        size = sensed[:, :, None] * driven[:, None, :]
+        heard = (driven / (driven + ABOVE_FLOOR * s.force_floor))[:, None, :]
+        seen = (sensed / (sensed + ABOVE_FLOOR * s.sensor_floor))[:, :, None]
+        self.scale = heard * seen / np.sqrt(np.maximum(size, 1e-300))
+        self.common = self.scale * self._smoothed(s.of_both)
+        self.size = float(np.sum(np.abs(self.common) ** 2))
+        # The window makes neighbouring frequencies go together.
+        by_chance = (
+            0.0 if s.scatter is None else np.einsum("ob,bsf->osf", self.kernel**2 * TOGETHER / s.count, s.scatter)
+        )
+        self.scatter = float(np.sum(self.scale**2 * by_chance))
+
+    def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
+        m, k = (
+            np.where(np.isnan(self.known[kind]), value, self.known[kind])
+            for kind, value in (("m", mass), ("k", stiffness))
+        )
+        damping = [np.log(DAMPING)] if self.damped else []
+        in_doubt = np.zeros(0 if self.doubts is None else len(self.doubts))
+        return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping, in_doubt))
+
+    def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """``m`` (n,), ``c`` and ``k`` (C,) at the unknowns x; unknown dampers have one damping ratio."""
+        m, k, c = (self.known[kind].copy() for kind in ("m", "k", "c"))
+        split = len(self.free["m"])
+        m[self.free["m"]] = np.exp(x[:split])
+        k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
+        if self.damped:
+            critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
+            c[self.free["c"]] = np.exp(x[self.count - 1]) * critical[self.free["c"]]
+        return {"m": m, "c": c, "k": k}
+
+    def calibration(self, x: np.ndarray) -> dict[int, dict[str, float]]:
+        """See :class:`pinn_cli.scheme.screening.Candidate`."""
+        return {} if self.doubts is None else self.doubts.calibration(x[self.count :])
+
+    def outline(self, x: np.ndarray) -> float:
+        """The misfit of the sizes alone, each channel's as large as it comes nearest: whatever gains and delays are."""
+        cross, _, _, _ = self._cross(x, np.zeros(0))
+        size, common = np.abs(self.scale * self._smoothed(cross)), np.abs(self.common)
+        gain = (size * common).sum(0) / np.maximum((size**2).sum(0), 1e-300)
+        return float(np.sum((gain * size - common) ** 2)) / max(self.size, 1e-300)
+
+    def aligned(self, x: np.ndarray) -> np.ndarray:
+        """The unknowns with every doubtful channel shifted and scaled to where the others want it, one by one."""
+        if self.doubts is None:
+            return x
+        x, doubts = x.copy(), self.doubts
+        omega = self.kernel @ self.spectra.omega
+        for channel in 2 * doubts.doubtful:
+            places = {kind: self.count + i for kind, i in doubts.places(channel).items()}
+            x[list(places.values())] = 0.0
+            cross, _, _, driven = self._cross(x, x[self.count :])
+            acts, number = channel >= doubts.sensors, channel - doubts.sensors
+            own = self.scale * self._smoothed(driven[number] if acts else cross)
+            rest = self.scale * self._smoothed(cross) - own if acts else np.zeros_like(own)
+            pick = np.ones(own.shape[1], bool) if acts else np.arange(own.shape[1]) == channel
+            own, wanted = own[:, pick], (self.common - rest)[:, pick]
+            together = (own.conj() * wanted).sum((1, 2))
+            sign = -1.0 if acts else 1.0
+            gain = 1.0
+            if "delay" in places:
+                doubt = doubts.doubts[places["delay"] - self.count]
+                tried = doubts.tried_delays(doubt)
+                shifted = (np.exp(1j * sign * np.outer(tried * doubt.std, omega)) @ together).real
+                best = int(np.argmax(shifted))
+                x[places["delay"]], gain = tried[best], float(shifted[best])
+            else:
+                gain = float(together.real.sum())
+            ratio = gain / max(float((np.abs(own) ** 2).sum()), 1e-300)
+            if "gain" in places and ratio > 0:
+                x[places["gain"]] = float(np.clip(sign * np.log(ratio), -FARTHEST, FARTHEST))
+        return x
+
+    def _smoothed(self, values: np.ndarray) -> np.ndarray:
+        # Real and imaginary parts side by side: a complex product would take twice as long.
+        flat = np.ascontiguousarray(values).reshape(len(values), -1).view(np.float64)
+        return (self.kernel @ flat).view(np.complex128).reshape(-1, *values.shape[1:])
+
+    def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
+        """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
+        s, p = self.spectra, self.parameters(x)
+        cross, flexibility, of_forces, driven_by = self._cross(x, x[self.count :])
+        residual = self.scale * self._smoothed(cross) - self.common
+        if not slopes:
+            return residual, np.empty(0)
+        shown = 1.0 if self.doubts is None else self.doubts.factors(x[self.count :])[0][:, :, None]
+        seen = shown * s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
+        by = []
+        driven = self._moved(p, flexibility) @ of_forces
+        pull, stretched = seen @ self.stretch.T, self.stretch @ driven
+        for dof in self.free["m"]:
+            slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
+            if s.felt is not None:  # a heavier mass also feels more of the ground
+                slope = slope - p["m"][dof] * self.influence[dof] * seen[:, :, [dof]] * of_forces[:, [-1]]
+            # Critical damping grows with the mass.
+            for i in self.free["c"][self.end[self.free["c"]] == dof]:
+                slope = slope - 0.5j * s.omega[:, None, None] * p["c"][i] * pull[:, :, [i]] * stretched[:, [i]]
+            by.append(slope)
+        for i in self.free["k"]:
+            rate = p["k"][i] * (1.0 + LEAST_LOSS * 1j) + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
+            by.append(-np.reshape(rate, (-1, 1, 1)) * pull[:, :, [i]] * stretched[:, [i]])
+        if self.damped:
+            c = self.free["c"]
+            by.append(-1j * s.omega[:, None, None] * (pull[:, :, c] * p["c"][c]) @ stretched[:, c])
+        if self.doubts is not None:
+            by += self.doubts.slopes(cross, driven_by)
+        return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
+
+    def _cross(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Cross spectra of what sensors and forces show, and what they are made of.
+
+        Returns:
+            The cross spectra (B, S, F); the flexibility (B, n, n); the spectra of the forces that act with those that
+            are shown (B, F, F); what each force adds to the first (F, B, S, F), empty where no channel is in doubt.
+        """
+        s, p = self.spectra, self.parameters(x)
+        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
+        stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
+        stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
+        flexibility = np.linalg.inv(stiffness)
+        response = s.differentiation[:, :, None] * self._moved(p, flexibility)[:, s.sensors]
+        if s.felt is not None:
+            response[:, :, -1] += s.felt * self.influence[s.sensors]
+        if self.doubts is None or not len(y):
+            return response @ s.of_forces, flexibility, s.of_forces, np.empty(0)
+        of_sensors, of_acting = self.doubts.factors(y)
+        response, of_forces = of_sensors[:, :, None] * response, s.of_forces / of_acting[:, :, None]
+        driven = np.einsum("bsf,bfg->fbsg", response, of_forces)
+        return driven.sum(0), flexibility, of_forces, driven
+
+    def _moved(self, p: Mapping[str, np.ndarray], flexibility: np.ndarray) -> np.ndarray:
+        """(B, n, F), displacements for one of what acts."""
+        moved = flexibility[:, :, self.spectra.forced]
+        if self.spectra.felt is None:
+            return moved
+        shaken = -flexibility @ (p["m"] * self.influence)
+        return np.concatenate((moved, shaken[:, :, None]), axis=2)
+
+
+class JointFit:
+    """The same of several records of one structure: one vector of unknowns, and the misfits of all of them.
+
+    Args:
+        each: Of every record; they differ in their spectra alone.
+    """
+
+    def __init__(self, each: Sequence[LinearFit]) -> None:
+        self.each = each
+        self.known, self.free, self.stretch = each[0].known, each[0].free, each[0].stretch
+        self.start, self.parameters = each[0].start, each[0].parameters
+        # Only of a lone record is anything in doubt, see `screening.screened`.
+        self.doubts, self.calibration = each[0].doubts, each[0].calibration
+        self.outline, self.aligned = each[0].outline, each[0].aligned
+
+    def smooth(self, width: float) -> None:
+        """See :meth:`LinearFit.smooth`."""
+        for fit in self.each:
+            fit.smooth(width)
+
+    def misfit(self, x: np.ndarray) -> float:
+        """See :class:`pinn_cli.scheme.screening.Candidate`."""
+        residuals = [fit.residual(x, slopes=False)[0] for fit in self.each]
+        square = sum(float(np.sum(np.abs(residual) ** 2)) for residual in residuals)
+        return square / max(sum(fit.size for fit in self.each), 1e-300)
+
+    @property
+    def scatter(self) -> float:
+        """See :class:`pinn_cli.scheme.screening.Candidate`."""
+        return min(sum(fit.scatter for fit in self.each) / max(sum(fit.size for fit in self.each), 1e-300), 1.0)
+
+    def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """The misfit and the unknowns at the bottom of the valley that x lies in."""
+
+        def residual(x: np.ndarray) -> np.ndarray:
+            return _real(np.concatenate([fit.residual(x, slopes=False)[0].reshape(-1) for fit in self.each]))
+
+        def jacobian(x: np.ndarray) -> np.ndarray:
+            return _real(np.concatenate([fit.residual(x, slopes=True)[1].reshape(-1, len(x)) for fit in self.each]))
+
+        bounds = (x - FARTHEST, x + FARTHEST)
+        found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
+        return self.misfit(found.x), found.x
+
+
+def last_ends(stretch: np.ndarray) -> np.ndarray:
+    """(C,), of every connection, a row of (C, n), the last coordinate that stretches it; of a chain its own mass."""
+    last: np.ndarray = stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)
+    return last
+
+
+def _real(values: np.ndarray) -> np.ndarray:
+    return np.concatenate((values.real, values.imag))
