@@ -18,6 +18,8 @@ EXAMPLES = {
 }
 # Where forces are not measured, slow drift is not told.
 DISPLACEMENT = {"ambient_vibration": 90.0}
+# What the roof of a frame does, other frames do too.
+SEVERAL = ("shear_building_earthquake",)
 SLOW = ("ambient_vibration", "shear_building_earthquake", "frame_with_hysteretic_brace")
 
 
@@ -32,4 +34,10 @@ def test_an_example_finds_what_it_asks_for(pinn_run: PinnRun, example: str) -> N
         assert parameters.loc[name, "error_percent"] < percent
     fitness = pd.read_csv(outcome.directory / "fitness.csv").set_index(["group", "quantity"])["fitness_percent"]
     assert fitness["unobserved", "displacement"] > DISPLACEMENT.get(example, 97.0)
-    assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound"
+    verdict = json.loads((outcome.directory / "run.json").read_text())
+    if example not in SEVERAL:
+        assert verdict["verdict"] == "sound"
+        return
+    assert verdict["verdict"] == "questionable"
+    (reason,) = verdict["reasons"]
+    assert reason.startswith("another structure explains the record as well")

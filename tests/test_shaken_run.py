@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
+import pytest
 import xarray as xr
 from calls import PinnRun
 
@@ -36,3 +38,19 @@ def test_a_frame_in_an_earthquake(pinn_run: PinnRun) -> None:
         assert float(np.mean(np.abs(left) < 1.96 * response["drift_std"])) > 0.7
     verdict = json.loads((outcome.directory / "run.json").read_text())["verdict"]
     assert verdict == "sound", outcome.out
+
+
+def test_a_frame_of_which_the_roof_leaves_two_open(pinn_run: PinnRun) -> None:
+    """Storeys of 4 and 1 MN/m move the roof as two of 2 MN/m do."""
+    outcome = pinn_run(
+        *EARTHQUAKE, "scheme=state_parameter", "scheme.unobserved=[1]", "scheme.unknown=[k_*,c_*]", "figures=false"
+    )
+    assert outcome.status == 0, outcome.err
+    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    assert (found.loc[["k_1", "k_2"], "error_percent"] < 5.0).all()
+    run = json.loads((outcome.directory / "run.json").read_text())
+    assert run["verdict"] == "questionable"
+    (reason,) = (x for x in run["reasons"] if x.startswith("another structure"))
+    other = {name: float(x) for name, x in re.findall(r"(k_\d) = ([\d.e+]+)", reason)}
+    assert other["k_1"] == pytest.approx(4e6, rel=0.1)
+    assert other["k_2"] == pytest.approx(1e6, rel=0.1)

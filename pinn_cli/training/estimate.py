@@ -82,6 +82,19 @@ class ParameterEstimate:
         return math.nan if self.unknown else self.prescribed
 
 
+@dataclass(frozen=True)
+class Rival:
+    """Another solution that explains a record as well as the one that is reported.
+
+    Attributes:
+        values: Name of every unknown parameter of the structure to its value there.
+        log_odds: Natural logarithm of how many times as probable it is.
+    """
+
+    values: dict[str, float]
+    log_odds: float
+
+
 @dataclass(frozen=True, eq=False)
 class ConnectionHistories:
     """What the connections do, in the order of the structure's; of modes, those that were added to them.
@@ -120,6 +133,7 @@ class Estimate:
         further: Of further records that were solved together with this one, each with its own parameters; history is
             the same. ``parameters`` and ``correlation`` are then those of all records.
         own: How many of ``parameters``, the first ones, are this record's own; None: all.
+        rivals: Other solutions that explain the record as well.
     """
 
     response: Response
@@ -132,6 +146,7 @@ class Estimate:
     connections: ConnectionHistories | None = None
     further: tuple[Estimate, ...] = ()
     own: int | None = None
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:

@@ -101,7 +101,7 @@ class GaussNewton(Training):
                 found = inferred(problem, design, settings, run.device, history)
         for equations, point in found.by_record:
             equations.network.readout.data = equations.readout(point)
-        estimate = posterior_estimate(found.evidence, found.trained, history)
+        estimate = replace(posterior_estimate(found.evidence, found.trained, history), rivals=found.rivals)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))

@@ -50,6 +50,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     found = [f for p in unknown for f in (_far_from_start(p), _undetermined(p, kinds.get(p.name, ""))) if f is not None]
     return (
         found
+        + _rivals(estimate)
         + _moved(believed)
         + _spread(estimate)
         + _frequencies(structure, problem.record, loose_dofs(problem.structure))
@@ -85,6 +86,19 @@ def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
         return None
     text = f"the record does not determine {p.name}: its standard deviation is {100 * relative:.0f} % of its value"
     return Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
+
+
+def _rivals(estimate: Estimate) -> list[Finding]:
+    """Other solutions that the record cannot tell from the one that is reported."""
+    found = []
+    for rival in estimate.rivals:
+        values = ", ".join(f"{name} = {x:.4g}" for name, x in rival.values.items())
+        more, fewer = math.exp(max(rival.log_odds, 0.0)), math.exp(max(-rival.log_odds, 0.0))
+        odds = f"{more:.3g} times as probable" if rival.log_odds > 0 else f"1/{fewer:.3g} as probable"
+        text = f"another structure explains the record as well ({odds}): {values}; the nearest to the start is reported"
+        remedy = "measure at another DOF, or prescribe a parameter of which you know something"
+        found.append(Finding("rival", "parameters", f"{text}; {remedy}"))
+    return found
 
 
 def _moved(believed: Sequence[ParameterEstimate]) -> list[Finding]:

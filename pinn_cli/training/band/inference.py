@@ -22,9 +22,11 @@ from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
+from pinn_cli.training.band.rivals import weighed
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
+from pinn_cli.training.estimate import Rival
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, starting_levels
 
@@ -41,10 +43,11 @@ REFINEMENTS, WORTHWHILE = 2, 1.1
 
 @dataclass(frozen=True, eq=False)
 class Inferred:
-    """A solution and what it was found with."""
+    """A solution, what it was found with, and others that explain the record as well."""
 
     evidence: Evidence | JointEvidence
     trained: Trained
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def by_record(self) -> list[tuple[NormalEquations, Point]]:
@@ -100,7 +103,9 @@ def inferred(
         if finer is None or again is None:
             break
         designs, found = finer, again
-    return Inferred(found.evidence, _driven_in_band(found.evidence, found.evidence.widen_for_colour(found.trained)))
+    evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
+    choice = weighed(evidence, found.trained, settle)
+    return Inferred(evidence, _driven_in_band(evidence, evidence.widen_for_colour(choice.trained)), choice.rivals)
 
 
 def _finer(designs: Sequence[NetworkDesign], found: Inferred) -> list[NetworkDesign] | None:

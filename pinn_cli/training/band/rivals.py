@@ -1,0 +1,151 @@
+"""Other solutions: structures that do the same at the sensors, and how probable the record makes each.
+
+One search ends at one of them, whichever lies on its way, and standard deviations say nothing of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.spectrum import record_band
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, MOTION
+from pinn_cli.system.structure import Structure
+from pinn_cli.system.twins import Seen, twins
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.levenberg_marquardt import followed
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.estimate import Rival
+
+# Solutions that are weighed at most.
+MOST = 3
+# Two solutions are one where no parameter differs by so many standard deviations, or by this part of its value.
+APART, LEAST_APART = 4.0, 0.05
+# As a logarithm: one that is less probable than the best by more is none.
+AS_GOOD = 6.0
+# Part of the record's band below which it shows no modes.
+LOWEST = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The solution that is reported, and those that explain the record as well."""
+
+    trained: Trained
+    rivals: tuple[Rival, ...] = ()
+
+
+def weighed(evidence: Evidence | JointEvidence, trained: Trained, settle: Callable[[Trained], Trained]) -> Choice:
+    """The solution that lies nearest to the start among those that are as probable as any.
+
+    Args:
+        evidence: Of the problem.
+        trained: One solution.
+        settle: From a solution to the same one under its own noise levels.
+    """
+    solutions = [trained]
+    for values in _others(evidence, trained):
+        found = _solved(evidence, trained, values)
+        if found is not None and all(_differ(evidence, found, other) for other in solutions):
+            solutions.append(found)
+    if len(solutions) == 1:
+        return Choice(trained)
+    best = max(one.log_evidence for one in solutions)
+    as_good = [one for one in solutions if one.log_evidence > best - AS_GOOD]
+    as_good.sort(key=lambda one: _distance(evidence, one))
+    first = as_good[0] if as_good[0] is trained else settle(as_good[0])
+    rivals = [_rival(evidence, one, one.log_evidence - as_good[0].log_evidence) for one in as_good[1:]]
+    return Choice(first, tuple(rivals))
+
+
+def _others(evidence: Evidence | JointEvidence, trained: Trained) -> list[dict[Parameter, float]]:
+    """Values of the unknown parameters of structures that do the same."""
+    problem, values = evidence.problem, _values(evidence, trained)
+    unknown = [p for p in values if p.unknown and p.kind in (MASS, "k")]
+    if not unknown or problem.structure.shapes is not None:
+        return []
+    structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
+    found = twins(structure, unknown, seen_by(structure, [own.record for own in problem.by_record]), MOST)
+    return [other | _dampers(values, other) for other in found]
+
+
+def _dampers(values: dict[Parameter, float], other: dict[Parameter, float]) -> dict[Parameter, float]:
+    """Unknown dampers with the loss factors that their springs had."""
+    springs = {p.index: x / values[p] for p, x in other.items() if p.kind == "k"}
+    return {p: x * springs[p.index] for p, x in values.items() if p.kind == "c" and p.unknown and p.index in springs}
+
+
+def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
+    """What sensors see of a structure and what acts on it, in all records together."""
+    one = np.eye(structure.ndof)
+    sensing: list[np.ndarray] = []
+    acting: list[np.ndarray] = []
+    by_mass: list[bool] = []
+    for record in records:
+        sensing += [one[dof] for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
+        acting += [one[dof] for dof in np.flatnonzero(record.sensors(FORCE))]
+        for gauge in record.gauges:
+            weights = np.zeros(structure.ndof)
+            weights[list(gauge.weights)] = list(gauge.weights.values())
+            if gauge.quantity in MOTION:
+                sensing.append(weights)
+            elif gauge.quantity == FORCE:
+                acting.append(weights)
+        by_mass += [False] * (len(acting) - len(by_mass))
+        if record.ground_acceleration is not None:
+            acting.append(structure.with_ground)
+            by_mass.append(True)
+    high = max(map(record_band, records))
+    low = max(LOWEST * high, 1.0 / max(record.duration for record in records))
+    shape = (-1, structure.ndof)
+    return Seen(np.reshape(sensing, shape), np.reshape(acting, shape).T, np.array(by_mass, dtype=bool), low, high)
+
+
+def _solved(evidence: Evidence | JointEvidence, trained: Trained, values: dict[Parameter, float]) -> Trained | None:
+    """The solution next to these values, under the same noise; None where there is none."""
+    equations, point = evidence.least_squares, trained.solution.point
+    uncertain, scale = evidence.equations.uncertain, evidence.equations.scale
+    moved = point.parameters.clone()
+    for i, p in enumerate(uncertain):
+        if p in values:
+            moved[i] = (values[p] - p.prescribed) / scale[i]
+    try:
+        again = evidence.train(trained.noise, followed(equations, Point(point.unknowns, moved), trained.noise))
+    except DivergenceError:
+        return None
+    return again if again is not None and again.solution.converged else None
+
+
+def _values(evidence: Evidence | JointEvidence, trained: Trained) -> dict[Parameter, float]:
+    scaled = (trained.solution.point.parameters * evidence.equations.scale).cpu().numpy()
+    return {p: p.value(float(x)) for p, x in zip(evidence.equations.uncertain, scaled, strict=True)}
+
+
+def _differ(evidence: Evidence | JointEvidence, a: Trained, b: Trained) -> bool:
+    """Whether two solutions are not one."""
+    mine, theirs = (np.array(list(_values(evidence, one).values())) for one in (a, b))
+    spread = sum(np.diag(one.factor.corner_covariance) for one in (a, b)) ** 0.5
+    scale = evidence.equations.scale.cpu().numpy()
+    apart = np.abs(mine - theirs)
+    relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in evidence.equations.uncertain])
+    return bool(((apart > APART * spread * scale) & (apart > LEAST_APART * np.abs(mine)) & relevant).any())
+
+
+def _distance(evidence: Evidence | JointEvidence, trained: Trained) -> float:
+    """Of the unknown masses and springs from where they started, as logarithms."""
+    pairs = [(x, p.prescribed) for p, x in _values(evidence, trained).items() if p.unknown and p.kind in (MASS, "k")]
+    ratios = torch.tensor([x / start for x, start in pairs if x > 0 and start > 0])
+    return float(ratios.log().square().sum())
+
+
+def _rival(evidence: Evidence | JointEvidence, trained: Trained, log_odds: float) -> Rival:
+    values = {p.name: x for p, x in _values(evidence, trained).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
+    return Rival(values, log_odds)

@@ -1,0 +1,57 @@
+"""Structures that do the same at a few sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pinn_cli.system import build_chain
+from pinn_cli.system.connection import Linear
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.twins import Seen, _Match, twins
+
+FRAME = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=1e3, k=[8e6, 7.2e6, 5.6e6])
+SPRINGS = [Parameter("k", i) for i in range(3)]
+ROOF, EVERY = np.eye(3)[[2]], np.eye(3)
+
+
+def seen(sensing: np.ndarray, shaken: bool = True) -> Seen:
+    acting = np.ones((3, 1)) if shaken else np.eye(3)[:, [0]]
+    return Seen(sensing, acting, np.array([shaken]), 0.3, 20.0)
+
+
+def frequencies(k: list[float]) -> np.ndarray:
+    """Written out independently: rad/s."""
+    stiffness = np.diag(np.add(k, [*k[1:], 0.0])) - np.diag(k[1:], 1) - np.diag(k[1:], -1)
+    mass = np.array([2e3, 2e3, 1.5e3])
+    return np.sqrt(np.linalg.eigvalsh(stiffness / np.sqrt(np.outer(mass, mass))))
+
+
+def test_the_roof_of_a_shaken_frame_has_a_twin_with_the_same_frequencies():
+    (other,) = twins(FRAME, SPRINGS, seen(ROOF), 3)
+    k = [other[p] for p in SPRINGS]
+    assert k[0] > 1.5 * 8e6
+    np.testing.assert_allclose(frequencies(k), frequencies([8e6, 7.2e6, 5.6e6]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("looked_at", [seen(EVERY), seen(np.eye(3)[[0]], shaken=False)], ids=["all floors", "driven"])
+def test_what_sensors_tell_apart_has_no_twin(looked_at: Seen):
+    assert twins(FRAME, SPRINGS, looked_at, 3) == []
+
+
+def test_parameters_that_are_held_leave_no_room_for_a_twin():
+    assert twins(FRAME, SPRINGS[:1], seen(ROOF), 3) == []
+
+
+def test_dampers_alone_have_no_twin():
+    assert twins(FRAME, [Parameter("c", 0)], seen(ROOF), 3) == []
+
+
+def test_slopes_are_those_of_the_responses():
+    free = [Parameter("k", 0), Parameter("m", 1), Parameter("m", 0)]
+    both = Seen(EVERY[1:], np.column_stack((np.ones(3), EVERY[0])), np.array([True, False]), 0.5, 17.0)
+    match, at, h = _Match(FRAME, free, both), np.array([0.1, -0.2, 0.3]), 1e-6
+    _, slopes = match._response(at)
+    for column, step in enumerate(h * np.eye(3)):
+        difference = (match._response(at + step)[0] - match._response(at - step)[0]) / (2.0 * h)
+        np.testing.assert_allclose(slopes[..., column], difference, atol=1e-6 * np.abs(difference).max())
