@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpbtrf, dtbtrs
 from scipy.optimize import nnls
 
-from pinn_cli.training.band.triangular_bands import solve_factored
+from pinn_cli.training.band.band_factor import BandFactor
 
-# Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
-# largest entry.
-ROUNDING_JITTER = 1e-14
 # Steps that a bounded solution may take per parameter; one or two is the rule.
 NNLS_STEPS = 100
 
@@ -43,21 +40,18 @@ class BorderedSystem:
 
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
         """The readout weights eliminated, damped likewise; None if A is not positive definite."""
-        scale = np.sqrt(self.band[0])
-        if not np.all(np.isfinite(scale)) or np.any(scale == 0):
+        readout = BandFactor.of(self.band, damping)
+        if readout is None:
             return None
-        scaled = self.band.copy()
-        width = self.band.shape[1]
-        for k in range(len(scaled)):
-            scaled[k, : width - k] /= scale[: width - k] * scale[k:]
-        scaled[0] += damping + ROUNDING_JITTER
-        factor, failed = dpbtrf(scaled, lower=1, overwrite_ab=1)
-        if failed:
-            return None
-        solved = _band_solve(factor, scale, self.border)
-        schur = self.corner - self.border.T @ solved
+        half_solved = readout.forward(self.border)
+        schur = self.corner - half_solved.T @ half_solved
         schur[np.diag_indices_from(schur)] += damping * np.diag(self.corner)
-        return Eliminated(factor, scale, solved, schur)
+        return Eliminated(readout, half_solved, schur)
+
+    def readout_step(self) -> np.ndarray | None:
+        """W (size,) of the solution with the parameters held; None if A is not positive definite."""
+        readout = BandFactor.of(self.band)
+        return None if readout is None else -readout.backward(readout.forward(self.gradient))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +59,12 @@ class Eliminated:
     """A :class:`BorderedSystem` without its readout weights.
 
     Attributes:
-        band, scale, solved_border: See :class:`BorderedFactor`.
+        readout, half_solved: See :class:`BorderedFactor`.
         complement: Schur complement C - B^T A^-1 B, (p, p), its corner damped.
     """
 
-    band: np.ndarray
-    scale: np.ndarray
-    solved_border: np.ndarray
+    readout: BandFactor
+    half_solved: np.ndarray
     complement: np.ndarray
 
     def factor(self, complement: np.ndarray) -> BorderedFactor | None:
@@ -84,7 +77,7 @@ class Eliminated:
             schur = np.linalg.cholesky((complement + complement.T) / 2.0)
         except np.linalg.LinAlgError:
             return None
-        return BorderedFactor(self.band, self.scale, self.solved_border, schur)
+        return BorderedFactor(self.readout, self.half_solved, schur)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +85,24 @@ class BorderedFactor:
     """A factored :class:`BorderedSystem`.
 
     Attributes:
-        band: Lower band of the Cholesky factor of the scaled A.
-        scale: Square root of A's diagonal; A = scale * scaled A * scale.
-        solved_border: A^-1 B, (size, p).
+        readout: Of A = R R^T.
+        half_solved: R^-1 B, (size, p).
         schur: Cholesky factor of C - B^T A^-1 B, (p, p).
     """
 
-    band: np.ndarray
-    scale: np.ndarray
-    solved_border: np.ndarray
+    readout: BandFactor
+    half_solved: np.ndarray
     schur: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Of all unknowns."""
+        return len(self.readout.scale) + len(self.schur)
+
+    @cached_property
+    def solved_border(self) -> np.ndarray:
+        """A^-1 B, (size, p)."""
+        return self.readout.backward(self.half_solved)
 
     def step(self, system: BorderedSystem, lower: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Solution (w, x) of the system: the least of its quadratic form, with x >= lower if that is given.
@@ -109,18 +110,18 @@ class BorderedFactor:
         With the readout weights eliminated the bounded problem is as small as the parameters are few, so the bounds
         are met exactly and not by a penalty or a transformation.
         """
-        free, right = self.reduced(system)
+        half, right = self.reduced(system)
         x = self.of_parameters(right, lower)
-        return -free - self.solved_border @ x, x
-
-    def readout_step(self, system: BorderedSystem) -> np.ndarray:
-        """W (size,) of the system's solution with the parameters held."""
-        return -_band_solve(self.band, self.scale, system.gradient)
+        return self.readout_step(half, x), x
 
     def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
-        """A^-1 g (size,), and the right-hand side (p,) of the parameters with the readout weights eliminated."""
-        free = _band_solve(self.band, self.scale, system.gradient)
-        return free, system.border.T @ free - system.corner_gradient
+        """R^-1 g (size,), and the right-hand side (p,) of the parameters with the readout weights eliminated."""
+        half = self.readout.forward(system.gradient)
+        return half, self.half_solved.T @ half - system.corner_gradient
+
+    def readout_step(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """W (size,) that goes with x (p,), from R^-1 g."""
+        return -self.readout.backward(half + self.half_solved @ x)
 
     def of_parameters(self, right: np.ndarray, lower: np.ndarray | None = None) -> np.ndarray:
         """X (p,) of that right-hand side, with x >= lower if that is given."""
@@ -155,7 +156,7 @@ class BorderedFactor:
     @property
     def readout_log_determinant(self) -> float:
         """Logarithm of the determinant of A."""
-        return 2.0 * float(np.log(self.band[0]).sum() + np.log(self.scale).sum())
+        return self.readout.log_determinant
 
     @property
     def log_determinant(self) -> float:
@@ -173,10 +174,9 @@ class BorderedFactor:
         Args:
             normals: (size + p, count), independent standard ones.
         """
-        size = len(self.scale)
+        size = len(self.readout.scale)
         x = solve_triangular(self.schur, normals[size:], lower=True, trans="T")
-        w, _ = dtbtrs(self.band, normals[:size], uplo="L", trans="T")
-        return w / self.scale[:, None] - self.solved_border @ x, x
+        return self.readout.backward(normals[:size] - self.half_solved @ x), x
 
     def deviations(self, rows: np.ndarray, by_parameter: np.ndarray) -> np.ndarray:
         """(q,), standard deviations of linear functions of weights and parameters, with the inverse as covariance.
@@ -185,51 +185,11 @@ class BorderedFactor:
             rows: (size, q), by the readout weights.
             by_parameter: (p, q).
         """
-        own, _ = dtbtrs(self.band, rows / self.scale[:, None], uplo="L")
-        through = solve_triangular(self.schur, by_parameter - self.solved_border.T @ rows, lower=True)
+        own = self.readout.forward(rows)
+        through = solve_triangular(self.schur, by_parameter - self.half_solved.T @ own, lower=True)
         deviation: np.ndarray = np.sqrt(np.sum(own**2, axis=0) + np.sum(through**2, axis=0))
         return deviation
 
     def inverse_band(self) -> np.ndarray:
-        """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.
-
-        Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band, the factor is block
-        bidiagonal, and the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
-        """
-        width, size = max(len(self.band) - 1, 1), self.band.shape[1]
-        out = np.zeros_like(self.band)
-        below = np.zeros((0, 0))
-        for start in range((size - 1) // width * width, -1, -width):
-            stop, end = min(start + width, size), min(start + 2 * width, size)
-            inverse = solve_triangular(
-                _dense_block(self.band, start, stop, start, stop), np.eye(stop - start), lower=True
-            )
-            gain = _dense_block(self.band, stop, end, start, stop) @ inverse
-            coupling = -below @ gain
-            diagonal = inverse.T @ inverse - gain.T @ coupling
-            _store_columns(out, np.vstack((diagonal, coupling)), start)
-            below = diagonal
-        for k in range(len(out)):
-            out[k, : size - k] /= self.scale[: size - k] * self.scale[k:]
-        return out
-
-
-def _band_solve(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
-    scale = scale if right.ndim == 1 else scale[:, None]
-    return solve_factored(factor, right / scale) / scale
-
-
-def _dense_block(band: np.ndarray, row_start: int, row_stop: int, column_start: int, column_stop: int) -> np.ndarray:
-    """Rows and columns of the lower triangular matrix whose lower band is given, as a dense array."""
-    offset = np.arange(row_start, row_stop)[:, None] - np.arange(column_start, column_stop)
-    inside = (offset >= 0) & (offset < len(band))
-    columns = np.broadcast_to(np.arange(column_start, column_stop), offset.shape)
-    return np.where(inside, band[np.where(inside, offset, 0), columns], 0.0)
-
-
-def _store_columns(band: np.ndarray, block: np.ndarray, start: int) -> None:
-    """Write the lower-band part of dense columns, whose first row and column are ``start``, into the band."""
-    rows, columns = block.shape
-    for k in range(min(len(band), rows)):
-        length = min(columns, rows - k)
-        band[k, start : start + length] = block[np.arange(length) + k, np.arange(length)]
+        """See :meth:`BandFactor.inverse_band`."""
+        return self.readout.inverse_band()

@@ -59,7 +59,7 @@ class Trained:
             count: How many.
             of_mean_length: Whether each is as long as a draw is on average: few of them then add up to what they must.
         """
-        size = len(self.factor.scale) + len(self.factor.schur)
+        size = self.factor.size
         normals = np.random.default_rng(0).standard_normal((size, count))
         if of_mean_length:
             normals *= np.sqrt(size) / np.linalg.norm(normals, axis=0)

@@ -27,6 +27,9 @@ class Linearised(Protocol):
     def factor(self, damping: float = 0.0) -> BorderedFactor | None:
         """Of the damped matrix; None if it is not positive definite."""
 
+    def readout_step(self) -> np.ndarray | None:
+        """Of the readout weights, with the parameters held; None if their matrix is not positive definite."""
+
 
 class LeastSquares(Protocol):
     """A weighted least-squares problem: of one record, or of several together."""
@@ -135,8 +138,5 @@ def followed(equations: LeastSquares, point: Point, noise: NoiseModel) -> Point:
     """
     if not len(point.parameters):
         return point
-    system = equations.assemble(point, noise)
-    factor = system.factor()
-    if factor is None:
-        return point
-    return equations.moved(point, (factor.readout_step(system), np.zeros(len(point.parameters))))
+    step = equations.assemble(point, noise).readout_step()
+    return point if step is None else equations.moved(point, (step, np.zeros(len(point.parameters))))

@@ -47,6 +47,28 @@ def test_step(half_width, size, border):
 
 
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_step_with_the_parameters_held(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    expected = -np.linalg.solve(whole[:size, :size], system.gradient)
+    np.testing.assert_allclose(system.readout_step(), expected, rtol=1e-8)
+
+
+def test_there_is_no_step_of_an_indefinite_band():
+    system, _ = random_system(2, 10, 2)
+    system.band[1] = 10.0 * np.sqrt(system.band[0])[0] * np.abs(system.band[1]).max()
+    assert system.readout_step() is None
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_draws_have_the_inverse_as_covariance(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    root = np.vstack(system.factor().draws(np.eye(size + border)))
+    expected = np.linalg.inv(whole)
+    unit = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(root @ root.T / unit / unit[:, None], expected / unit / unit[:, None], atol=1e-8)
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_log_determinant(half_width, size, border):
     system, whole = random_system(half_width, size, border)
     assert system.factor().log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-8)

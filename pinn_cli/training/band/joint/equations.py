@@ -13,6 +13,7 @@ from torch import Tensor
 from pinn_cli.runs.side_by_side import Items
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.band.band_factor import BandFactor
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.joint import member
 from pinn_cli.training.band.joint.member import FactorKey, Member, Place, SystemKey
@@ -175,7 +176,14 @@ class JointSystem:
             schur = np.linalg.cholesky((total + total.T) / 2.0)
         except np.linalg.LinAlgError:
             return None
-        return JointFactor(np.ones((1, 0)), np.ones(0), np.zeros((0, len(total))), schur, equations, keys, determinants)
+        nothing = BandFactor(np.ones((1, 0)), np.ones(0))
+        return JointFactor(nothing, np.zeros((0, len(total))), schur, equations, keys, determinants)
+
+    def readout_step(self) -> np.ndarray | None:
+        """See :meth:`BorderedSystem.readout_step`, of all records."""
+        steps = self.equations.members.each(member.readout_alone, self.keys)
+        found = [step for step in steps if step is not None]
+        return np.concatenate(found) if len(found) == len(steps) else None
 
     @property
     def _repeated_prior(self) -> np.ndarray:
@@ -213,11 +221,6 @@ class JointFactor(BorderedFactor):
         own = [x[columns] for columns in self.equations.columns]
         steps = self.equations.members.each(member.readout_step, self.keys, system.keys, own)
         return np.concatenate(steps), x
-
-    def readout_step(self, system: JointSystem) -> np.ndarray:  # type: ignore[override]
-        """See :meth:`BorderedFactor.readout_step`, of all records."""
-        still = [np.zeros(len(columns)) for columns in self.equations.columns]
-        return np.concatenate(self.equations.members.each(member.readout_step, self.keys, system.keys, still))
 
     @property
     def readout_log_determinant(self) -> float:

@@ -129,7 +129,7 @@ class Member:
         """Of readout and parameters, where other records tell of the parameters too."""
         found = self.eliminated(key)
         assert found is not None
-        return BorderedFactor(found.band, found.scale, found.solved_border, schur)
+        return BorderedFactor(found.readout, found.half_solved, schur)
 
     def part(self, key: PartKey) -> Trained:
         """The record's own part of a solution."""
@@ -157,9 +157,7 @@ def complement(member: Member, key: FactorKey) -> tuple[np.ndarray, float] | Non
     found = member.eliminated(key)
     if found is None:
         return None
-    return found.complement, BorderedFactor(
-        found.band, found.scale, found.solved_border, found.complement
-    ).readout_log_determinant
+    return found.complement, found.readout.log_determinant
 
 
 def right_hand_side(member: Member, factor: FactorKey, system: SystemKey) -> np.ndarray:
@@ -170,8 +168,12 @@ def right_hand_side(member: Member, factor: FactorKey, system: SystemKey) -> np.
 def readout_step(member: Member, factor: FactorKey, system: SystemKey, x: np.ndarray) -> np.ndarray:
     """(size,), the step of the readout weights that goes with one of the parameters."""
     bordered = member.factor(factor, np.empty((0, 0)))
-    step: np.ndarray = -bordered.reduced(member.system(system))[0] - bordered.solved_border @ x
-    return step
+    return bordered.readout_step(bordered.reduced(member.system(system))[0], x)
+
+
+def readout_alone(member: Member, system: SystemKey) -> np.ndarray | None:
+    """(size,), the step of the readout weights with the parameters held; None if it is singular."""
+    return member.system(system).readout_step()
 
 
 def record_term(member: Member, place: Place, noise: NoiseModel, readout_log_determinant: float) -> float:
