@@ -148,6 +148,8 @@ def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool)
     for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
         for problem in prepared.problem.by_record:
             estimator.check(problem)
+    for problem in prepared.problem.by_record if prepared.problem.priors else ():
+        config.posterior.check(problem)
     check_records(prepared.problem, config.estimator, config.baseline, config.validation)
     config.validation.check(prepared.problem, setup)
     return Prepared(prepared, context, setup, in_sweep)

@@ -75,9 +75,20 @@ def test_a_held_out_channel_with_gaps_scores_where_it_has_samples(pinn_run: Pinn
     assert np.isfinite(score)
 
 
-def test_bayesian_says_that_it_takes_no_sensor_in_doubt(pinn_run: PinnRun, settings: tuple[str, ...]) -> None:
-    done = pinn_run(*settings, "scheme=bayesian")
+def test_a_posterior_given_the_motion_tells_nothing_of_sensors(pinn_run: PinnRun, settings: tuple[str, ...]) -> None:
+    done = pinn_run(*settings, "scheme=bayesian", "posterior=conditional")
     assert done.status == 2
-    assert (
-        "pinn-run: data.channels=gain_roof, offset_roof, delay_roof in doubt: must be sensors whose gain," in done.err
-    )
+    assert "pinn-run: posterior=conditional: must be marginal or laplace where samples are missing" in done.err
+
+
+@pytest.mark.slow
+def test_the_posterior_of_sensors_and_springs_holds_the_truth(pinn_run: PinnRun, settings: tuple[str, ...]) -> None:
+    done = pinn_run(*settings, "scheme=bayesian", "scheme.unknown=[k_*]", "posterior.draws=1000", "posterior.chains=2")
+    assert done.status == 0, done.err
+    table = pd.read_csv(done.directory / "parameters.csv").set_index("parameter")
+    for name, value in {"gain_roof": GAIN, "offset_roof": OFFSET, "delay_roof": DELAY / 60.0}.items():
+        assert abs(table.loc[name, "estimate"] - value) < 4.0 * table.loc[name, "std"], name
+    assert table.loc["gain_roof", "std"] < 0.02
+    with xr.open_datatree(done.directory / "posterior.nc", engine="h5netcdf") as posterior:
+        assert posterior["posterior"]["delay_roof"].shape == (2, 1000)
+        assert posterior["posterior"]["delay_roof"].attrs["units"] == "s"

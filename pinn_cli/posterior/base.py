@@ -13,6 +13,7 @@ from pinn_cli.system.priors import Prior
 from pinn_cli.training.likelihood import ParameterLikelihood
 
 if TYPE_CHECKING:
+    from pinn_cli.scheme.problem import Problem
     from pinn_cli.training.estimate import RunContext
 
 
@@ -57,6 +58,13 @@ class Posterior(ABC):
     """
 
     name: ClassVar[str]
+
+    def check(self, problem: Problem) -> None:  # noqa: B027 - most can draw from any
+        """Refuse a problem of one record that it has no likelihood for.
+
+        Raises:
+            InputError: It is such.
+        """
 
     @abstractmethod
     def sample(

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from pinn_cli.posterior.sampled import SampledPosterior
+from pinn_cli.settings.errors import InputError
+
+if TYPE_CHECKING:
+    from pinn_cli.scheme.problem import Problem
 
 
 class Conditional(SampledPosterior):
@@ -16,3 +22,9 @@ class Conditional(SampledPosterior):
     """
 
     name = "conditional"
+
+    def check(self, problem: Problem) -> None:
+        """See :meth:`Posterior.check`: the force that a held motion takes says nothing about a sensor."""
+        if problem.record.gauges:
+            allowed = "marginal or laplace where samples are missing or a sensor is in doubt"
+            raise InputError("posterior", self.name, allowed, f"channel {problem.record.gauges[0].name} is such")

@@ -12,7 +12,7 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
-from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
@@ -24,7 +24,8 @@ from pinn_cli.scheme.unknowns import POSITIVE, at_starts, check_used, checked_po
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.parameters import MASS, Parameter
-from pinn_cli.system.priors import Prior
+from pinn_cli.system.priors import Normal, Prior
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
 
 log = logging.getLogger(__name__)
@@ -85,7 +86,6 @@ class Bayesian(Scheme):
         """See :meth:`Scheme.joint_problem`."""
         record, *further = records
         _check_sensors(records)
-        _check_calibrations(records)
         if prescribed.shapes is not None:
             allowed = "state_parameter with system=matrices"
             raise InputError("scheme", "bayesian", allowed, "sensors on DOFs do not show the motion of every mode")
@@ -95,13 +95,16 @@ class Bayesian(Scheme):
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)
         starts = parameter_starts(prescribed, record, chosen, _given(record, chosen), 1, further)[0]
-        scales = {parameter: start.scale for parameter, start in starts.items()}
+        records = [calibrated_starts(record, {p: start.value for p, start in starts.items()}), *further]
+        scales = {parameter: starts[parameter].scale for parameter in chosen}
         own = read_priors(self.priors, prescribed)
         priors = with_defaults(own, scales, self.positive)
         unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in chosen)
         structure = at_starts(prescribed, unknown)
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return Problem.of_records(structure, records, unknown, *settings)
+        problem = Problem.of_records(structure, records, unknown, *settings)
+        own_and_further = (_with_priors(each) for each in (problem, *problem.further))
+        return replace(next(own_and_further), further=tuple(own_and_further))
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
@@ -133,14 +136,13 @@ def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: b
     )
 
 
-def _check_calibrations(records: Sequence[Record]) -> None:
-    """What is in doubt about a sensor has no prior that a sampler could draw from."""
-    doubtful = dict.fromkeys(parameter.name for record in records for parameter in sensor_parameters(record))
-    if doubtful:
-        allowed = "sensors whose gain, offset, drift and delay are known with scheme=bayesian"
-        raise InputError(
-            "data.channels", f"{', '.join(doubtful)} in doubt", allowed, "scheme=state_parameter estimates them"
-        )
+def _with_priors(problem: Problem) -> Problem:
+    """The problem of one record whose sensors' numbers in doubt have the prior that its channels say: a Gaussian."""
+    uncertain = tuple(
+        replace(p, prior=Normal(p.prescribed, p.prior_std)) if p.kind in CALIBRATION_UNITS else p
+        for p in problem.uncertain
+    )
+    return replace(problem, uncertain=uncertain)
 
 
 def _check_sensors(records: Sequence[Record]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from independent_records import IndependentRecord, frame, measured, random_force
 
-from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.gauge import WIDEST_DELAY, WIDEST_GAIN, Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
@@ -94,15 +94,15 @@ def test_schemes_have_them_among_their_parameters():
     assert names <= {p.name for p in StateParameter(unknown=["k_*"]).problem(chain(), record).uncertain}
 
 
-def test_bayesian_takes_no_sensor_for_perfect_that_is_in_doubt():
-    unknown = changed("acceleration", 0, 1.0, 0)
-    for gauge in (unknown, replace(unknown, calibration=BELIEVED)):
-        with pytest.raises(InputError) as error:
-            Bayesian().problem(chain(), with_gauges(gauge))
-        assert str(error.value).startswith("data.channels=gain_a1, ")
-        assert "scheme=state_parameter estimates them" in str(error.value)
-        assert "\n" not in str(error.value)
-    Bayesian().problem(chain(), with_gauges(replace(unknown, calibration={})))
+def test_bayesian_has_a_prior_for_what_is_in_doubt_of_a_sensor():
+    problem = Bayesian(unknown=["k_*"]).problem(chain(), with_gauges(changed("acceleration", 0, 1.3, 3)))
+    priors = {p.name: p.prior for p in problem.uncertain}
+    assert priors["gain_a1"].mean == pytest.approx(1.3, rel=0.03)
+    assert (priors["gain_a1"].std, priors["delay_a1"].std) == (WIDEST_GAIN, pytest.approx(WIDEST_DELAY / RATE))
+    assert len(problem.priors) == len(problem.uncertain)
+    believed = replace(changed("acceleration", 0, 1.0, 0), calibration=BELIEVED)
+    priors = {p.name: p.prior for p in Bayesian().problem(chain(), with_gauges(believed)).uncertain}
+    assert (priors["gain_a1"].mean, priors["gain_a1"].std, priors["offset_a1"].std) == (1.0, 0.05, 0.1)
 
 
 class TestScreening:

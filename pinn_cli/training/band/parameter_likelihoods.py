@@ -69,9 +69,11 @@ def marginal_likelihood(evidence: Evidence | JointEvidence, trained: Trained) ->
     """
     records = [own.problem.record for own in evidence.records]
     names = tuple(p.name for p in evidence.equations.uncertain)
-    forced = records[0].sensors("force")
-    sigma = np.where(forced, trained.noise.force[: len(forced)] * np.sqrt(_repeats(records[0])), np.nan)
-    samples = sum(int(record.sensors("force").sum()) * len(record.time) * _repeats(record) for record in records)
+    sigma = trained.noise.force[: records[0].ndof] * np.sqrt(_repeats(records[0]))
+    samples = sum(
+        int(np.isfinite(noise.force).sum()) * len(record.time) * _repeats(record)
+        for record, noise in zip(records, trained.noise.by_record, strict=True)
+    )
     s_std = 1.0 / np.sqrt(2.0 * samples) if samples else 1.0
     nodes = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * s_std if samples else np.zeros(1)
     rows = []

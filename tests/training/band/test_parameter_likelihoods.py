@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,14 +10,18 @@ import pytest
 import torch
 from bayesian_problems import Example, posed, solved, source
 from dense_model import DenseModel
-from small_problems import NONLINEARITIES, small_chain
+from small_problems import NONLINEARITIES, measured, small_chain
 
+from pinn_cli.network.spline import Spline
 from pinn_cli.physics import physics_residual
+from pinn_cli.record.gauge import Gauge, unknown_calibration
 from pinn_cli.record.noise import add_noise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
+from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.marginal_likelihood import MarginalLikelihood
 
 # Every way in which a record's force may be told: name to settings of :func:`source`.
@@ -181,3 +186,26 @@ def test_twice_is_the_same_to_the_last_bit():
     np.testing.assert_array_equal(again.marginal.curvature, found().marginal.curvature)
     np.testing.assert_array_equal(again.conditional.curvature, found().conditional.curvature)
     assert torch.get_default_dtype() == torch.float32
+
+
+def test_numbers_of_a_load_cell_are_among_the_parameters_of_the_marginal():
+    """As far as they are known with all else: the same solution's standard deviations are the yardstick."""
+    structure = small_chain("linear", ndof=2)
+    record = measured(structure, snr_db=30.0, duration=24.0, samples=385).record
+    shown = 1.2 * record.force[:, 0]
+    doubts = {kind: unknown_calibration(kind, record.time, shown) for kind in ("gain", "offset")}
+    cell = Gauge("f", "force", {0: 1.0}, record.time, shown, doubts)
+    record = replace(record, force=record.force * [1.2, 0.0], gauges=(cell,))
+    problem = Bayesian(unknown=["k_*"]).problem(structure, record)
+    estimate = GaussNewton().solve(problem, Spline(), RunContext())
+    marginal = estimate.likelihoods.marginal
+    assert marginal.names == ("k_1", "k_2", "gain_f", "offset_f")
+    assert np.isnan(marginal.sigma_force).all()  # its noise is that of a sensor, and stays as it was found
+    std = np.sqrt(np.diag(np.linalg.inv(marginal.curvature)))
+    by_name = {p.name: p for p in estimate.parameters}
+    for name, peak, deviation in zip(marginal.names, marginal.peak, std, strict=True):
+        truth = {"gain_f": 1.2, "offset_f": 0.0}.get(name, 15.0)
+        assert abs(peak - truth) < 4.0 * deviation
+        if name not in ("k_1", "k_2"):  # what misfit may do to springs is added to theirs
+            assert deviation == pytest.approx(by_name[name].std, rel=0.02)
+    assert marginal.evaluate(marginal.peak, 0.0)[0] == marginal.evaluate(marginal.peak, 1.0)[0]
