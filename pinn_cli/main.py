@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from pinn_cli import LOADED
 from pinn_cli.cli.command_line import execute
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
@@ -19,6 +22,7 @@ from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.records import check_records
 from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
+from pinn_cli.runs.memory import collect_rarely, keep_imported
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
 from pinn_cli.runs.signs_of_life import signs_of_life
 from pinn_cli.runs.stages import Stages
@@ -32,17 +36,22 @@ if TYPE_CHECKING:
     from pinn_cli.validation.base import Setup
 
 
-def run(composed: DictConfig) -> float | None:
+def run(composed: DictConfig, began: float | None = None) -> float | None:
     """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
 
     Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
+
+    Args:
+        composed: Its configuration.
+        began: When the process of a single run did, by `time.perf_counter`; None: it is counted from now.
 
     Returns:
         Its validation score, for a sweeper that looks for the least; None without one.
     """
     runtime = HydraConfig.get().runtime
-    directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages()
     in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
+    directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages(None if in_sweep else began)
+    collect_rarely()
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
         config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base)
@@ -82,7 +91,7 @@ def inspect(composed: DictConfig) -> None:
 
 
 def _tracked(config: RunConfig, composed: DictConfig, stages: Stages, resuming: bool, prepared: Prepared | None) -> str:
-    """Make the run, or tell of one that had finished, under the eyes of its tracker; what it prints."""
+    """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
     directory = Path(HydraConfig.get().runtime.output_dir)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
         from pinn_cli.tracking.base import TrackedRun
@@ -91,10 +100,9 @@ def _tracked(config: RunConfig, composed: DictConfig, stages: Stages, resuming: 
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
     with follow(config.tracking, tracked_run, resuming) as tracked:
         take_directory([] if prepared is None else _outdated(prepared))
-        if prepared is None:
-            text = f"finished before; tracking={config.tracking.name} has it now"
-        else:
-            text = _carry_out(config, directory, stages, prepared, tracked.row)
+        text = f"finished before; tracking={config.tracking.name} has it now" if prepared is None else ""
+        if prepared is not None:
+            _carry_out(config, directory, stages, prepared, tracked.row)
         with stages("tracking"):
             tracked.results()
     return text
@@ -108,7 +116,7 @@ def _is_done(resuming: bool, composed: DictConfig, directory: Path, base: Path) 
 def _judged(composed: DictConfig, directory: Path, text: str, in_sweep: bool) -> float | None:
     """Tell how it ended; the score of a finished run, whose verdict must be sound with ``strict=true``."""
     if not in_sweep:
-        print(f"{text}\n{directory}")
+        print(f"{text}\n{directory}" if text else directory)
     if composed.get("strict") is True:
         check_sound(directory)
     return stored_score(directory)
@@ -161,14 +169,15 @@ def _outdated(prepared: Prepared) -> list[str]:
     return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
 
 
-def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Prepared, watch: Watch) -> str:
-    """From the problem to the report, which it returns as text."""
+def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Prepared, watch: Watch) -> None:
+    """From the problem to the report, whose text is printed before its files are written."""
     with stages("imports"):
         from pinn_cli.baseline.comparison import baseline_estimate
         from pinn_cli.posterior.result import posterior_result
         from pinn_cli.report.results import Results, further_results
-        from pinn_cli.report.run_report import write_report
+        from pinn_cli.report.run_report import RunReport
         from pinn_cli.training.calibrated_record import as_calibrated
+    keep_imported()
     problem, context = prepared.problem.problem, prepared.context
     with stages("estimate"):
         estimate = config.estimator.solve(problem, replace(context, watch=watch))
@@ -197,7 +206,26 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
         prepared.problem.validation,
     )
     further = further_results(results, problem.further, prepared.problem.truths[1:])
-    return write_report(replace(results, further=further), directory, stages, drawn, config.exports)
+    report = RunReport(replace(results, further=further), directory, stages, config.exports)
+    with (
+        report.drawing() if drawn else nullcontext(),
+        nullcontext() if prepared.in_sweep else _shown(report.text(), stages),
+    ):
+        report.write()
+
+
+@contextmanager
+def _shown(text: str, stages: Stages) -> Iterator[None]:
+    """Print before the block; a reader that has left is told of after it, so that the block's files are written."""
+    refused = None
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        refused = error
+    stages.reached("table_at")
+    yield
+    if refused is not None:
+        raise refused
 
 
 def _linear_response(config: RunConfig, true: Structure) -> Response | None:
@@ -209,7 +237,7 @@ def _linear_response(config: RunConfig, true: Structure) -> Response | None:
 
 def main() -> None:
     """The command: exits with the status listed in `pinn_cli.cli.command_line`."""
-    sys.exit(execute(run, inspect))
+    sys.exit(execute(partial(run, began=LOADED), inspect))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from interrupted_runs import ADAM, assert_same_numbers, in_a_child, run_in_a_chi
 
 from pinn_cli.cli.command_line import execute
 from pinn_cli.main import run
-from pinn_cli.report import run_report
+from pinn_cli.report import figures
 
 KILLS = 24
 # Long enough for a random moment to lie in it, with a checkpoint every few steps.
@@ -29,7 +29,7 @@ def start(*arguments: str) -> int:
     child = os.fork()
     if child == 0:
         try:
-            run_report.write_figures = lambda *args, **kwargs: None
+            figures.write_figures = lambda *args, **kwargs: None
             sys.argv = ["pinn-run", *arguments]
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -12,6 +13,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 from calls import MEASURED, SMALL, PinnRun
+
+from pinn_cli.main import _shown
+from pinn_cli.runs.stages import Stages
 
 TABLES = [f"{name}.csv" for name in ("fitness", "modes", "drift", "energy", "free_run", "parameters", "residuals")]
 FILES = {*TABLES, "history.csv"}
@@ -59,13 +63,29 @@ def test_the_record_of_a_run_says_what_made_it(small_run: FinishedRun) -> None:
     record = json.loads((small_run.directory / "run.json").read_text())
     assert (record["seed"], record["device"], record["threads"]) == (0, "cpu", 1)
     stages = record["seconds"]
-    assert {"config", "imports", "system", "record", "problem", "estimate", "report", "figures", "total"} <= set(stages)
+    assert 0.0 < stages["start_up"] < stages["table_at"] <= stages["total"] - stages["figures"]
+    stages.pop("table_at")
+    expected = {"config", "imports", "system", "record", "problem", "estimate", "report", "figures", "total"}
+    assert expected <= set(stages)
     assert sum(stages.values()) - stages["total"] == pytest.approx(stages["total"], rel=0.2)
     assert record["training"]["iterations"] >= 1
     assert record["training"]["stop_reason"]
     assert record["peak_memory_mib"]["process"] > 50
     assert record["versions"]["torch"]
     assert record["command"][1:] == [*SMALL, "case=small", "seed=0"]
+
+
+def test_a_reader_that_leaves_costs_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Left(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError
+
+    stages, written = Stages(), False
+    monkeypatch.setattr(sys, "stdout", Left())
+    with pytest.raises(BrokenPipeError), _shown("table", stages):
+        written = True
+    assert written
+    assert "table_at" in stages.seconds
 
 
 def test_the_response_is_labelled(small_run: FinishedRun) -> None:

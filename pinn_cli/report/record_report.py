@@ -11,7 +11,6 @@ import pandas as pd
 from pinn_cli.record.channels import channels
 from pinn_cli.record.record import MEASURED_QUANTITIES
 from pinn_cli.report.connection_forces import ConnectionForces
-from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.drift import Drifts, drift_table
 from pinn_cli.report.energy import DissipatedEnergy, energy_table
 from pinn_cli.report.free_run import FreeRun, free_run, free_run_table
@@ -77,33 +76,44 @@ class RecordReport:
         problem, other = self.results.problem, self.baseline[1] if self.baseline else None
         return judge(problem, self.results.estimate, other, self.free.response) if problem else None
 
-    def write(self) -> tuple[EstimatorTables, EstimatorTables | None]:
-        """Write its files; its tables, and the baseline's."""
+    @cached_property
+    def drifts(self) -> Drifts:
+        """Of its connections."""
+        return Drifts.of(self.results.prescribed, self.results.estimate, self.results.truth.response)
+
+    @cached_property
+    def every_table(self) -> tuple[EstimatorTables, EstimatorTables | None]:
+        """The network's tables, and the baseline's."""
+        results, named = self.results, self.baseline
+        run, record, truth = results.run, results.record, results.truth
+        ours = EstimatorTables.of("pinn", run, results.estimate, record, truth, self.free.response)
+        return ours, EstimatorTables.of(named[0], run, named[1], record, truth) if named else None
+
+    def tables(self) -> tuple[EstimatorTables, EstimatorTables | None]:
+        """These, found now."""
+        return self.every_table
+
+    def write(self) -> None:
+        """Write its files."""
+        # Not above: xarray would be read before anything is printed.
+        from pinn_cli.report.dataset import response_dataset, write_dataset
+
         results, truth, directory = self.results, self.results.truth, self.directory
         estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
         write_table(self.free_table, directory / "free_run.csv")
-        drifts = Drifts.of(results.prescribed, estimate, truth.response)
-        write_table(drift_table(drifts, labels), directory / "drift.csv")
+        write_table(drift_table(self.drifts, labels), directory / "drift.csv")
         energy = DissipatedEnergy.of(results.prescribed, estimate, truth.response, results.true)
         write_table(energy_table(energy, labels), directory / "energy.csv")
-        forces, record = ConnectionForces.of(results.prescribed, estimate, truth), results.record
-        free, named = self.free.response, self.baseline
-        dataset = response_dataset(estimate, record, truth.response, labels, free, named, drifts, forces)
+        forces, free = ConnectionForces.of(results.prescribed, estimate, truth), self.free.response
+        dataset = response_dataset(
+            estimate, results.record, truth.response, labels, free, self.baseline, self.drifts, forces
+        )
         write_dataset(dataset, directory / "response.nc")
         for export in self.exports:
             export.write(dataset, directory / f"response.{export.name}")
-        tables = EstimatorTables.of("pinn", results.run, estimate, record, truth, free)
-        theirs = EstimatorTables.of(named[0], results.run, named[1], record, truth) if named else None
+        ours, theirs = self.every_table
         for name in ("fitness", "residuals"):
-            write_table(getattr(tables.above(theirs), name), directory / f"{name}.csv")
-        return tables, theirs
-
-    def draw(self) -> None:
-        """Write its figures."""
-        # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
-        from pinn_cli.report.figures import write_record_figures
-
-        write_record_figures(self.results, self.directory / "figures")
+            write_table(getattr(ours.above(theirs), name), directory / f"{name}.csv")
 
 
 def records_table(each: Sequence[tuple[Results, EstimatorTables, Verdict | None]]) -> pd.DataFrame:

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table, parameter_table
-from pinn_cli.report.posterior import (
-    diagnostics_table,
-    parameter_estimates,
-    posterior_correlation,
-    posterior_groups,
-    write_posterior_data,
-)
+from pinn_cli.report.posterior import diagnostics_table, parameter_estimates, posterior_correlation
 from pinn_cli.report.record_report import RecordReport, record_folder, records_table
 from pinn_cli.report.run_record import run_record
 from pinn_cli.report.tables import EstimatorTables
@@ -21,71 +17,159 @@ from pinn_cli.report.terminal.parameters import diagnostics_text
 from pinn_cli.report.terminal.run import run_text
 from pinn_cli.report.terminal.validation import validation_text
 from pinn_cli.report.validation_run import ValidationRun, validation_table
-from pinn_cli.runs.side_by_side import side_by_side
-from pinn_cli.runs.writing import write_json, write_table
+from pinn_cli.runs.side_by_side import Items, SharedOutItems, side_by_side
+from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.verdict.records import verdict_of_records
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     import pandas as pd
 
     from pinn_cli.report.export.base import Export
+    from pinn_cli.report.free_run import FreeRun
     from pinn_cli.report.results import Results
     from pinn_cli.runs.stages import Stages
+    from pinn_cli.verdict.finding import Verdict
+
+# Parts that the figures are drawn in, side by side; each reads matplotlib for itself.
+_SHARES = 2
 
 
-def write_report(
-    results: Results, directory: Path, stages: Stages, figures: bool = True, exports: Sequence[Export] = ()
-) -> str:
-    """Write every file of a run; each is there whole or not at all.
+@dataclass(frozen=True, eq=False)
+class FigureShare:
+    """A part of a run's figures, as :func:`pinn_cli.report.figures.write_figures` has it."""
+
+    results: Results
+    directory: Path
+    part: int = 0
+    of: int = 1
+
+    def draw(self) -> None:
+        """Draw and save them."""
+        # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
+        from pinn_cli.report import figures
+
+        figures.write_figures(self.results, self.directory, self.part, self.of)
+
+
+class RunReport:
+    """Everything that a run leaves behind: first what it prints, then its files.
 
     Args:
-        results: What came of it.
+        results: What came of the run.
         directory: Of the run.
         stages: The seconds so far; the report's own are added.
-        figures: Whether to draw them, which takes longer than all else.
         exports: Formats in which the response is written beside ``response.nc``.
-
-    Returns:
-        What the run prints, from `pinn_cli.report.terminal.run.run_text`; the verdict comes last.
     """
-    results = _with_posterior(results)
-    run, other = results.run, results.baseline
-    named = (run.baseline, other) if other else None
-    reports = [
-        RecordReport(own, directory / record_folder(number), named if number == 1 else None, exports)
-        for number, own in enumerate(results.by_record, start=1)
-    ]
-    records = side_by_side(reports, [len(report.results.record.time) for report in reports])
-    with stages("free_run"):
-        free = records.each(RecordReport.run_free, [report is reports[0] for report in reports])[0]
-    with stages("verdict"):
-        verdicts = records.each(RecordReport.verdict)
-        verdict = verdict_of_records(verdicts)
-    with stages("report"):
-        (tables, baseline), *others = records.each(RecordReport.write)
-        every, further = results.estimate.parameters, [own for own, _ in others]
-        labels = run.labels_of(estimator="pinn")
-        tables = replace(tables, parameters=parameter_table(every, results.truth.parameters, labels))
-        _write_tables(results, tables.above(baseline), directory)
-        if further:
-            rows = list(zip(results.by_record, (tables, *further), verdicts, strict=True))
-            write_table(records_table(rows), directory / "records.csv")
-    validation = _validation(results, directory, stages)
-    if figures:
-        with stages("figures"):
-            records.each(RecordReport.draw)
-            _draw(results, directory)
-            if validation is not None:
-                _draw_validation(results, validation[0], directory)
-    with stages("posterior_report"):
-        diagnostics = write_posterior(results, directory, figures)
-    write_json(run_record(results, verdict, stages.seconds), directory / "run.json")
-    assert free is not None
-    paragraphs = diagnostics, "" if validation is None else validation_text(*validation)
-    return run_text(results, tables, baseline, free, paragraphs, verdict, stages.seconds, further)
+
+    def __init__(self, results: Results, directory: Path, stages: Stages, exports: Sequence[Export] = ()) -> None:
+        self.results, self.directory, self.stages = _with_posterior(results), directory, stages
+        run, other = self.results.run, self.results.baseline
+        named = (run.baseline, other) if other else None
+        self.reports = [
+            RecordReport(own, directory / record_folder(number), named if number == 1 else None, exports)
+            for number, own in enumerate(self.results.by_record, start=1)
+        ]
+        self._drawn: Callable[[], object] | None = None
+        self.records = side_by_side(self.reports, [len(report.results.record.time) for report in self.reports])
+
+    @cached_property
+    def verdicts(self) -> list[Verdict | None]:
+        """Of every record."""
+        self.free_run  # noqa: B018  # which it judges, and whose seconds are no verdict's
+        with self.stages("verdict"):
+            return self.records.each(RecordReport.verdict)
+
+    @cached_property
+    def verdict(self) -> Verdict | None:
+        """Of all records; None without a problem."""
+        return verdict_of_records(self.verdicts)
+
+    @cached_property
+    def free_run(self) -> tuple[FreeRun, pd.DataFrame]:
+        """Of the first record, and its table."""
+        with self.stages("free_run"):
+            found = self.records.each(RecordReport.run_free, [report is self.reports[0] for report in self.reports])[0]
+        assert found is not None
+        return found
+
+    @cached_property
+    def tables(self) -> tuple[EstimatorTables, EstimatorTables | None, list[EstimatorTables]]:
+        """Of the first record, of the baseline, and of further records."""
+        with self.stages("report"):
+            (tables, baseline), *others = self.records.each(RecordReport.tables)
+            labels = self.results.run.labels_of(estimator="pinn")
+            parameters = parameter_table(self.results.estimate.parameters, self.results.truth.parameters, labels)
+            return replace(tables, parameters=parameters), baseline, [own for own, _ in others]
+
+    @cached_property
+    def validation(self) -> tuple[ValidationRun, pd.DataFrame] | None:
+        """The identified system on other data, and its table; None without such data."""
+        results = self.results
+        if results.validation is None:
+            return None
+        draws = None if results.posterior is None else results.posterior.samples.pooled
+        with self.stages("validation_data"):
+            run = ValidationRun.of(
+                results.prescribed, results.estimate, results.record, results.validation, draws, results.run.seed
+            )
+            return run, validation_table(run, results.estimate, results.run.labels_of(estimator="pinn"))
+
+    def text(self) -> str:
+        """What the run prints, from `pinn_cli.report.terminal.run.run_text`; the verdict comes last.
+
+        Nothing is written for it, so that nobody waits for files and figures.
+        """
+        verdict, posterior = self.verdict, self.results.posterior
+        tables, baseline, further = self.tables
+        diagnostics = "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict)
+        paragraphs = diagnostics, "" if self.validation is None else validation_text(*self.validation)
+        seconds = self.stages.seconds
+        return run_text(self.results, tables, baseline, self.free_run, paragraphs, verdict, seconds, further)
+
+    @contextmanager
+    def drawing(self) -> Iterator[None]:
+        """Have figures drawn beside what this process does in the block, which is to end with :meth:`write`.
+
+        Where there is no core to spare, or copies of a process do no good, :meth:`write` draws them.
+        """
+        share = FigureShare(self.results, self.directory)
+        shares = side_by_side([replace(share, part=i, of=_SHARES) for i in range(_SHARES)], behind=True)
+        if not isinstance(shares, SharedOutItems):
+            shares = Items([share])
+        self._drawn = shares.begin(FigureShare.draw)
+        try:
+            yield
+        except BaseException:
+            shares.close()
+            tidy(self.directory)
+            raise
+
+    def write(self) -> None:
+        """Write every file of the run; each is there whole or not at all, and ``run.json`` comes last.
+
+        Figures are those of :meth:`drawing`.
+        """
+        results, directory = self.results, self.directory
+        verdict, (tables, baseline, further) = self.verdict, self.tables
+        with self.stages("report"):
+            self.records.each(RecordReport.write)
+            _write_tables(results, tables.above(baseline), directory)
+            if further:
+                rows = list(zip(results.by_record, (tables, *further), self.verdicts, strict=True))
+                write_table(records_table(rows), directory / "records.csv")
+            if self.validation is not None:
+                write_table(self.validation[1], directory / "validation.csv")
+        if self._drawn is not None:
+            with self.stages("figures"):
+                if self.validation is not None:
+                    _draw_validation(results, self.validation[0], directory)
+                self._drawn()
+        with self.stages("posterior_report"):
+            write_posterior(results, directory, self._drawn is not None)
+        write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
 
 
 def _with_posterior(results: Results) -> Results:
@@ -119,20 +203,6 @@ def _write_tables(results: Results, tables: EstimatorTables, directory: Path) ->
         write_table(table, directory / f"{name}.csv")
 
 
-def _validation(results: Results, directory: Path, stages: Stages) -> tuple[ValidationRun, pd.DataFrame] | None:
-    """Try the identified system on other data, and write ``validation.csv``; None without such data."""
-    if results.validation is None:
-        return None
-    draws = None if results.posterior is None else results.posterior.samples.pooled
-    with stages("validation_data"):
-        run = ValidationRun.of(
-            results.prescribed, results.estimate, results.record, results.validation, draws, results.run.seed
-        )
-        table = validation_table(run, results.estimate, results.run.labels_of(estimator="pinn"))
-        write_table(table, directory / "validation.csv")
-    return run, table
-
-
 def _draw_validation(results: Results, run: ValidationRun, directory: Path) -> None:
     from pinn_cli.report.figures import write_validation_figure
 
@@ -140,17 +210,13 @@ def _draw_validation(results: Results, run: ValidationRun, directory: Path) -> N
         write_validation_figure(run, results.estimate, directory / "figures")
 
 
-def _draw(results: Results, directory: Path) -> None:
-    # Not above: a sweep's jobs draw nothing and have no need of matplotlib.
-    from pinn_cli.report.figures import write_run_figures
-
-    write_run_figures(results, directory / "figures")
-
-
-def write_posterior(results: Results, directory: Path, figures: bool) -> str:
-    """Write ``posterior.nc``, ``diagnostics.csv`` and the posterior's figures; its diagnostics and verdict as text."""
+def write_posterior(results: Results, directory: Path, figures: bool) -> None:
+    """Write ``posterior.nc``, ``diagnostics.csv`` and the posterior's figures, where there is a posterior."""
     if results.posterior is None:
-        return ""
+        return
+    # Not above: xarray would be read before anything is printed.
+    from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
+
     posterior, labels = results.posterior, results.run.labels_of(estimator="pinn")
     parameters = [found.parameter for found in results.estimate.parameters]
     groups = posterior_groups(posterior, results.record, parameters, labels)
@@ -160,4 +226,3 @@ def write_posterior(results: Results, directory: Path, figures: bool) -> str:
         from pinn_cli.report.figures import write_posterior_figures
 
         write_posterior_figures(results, groups, directory / "figures")
-    return diagnostics_text(posterior.diagnostics, posterior.verdict)

@@ -13,6 +13,8 @@ from functools import cache
 # memory at the end of the heap is kept.
 _M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -3, -1
 _LARGEST_BLOCK, _KEPT = 32 * 2**20, 2**31 - 1
+# New objects after which Python looks for garbage: as it comes, and while libraries are imported.
+_USUAL, _NEW_OBJECTS = gc.get_threshold()[0], 50_000
 # Where the system does not tell, bytes.
 _UNTOLD = 2**40
 
@@ -44,6 +46,22 @@ def keep_freed_memory() -> None:
         return
     mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK)
     mallopt(_M_TRIM_THRESHOLD, _KEPT)
+
+
+@cache  # once in a process, however many jobs it runs: the first imports what there is to import
+def collect_rarely() -> None:
+    """Have Python look for garbage less often, until :func:`keep_imported`: while libraries are imported.
+
+    They make half a million objects that stay, and it would look at them again and again: half a second.
+    """
+    gc.set_threshold(_NEW_OBJECTS)
+
+
+@cache  # once: what a sweep's jobs leave behind is to be found
+def keep_imported() -> None:
+    """Have Python look for garbage as usual again, but not among the objects that there are."""
+    gc.set_threshold(_USUAL)
+    gc.freeze()
 
 
 @cache  # once is enough, however many jobs a process runs

@@ -8,6 +8,7 @@ not depend on how many cores there are.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import pickle
@@ -16,16 +17,20 @@ import sys
 import traceback
 import weakref
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing import Pipe, current_process
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from pinn_cli.runs.cores import usable_cores
+from pinn_cli.runs.writing import WriteError
 from pinn_cli.settings.errors import DivergenceError, InputError
 
 R = TypeVar("R")
 T = TypeVar("T")
+
+# Of Linux's prctl; and how much less of a busy core such copies take: two thirds of what this process does.
+_PR_SET_PDEATHSIG, _BEHIND = 1, 2
 
 
 class Items(Generic[T]):
@@ -37,6 +42,7 @@ class Items(Generic[T]):
 
     def __init__(self, items: Sequence[T]) -> None:
         self.items = list(items)
+        self.close: Callable[[], object] = lambda: None  # ends what works on them, whatever it is about
 
     def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
         """What a function makes of every item, in their order.
@@ -45,7 +51,11 @@ class Items(Generic[T]):
             function: Of a file's, of (item, its own of every argument).
             arguments: Each with one entry for every item.
         """
-        return [function(*given) for given in zip(self.items, *arguments, strict=True)]
+        return self.begin(function, *arguments)()
+
+    def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
+        """Begin with what :meth:`each` does; what is returned waits for the answers, and is to be called."""
+        return lambda: [function(*given) for given in zip(self.items, *arguments, strict=True)]
 
 
 # The ends of all pipes to copies that are alive: a copy must not keep those of others open.
@@ -59,10 +69,14 @@ class SharedOutItems(Items[T]):
         items: Which.
         copies: How many.
         sizes: Of the work on each; None: all alike.
+        behind: Whether they leave the cores to this process where these are few.
     """
 
-    def __init__(self, items: Sequence[T], copies: int, sizes: Sequence[int] | None = None) -> None:
+    def __init__(
+        self, items: Sequence[T], copies: int, sizes: Sequence[int] | None = None, behind: bool = False
+    ) -> None:
         super().__init__(items)
+        self.niceness = _BEHIND if behind else 0
         self.shares = shared_out([1] * len(items) if sizes is None else sizes, copies)
         self.ends: list[Connection] = []
         pids: list[int] = []
@@ -72,46 +86,59 @@ class SharedOutItems(Items[T]):
             self.ends.append(end)
         self.close = weakref.finalize(self, _end, os.getpid(), self.ends, pids)
 
-    def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
-        """See :meth:`Items.each`."""
+    def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
+        """See :meth:`Items.begin`; what the copies do meanwhile goes on at once."""
         tasks = list(zip(*arguments, strict=True)) if arguments else [()] * len(self.items)
-        found: dict[int, R] = {}
-        try:
+        with self._answering():
             for end, share in zip(self.ends, self.shares, strict=True):
                 end.send_bytes(pickle.dumps((function, [(i, tasks[i]) for i in share]), pickle.HIGHEST_PROTOCOL))
+        return self._answers
+
+    def _answers(self) -> list[Any]:
+        found: dict[int, Any] = {}
+        with self._answering():
             for end in self.ends:
                 found.update(_received(end))
+        return [found[i] for i in range(len(self.items))]
+
+    @contextmanager
+    def _answering(self) -> Iterator[None]:
+        try:
+            yield
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self.close()
-            raise MemoryError("a process that worked on some of the records was killed: out of memory?") from None
+            raise MemoryError("a process that worked beside this one was killed: out of memory?") from None
         except BaseException:
             self.close()  # whatever is still on its way belongs to no question any more
             raise
-        return [found[i] for i in range(len(self.items))]
 
     def _copy(self) -> tuple[int, Connection]:
         mine, its = Pipe()
+        owner = os.getpid()
         pid = os.fork()
         if pid == 0:
-            _serve(self.items, its, [mine, *_ends])
+            _serve(self.items, its, [mine, *_ends], owner, self.niceness)
         its.close()
         _ends.add(mine)
         return pid, mine
 
 
-def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True) -> Items[T]:
+def side_by_side(
+    items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True, behind: bool = False
+) -> Items[T]:
     """Items on as many cores as there are.
 
     Args:
         items: Which.
         sizes: Of the work on each; None: all alike.
         copied: False: in this process all the same, as where a GPU holds them.
+        behind: See :class:`SharedOutItems`.
     """
     copies = min(len(items), len(usable_cores()))
     # macOS has fork, but its own libraries do not survive it.
     if copies < 2 or not copied or not sys.platform.startswith("linux") or current_process().daemon:
         return Items(items)
-    return SharedOutItems(items, copies, sizes)
+    return SharedOutItems(items, copies, sizes, behind)
 
 
 def shared_out(sizes: Sequence[int], copies: int) -> list[list[int]]:
@@ -129,10 +156,14 @@ def _received(end: Connection) -> dict[int, Any]:
     return dict(answer)
 
 
-def _serve(items: Sequence[Any], questions: Connection, others: Sequence[Connection]) -> None:
+def _serve(
+    items: Sequence[Any], questions: Connection, others: Sequence[Connection], owner: int, niceness: int
+) -> None:
     """What a copy does until nobody asks any more; it never returns to what this process was about."""
     status = 1
     try:
+        _end_with(owner)
+        os.nice(niceness)
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that asks
         for number in (signal.SIGTERM, signal.SIGALRM):
@@ -150,6 +181,14 @@ def _serve(items: Sequence[Any], questions: Connection, others: Sequence[Connect
         os._exit(status)
 
 
+def _end_with(owner: int) -> None:
+    """Have Linux kill this process when its owner is gone: it would go on to hold its locks and write its files."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != owner:  # it was gone before
+        os._exit(1)
+
+
 def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[tuple[int, tuple[Any, ...]]]]]:
     while True:
         yield pickle.loads(questions.recv_bytes())
@@ -158,7 +197,7 @@ def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[tup
 def _answer(items: Sequence[Any], function: Callable[..., Any], tasks: Sequence[tuple[int, Any]]) -> bytes:
     try:
         return pickle.dumps([(i, function(items[i], *given)) for i, given in tasks], pickle.HIGHEST_PROTOCOL)
-    except (InputError, DivergenceError, MemoryError) as error:
+    except (InputError, DivergenceError, WriteError, MemoryError) as error:
         return pickle.dumps(error)
     except Exception as error:
         return pickle.dumps(RuntimeError(f"{error}\n{traceback.format_exc()}"))

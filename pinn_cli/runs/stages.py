@@ -13,6 +13,9 @@ log = logging.getLogger(__name__)
 class Stages:
     """Wall-clock seconds by stage, for run.json and, as they end, for the log.
 
+    Args:
+        began: When the run did, as `time.perf_counter` has it; None: now. What has passed since is its ``start_up``.
+
     Example:
         >>> stages = Stages()
         >>> with stages("record"):
@@ -21,9 +24,11 @@ class Stages:
         ['record', 'total']
     """
 
-    def __init__(self) -> None:
-        self._start = time.perf_counter()
-        self._seconds: dict[str, float] = {}
+    def __init__(self, began: float | None = None) -> None:
+        now = time.perf_counter()
+        self._start = now if began is None else began
+        self._seconds: dict[str, float] = {} if began is None else {"start_up": now - began}
+        self._moments: dict[str, float] = {}
         self._entered: list[str] = []
 
     @contextmanager
@@ -39,6 +44,10 @@ class Stages:
             self._seconds[name] = self._seconds.get(name, 0.0) + seconds
             log.info("%s: %.2f s", name, seconds)
 
+    def reached(self, moment: str) -> None:
+        """Note that something happens now, such as ``table_at``: seconds since the run began."""
+        self._moments[moment] = time.perf_counter() - self._start
+
     @property
     def current(self) -> str:
         """The stage that lasts, of nested ones the innermost; empty between stages."""
@@ -47,5 +56,5 @@ class Stages:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Stage to seconds, and the total since this object was made."""
-        return {**self._seconds, "total": time.perf_counter() - self._start}
+        """Stage to seconds; the moments that were reached, and the total, both since the run began."""
+        return {**self._seconds, **self._moments, "total": time.perf_counter() - self._start}

@@ -11,7 +11,7 @@ import pytest
 from fake_posteriors import DUFFING, LABELS, make_record, make_result, make_samples, parameters_of
 
 from pinn_cli.posterior.result import ForcePredictive
-from pinn_cli.report.posterior import posterior_groups, write_posterior_data
+from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
 from pinn_cli.system.parameters import Parameter
 
 arviz = pytest.importorskip("arviz")

@@ -30,7 +30,7 @@ from pinn_cli.report.figures.posterior import (
     rank_figure,
     trace_figure,
 )
-from pinn_cli.report.posterior import posterior_groups
+from pinn_cli.report.posterior_data import posterior_groups
 from pinn_cli.system.parameters import Parameter
 
 TRUE = true_parameters(4)

@@ -43,13 +43,22 @@ def _texts(figure):
 def test_all_figures_are_written(make_case, tmp_path):
     case = make_case(ndof=2, observed=1)
     before = dict(mpl.rcParams)
-    paths = write_figures(results(case), tmp_path / "figures")
+    paths = write_figures(results(case), tmp_path)
     figures = ("response", "residuals", "error_map", "drift", "modes", "history", "parameters")
     names = [f"{name}.{kind}" for name in figures for kind in ("png", "pdf")]
     assert [path.name for path in paths] == names
     assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == sorted(names)
     assert all(path.read_bytes().startswith((b"\x89PNG", b"%PDF")) and path.stat().st_size > 5000 for path in paths)
     assert dict(mpl.rcParams) == before
+
+
+def test_parts_of_the_figures_are_together_all_of_them(make_case, tmp_path):
+    case = make_case(ndof=1, observed=1)
+    estimate = replace(case.estimate, parameters=[], history=pd.DataFrame({"iteration": [0]}))
+    parts = [write_figures(results(case, estimate), tmp_path, part, 3) for part in range(3)]
+    assert min(map(len, parts)) > 0
+    stems = [path.stem for paths in parts for path in paths if path.suffix == ".png"]
+    assert sorted(stems) == ["drift", "error_map", "modes", "residuals", "response"]
 
 
 def test_nothing_to_draw_is_no_figure(make_case, tmp_path):

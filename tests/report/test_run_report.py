@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,7 +20,19 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.report import figures, run_report
 from pinn_cli.report.parameters import PARAMETER_COLUMNS
 from pinn_cli.report.results import LABELS, Results
+from pinn_cli.runs.cores import usable_cores
 from pinn_cli.runs.stages import Stages
+from pinn_cli.runs.writing import WriteError
+
+
+def report_of(results, directory):
+    """Write everything; the text."""
+    report = run_report.RunReport(results, directory, Stages())
+    text = report.text()
+    assert not list(directory.iterdir())  # it is printed before anything is written
+    with report.drawing():
+        report.write()
+    return text
 
 
 @pytest.fixture
@@ -35,7 +51,7 @@ def reported(composed, make_case, tmp_path, monkeypatch):
         estimate = replace(case.estimate, parameters=parameters, **changes)
         config = RunConfig.read(composed(*SMALL))
         results = Results(config.description, config.structure, case.record, case.truth, estimate)
-        return tmp_path, run_report.write_report(results, tmp_path, Stages())
+        return tmp_path, report_of(results, tmp_path)
 
     return report
 
@@ -78,7 +94,7 @@ def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case
     posterior = make_result(samples, None, "3 divergences")
     config, estimate = RunConfig.read(composed(*SMALL)), replace(case.estimate, parameters=start)
     results = Results(config.description, config.structure, case.record, case.truth, estimate, posterior=posterior)
-    text = run_report.write_report(results, tmp_path, Stages())
+    text = report_of(results, tmp_path)
     table = pd.read_csv(tmp_path / "parameters.csv").set_index("parameter")
     assert table["estimate"].to_numpy() == pytest.approx(samples.draws.mean(axis=(0, 1)))
     assert (tmp_path / "posterior.nc").is_file()
@@ -86,3 +102,43 @@ def test_a_posterior_brings_its_files_parameters_and_verdict(composed, make_case
     assert "quality check FAILED: 3 divergences" in text
     record = json.loads((tmp_path / "run.json").read_text())["posterior"]
     assert (record["method"], record["chains"], record["quality_check"]) == ("marginal", 4, ["3 divergences"])
+
+
+def test_an_error_of_a_figure_reaches_the_user_and_leaves_no_run_record(composed, make_case, tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise WriteError("figures/response.png", "No space left on device")
+
+    monkeypatch.setattr(figures, "write_figures", refuse)
+    case, config = make_case(ndof=3, observed=2), RunConfig.read(composed(*SMALL))
+    results = Results(config.description, config.structure, case.record, case.truth, case.estimate)
+    report = run_report.RunReport(results, tmp_path, Stages())
+    with pytest.raises(WriteError, match="No space left"), report.drawing():
+        report.write()
+    assert not (tmp_path / "run.json").exists()
+
+
+def interrupt_when(happened):
+    while not happened():
+        time.sleep(0.01)
+    raise KeyboardInterrupt
+
+
+def test_drawing_ends_with_what_is_written_beside_it(composed, make_case, tmp_path, monkeypatch):
+    def draw(_results: object, directory: Path, *_: int) -> None:
+        (directory / f"{os.getpid()}.drawing").touch()
+        (directory / ".response.1.partial.png").touch()
+        time.sleep(30.0)
+
+    monkeypatch.setattr(figures, "write_figures", draw)
+    case, config = make_case(ndof=3, observed=2), RunConfig.read(composed(*SMALL))
+    results = Results(config.description, config.structure, case.record, case.truth, case.estimate)
+    report = run_report.RunReport(results, tmp_path, Stages())
+    if len(usable_cores()) < 2 or not sys.platform.startswith("linux"):
+        pytest.skip("drawn in this process")
+    monkeypatch.setattr(report, "write", lambda: interrupt_when(lambda: list(tmp_path.glob("*.drawing"))))
+    with pytest.raises(KeyboardInterrupt), report.drawing():
+        report.write()
+    for file in tmp_path.glob("*.drawing"):
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(file.stem), 0)
+    assert not list(tmp_path.glob("*partial*"))

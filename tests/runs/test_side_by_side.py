@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 
 import pytest
 
 from pinn_cli.runs import side_by_side as page
 from pinn_cli.runs.side_by_side import Items, SharedOutItems, shared_out, side_by_side
+from pinn_cli.runs.writing import WriteError
 from pinn_cli.settings.errors import DivergenceError, InputError
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system copies no process")
@@ -47,7 +49,13 @@ def test_shares_are_of_about_the_same_size():
 
 
 @pytest.mark.parametrize(
-    "error", [DivergenceError("not finite"), InputError("system.ndof", 3, "fewer", "too much memory"), MemoryError()]
+    "error",
+    [
+        DivergenceError("not finite"),
+        InputError("system.ndof", 3, "fewer", "too much memory"),
+        WriteError("response.png", "No space left on device"),
+        MemoryError(),
+    ],
 )
 def test_an_error_comes_back_as_it_is(error):
     shared = SharedOutItems((1, 1), 2)
@@ -126,3 +134,41 @@ def test_one_core_or_what_cannot_be_copied_stays_here(monkeypatch):
     assert type(side_by_side((1, 1, 1), copied=False)) is Items
     assert type(side_by_side((1,))) is Items
     assert len(side_by_side((1, 1, 1)).shares) == 2
+
+
+def sleep(_item: object) -> None:
+    time.sleep(30.0)
+
+
+def test_copies_work_while_this_process_does_something_else():
+    shared = SharedOutItems((1, 2), 2, behind=True)
+    answers = shared.begin(size_and_process, (1, 1))
+    assert [size for size, _ in answers()] == [2, 3]
+    assert shared.each(niceness, (0, 0))[0] >= min(os.nice(0) + 1, 19)
+    late = Items((1, 2)).begin(size_and_process, (1, 1))
+    assert [size for size, _ in late()] == [2, 3]
+
+
+def niceness(_item: object, _more: int) -> int:
+    return os.nice(0)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux tells of a parent's death")
+def test_copies_end_with_a_process_that_is_killed():
+    said, told = os.pipe()
+    owner = os.fork()
+    if owner == 0:
+        shared = SharedOutItems((1, 2), 2)
+        processes = processes_of(shared)
+        shared.begin(sleep)
+        os.write(told, " ".join(map(str, processes)).encode())
+        time.sleep(30.0)
+        os._exit(0)
+    processes = [int(process) for process in os.read(said, 100).split()]
+    os.kill(owner, signal.SIGKILL)
+    os.waitpid(owner, 0)
+    until = time.monotonic() + 5.0
+    while not all(map(gone, processes)) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert len(processes) == 2
+    assert all(map(gone, processes))

@@ -23,3 +23,11 @@ def test_a_stage_that_fails_is_timed_too() -> None:
     with pytest.raises(ValueError, match="failed"), stages("estimate"):
         raise ValueError("failed")
     assert "estimate" in stages.seconds
+
+
+def test_a_run_counts_from_its_beginning() -> None:
+    stages = Stages(time.perf_counter() - 5.0)
+    stages.reached("table_at")
+    seconds = stages.seconds
+    assert list(seconds) == ["start_up", "table_at", "total"]
+    assert 5.0 <= seconds["start_up"] <= seconds["table_at"] <= seconds["total"] < 6.0

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.connection_forces import ConnectionForces
@@ -16,75 +20,106 @@ from pinn_cli.report.figures.modes import modes_figure
 from pinn_cli.report.figures.parameters import parameters_figure
 from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure, rank_figure, trace_figure
 from pinn_cli.report.figures.residuals import residuals_figure
-from pinn_cli.report.figures.response import response_figure
+from pinn_cli.report.figures.response import response_figure, shown_dofs
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
 from pinn_cli.report.figures.validation import validation_figure
 from pinn_cli.report.modes import ModeEstimates
 from pinn_cli.report.parameters import any_unknown
 from pinn_cli.report.posterior import worst_sampled
+from pinn_cli.report.record_report import record_folder
+from pinn_cli.runs.side_by_side import shared_out
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     import xarray as xr
+    from matplotlib.figure import Figure
 
     from pinn_cli.report.results import Results
     from pinn_cli.report.validation_run import ValidationRun
     from pinn_cli.training.estimate import Estimate
 
 
-def write_figures(results: Results, directory: Path | str) -> list[Path]:
-    """Draw and save every figure that the run has something for, as PNG and PDF, in ``directory``.
+@dataclass(frozen=True)
+class Drawing:
+    """A figure that a run has something for.
+
+    Attributes:
+        directory: Of its files.
+        name: Of its files, without a suffix.
+        build: Makes it.
+        panels: About so many, which its time grows with.
+    """
+
+    directory: Path
+    name: str
+    build: Callable[[], Figure]
+    panels: int
+
+    def save(self) -> list[Path]:
+        """Draw it; the files written."""
+        return save(self.build(), self.directory, self.name)
+
+
+def write_figures(results: Results, directory: Path | str, part: int = 0, of: int = 1) -> list[Path]:
+    """Draw and save figures of a run, as PNG and PDF.
+
+    Args:
+        results: Of the run; of several records each has figures of its own.
+        directory: Of the run.
+        part: Which of the figures, from 0: those that are about as much work as each other part.
+        of: How many parts there are.
 
     Returns:
         The files written.
     """
-    return write_record_figures(results, directory) + write_run_figures(results, directory)
+    drawings: list[Drawing] = []
+    for number, own in enumerate(results.by_record, start=1):
+        drawings += record_drawings(own, Path(directory) / record_folder(number) / "figures")
+    drawings += run_drawings(results, Path(directory) / "figures")
+    share = shared_out([drawing.panels for drawing in drawings], of)[part]
+    return [path for i in share for path in drawings[i].save()]
 
 
-def write_run_figures(results: Results, directory: Path | str) -> list[Path]:
-    """Those that are about parameters and training, which several records have in common.
-
-    Returns:
-        The files written.
-    """
-    estimate, truth, figures = results.estimate, results.truth, {}
+def run_drawings(results: Results, directory: Path) -> list[Drawing]:
+    """Those that are about parameters and training, which several records have in common."""
+    estimate, truth = results.estimate, results.truth
+    found: list[tuple[str, int, Callable[[], Figure]]] = []
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
-        figures["modes"] = modes_figure(modes, results.run.truth_label)
+        found.append(("modes", modes.count, partial(modes_figure, modes, results.run.truth_label)))
     if results.prescribed.labels.connections and results.prescribed.shapes is None:
-        figures["structure"] = structure_figure(results.prescribed)
+        found.append(("structure", 2, partial(structure_figure, results.prescribed)))
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
-        figures["history"] = history_figure(estimate.history)
+        found.append(("history", 5, partial(history_figure, estimate.history)))
     if any(given.prescribed or given.unknown for given in estimate.parameters):
-        figures["parameters"] = parameters_figure(estimate.parameters, truth.parameters)
+        found.append(("parameters", 4, partial(parameters_figure, estimate.parameters, truth.parameters)))
     if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
-        figures["correlation"] = correlation_figure(estimate.parameters, estimate.correlation)
-    return [path for name, figure in figures.items() for path in save(figure, directory, name)]
+        correlation = partial(correlation_figure, estimate.parameters, estimate.correlation)
+        found.append(("correlation", 2, correlation))
+    return [Drawing(directory, name, build, panels) for name, panels, build in found]
 
 
-def write_record_figures(results: Results, directory: Path | str) -> list[Path]:
-    """Those that are about one record.
-
-    Returns:
-        The files written.
-    """
+def record_drawings(results: Results, directory: Path) -> list[Drawing]:
+    """Those that are about one record."""
     estimate, record, truth, run = results.estimate, results.record, results.truth, results.run
     baseline = (run.baseline, results.baseline.response) if results.baseline else None
-    figures = {
-        "response": response_figure(
-            estimate, record, truth.response, results.linear_response, run.truth_label, baseline
-        ),
-        "residuals": residuals_figure(estimate, record),
-        "error_map": error_map_figure(estimate, record, truth.response),
-        "drift": drift_figure(Drifts.of(results.prescribed, estimate, truth.response), run.truth_label),
-    }
+    response = partial(
+        response_figure, estimate, record, truth.response, results.linear_response, run.truth_label, baseline
+    )
+    rows = len(shown_dofs(record.ndof))
+    drifts = partial(Drifts.of, results.prescribed, estimate, truth.response)
+    found: list[tuple[str, int, Callable[[], Figure]]] = [
+        ("response", 5 * rows, response),
+        ("residuals", 12, partial(residuals_figure, estimate, record)),
+        ("error_map", 8, partial(error_map_figure, estimate, record, truth.response)),
+        ("drift", 2 * rows, lambda: drift_figure(drifts(), run.truth_label)),
+    ]
     forces = ConnectionForces.of(results.prescribed, estimate, truth)
     if forces is not None and forces.memory.size:
-        figures["hysteresis"] = hysteresis_figure(forces, run.truth_label)
-    return [path for name, figure in figures.items() for path in save(figure, directory, name)]
+        found.append(("hysteresis", rows, partial(hysteresis_figure, forces, run.truth_label)))
+    return [Drawing(directory, name, build, panels) for name, panels, build in found]
 
 
 def write_validation_figure(run: ValidationRun, estimate: Estimate, directory: Path) -> list[Path]:

@@ -114,14 +114,28 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
 
     The same figure gives the same bytes.
     """
+    _place_empty_labels(figure)
     written = []
     # Creation dates and versions would make two equal runs differ.
-    for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None, "Producer": None})):
+    kinds: dict[str, dict[str, Any]] = {
+        # Half the time of the usual level, a sixth more bytes.
+        ".png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
+        ".pdf": {"metadata": {"CreationDate": None, "Producer": None}},
+    }
+    for suffix, options in kinds.items():
         place = Path(directory) / f"{name}{suffix}"
         with look(), replacing(place) as beside:
-            figure.savefig(beside, format=suffix[1:], metadata=metadata)
+            figure.savefig(beside, format=suffix[1:], **options)
         written.append(place)
     return written
+
+
+def _place_empty_labels(figure: Figure) -> None:
+    """Give axis labels without text a place: matplotlib would look for one beside all tick labels."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.label.get_text():
+                axis.set_label_coords(0.0, 0.0)
 
 
 def unit(quantity: str, prefix: str = "") -> str:
