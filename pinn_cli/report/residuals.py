@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from scipy.stats import kstwo
 
 from pinn_cli.record.channels import channels, clipped_percent, constant_percent
 from pinn_cli.record.record import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
@@ -133,6 +132,8 @@ def cumulated_deviation(values: np.ndarray) -> float:
 
 def white_probability(values: np.ndarray) -> float:
     """The probability that white noise of as many samples deviates further than values (N,) do; NaN where constant."""
+    from scipy.stats import kstwo  # not above: it takes longer to import than many a training
+
     deviation = cumulated_deviation(values)
     shares = (len(values) + 1) // 2 - 2
     return float(kstwo.sf(deviation, shares)) if np.isfinite(deviation) else np.nan

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -23,13 +25,23 @@ class EstimatorTables:
 
     Attributes:
         name: Of the estimator, ``pinn`` for the network.
-        fitness, parameters, residuals: Its rows of the files of these names.
+        fitness, parameters: Its rows of the files of these names.
+        find_residuals: Finds those of ``residuals.csv``.
     """
 
     name: str
     fitness: pd.DataFrame
     parameters: pd.DataFrame
-    residuals: pd.DataFrame
+    find_residuals: Callable[[], pd.DataFrame]
+
+    @cached_property
+    def residuals(self) -> pd.DataFrame:
+        """Its rows of ``residuals.csv``, found when they are asked for: what a simulated record prints has none."""
+        return self.find_residuals()
+
+    def __reduce__(self) -> tuple[type[EstimatorTables], tuple[object, ...]]:
+        # Between processes goes what was found.
+        return type(self), (self.name, self.fitness, self.parameters, Found(self.residuals))
 
     @classmethod
     def of(
@@ -47,15 +59,32 @@ class EstimatorTables:
             name,
             fitness_table(estimate.response, truth.response, record.observed, labels),
             parameter_table(estimate.parameters, truth.parameters, labels),
-            residual_table(estimate, record, free_run, labels),
+            partial(residual_table, estimate, record, free_run, labels),
         )
 
     def above(self, other: EstimatorTables | None) -> EstimatorTables:
         """These rows with those of another estimator below; columns that are empty in one of them stay as they are."""
         if other is None:
             return self
-        pairs = ((getattr(self, name), getattr(other, name)) for name in ("fitness", "parameters", "residuals"))
-        filled = [([table for table in pair if len(table)], pair[0]) for pair in pairs]
         return EstimatorTables(
-            self.name, *(pd.concat(tables, ignore_index=True) if tables else empty for tables, empty in filled)
+            self.name,
+            _joined(self.fitness, other.fitness),
+            _joined(self.parameters, other.parameters),
+            lambda: _joined(self.residuals, other.residuals),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A table that is there already."""
+
+    table: pd.DataFrame
+
+    def __call__(self) -> pd.DataFrame:
+        """The table."""
+        return self.table
+
+
+def _joined(above: pd.DataFrame, below: pd.DataFrame) -> pd.DataFrame:
+    filled = [table for table in (above, below) if len(table)]
+    return pd.concat(filled, ignore_index=True) if filled else above

@@ -72,6 +72,11 @@ class Incidence:
         """B' r: (..., C) to (..., n), what the connections' forces pull the coordinates back with."""
         return self._product(r, transposed=True)
 
+    def products(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """B' and B (float64), which states and forces are multiplied by from the right; None where sums are quicker."""
+        like = np.empty(0)
+        return (self._like(like, transposed=False), self._like(like, transposed=True)) if self._short else None
+
     def _product(self, x: Array, transposed: bool) -> Array:
         if self._is_chain and isinstance(x, torch.Tensor):
             before, after = x[..., :-1], x[..., 1:]

@@ -11,6 +11,7 @@ from scipy.linalg import expm
 from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.record import Response
 from pinn_cli.record.simulation import OverflowsError, Simulation, simulate
+from pinn_cli.record.state_equation import StateEquation
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import Structure, build_chain, matrices
@@ -240,3 +241,13 @@ def test_illegal_settings_are_named(setting, changes):
     with pytest.raises(InputError, match=rf"^simulation\.{setting}=") as error:
         Simulation(**{"duration": 60.0, "samples": 4096, **changes})
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("ndof", [1, 6])
+def test_the_short_way_to_a_slope_gives_the_same_bits(ndof):
+    chain = build_chain(ndof, Duffing(), m=1.3, c=0.7, k=15.0, kappa=100.0)
+    equation, rng = StateEquation(chain, shaken=False), np.random.default_rng(0)
+    state, load = rng.normal(size=(2, ndof)), rng.normal(size=ndof)
+    acceleration = chain.acceleration(*state, load, chain.parameters_like(load))
+    assert equation.slope is not equation._slope
+    np.testing.assert_array_equal(equation.slope(state, load), np.array((state[1], acceleration)))

@@ -74,11 +74,10 @@ def run_text(
     """
     run, estimate = results.run, results.estimate
     warnings = identifiability_warnings(estimate.parameters, estimate.correlation)
-    their_residuals = (baseline.name, baseline.residuals) if baseline else None
     their_parameters = (baseline.name, baseline.parameters) if baseline else None
     known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
     paragraphs = [
-        "" if run.simulated else sensors_text(_of_records(tables, further), their_residuals),
+        "" if run.simulated else sensors_text(_of_records(tables, further), _residuals_of(baseline)),
         parameters_text(tables.parameters, warnings, their_parameters),
         fitness_text(tables.fitness, results.record.observed, _published(run)),
         free_run_text(*free_run) if known else free_run_line(*free_run),
@@ -88,6 +87,10 @@ def run_text(
         "" if verdict is None else verdict_text(verdict),
     ]
     return "\n\n".join(text for text in paragraphs if text)
+
+
+def _residuals_of(baseline: EstimatorTables | None) -> tuple[str, pd.DataFrame] | None:
+    return (baseline.name, baseline.residuals) if baseline else None
 
 
 def _published(run: RunDescription) -> pd.DataFrame:
