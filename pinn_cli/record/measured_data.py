@@ -16,15 +16,14 @@ from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.held_out import not_held_out, scored_by
+from pinn_cli.record.interpolation import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.record.record import (
     GROUND,
-    INTERSAMPLE,
     MINIMUM_SAMPLES,
     QUANTITIES,
     RESPONSE_QUANTITIES,
     Frame,
-    Intersample,
     Measurements,
     Record,
     Response,
@@ -65,7 +64,8 @@ class MeasuredData:
         holdout: DOFs whose columns the estimator never sees: they go into the truth, to score it.
         start, stop: Of the window, s, both included; None: the file's ends.
         decimate: Keep every so manieth sample of the window, after an anti-alias filter.
-        intersample: How the force behaves between the samples.
+        intersample: How what acts behaves between the samples, one of :data:`BETWEEN_SAMPLES`; None: band-limited,
+            unless its samples lie on straight lines.
         base: The directory the user started the command in; None: the current one.
         kind: The name of the config group's choice.
         channels: Name of a channel to what it is, the long form: see
@@ -88,7 +88,7 @@ class MeasuredData:
     start: float | None = None
     stop: float | None = None
     decimate: int = 1
-    intersample: Intersample = "band_limited"
+    intersample: str | None = None
     ground_acceleration: str | None = None
     frame: Frame = "absolute"
     base: Path | None = None
@@ -111,7 +111,8 @@ class MeasuredData:
         object.__setattr__(self, "channels", data_channels(self.channels))
         object.__setattr__(self, "holdout", _checked_holdout(self.holdout))
         self._check_window()
-        one_of("data.intersample", self.intersample, INTERSAMPLE)
+        if self.intersample is not None:
+            one_of("data.intersample", self.intersample, BETWEEN_SAMPLES)
         if self.decimate > 1 and self.intersample == "zero_order_hold":
             hint = "a filtered force is no longer held; take data.intersample=band_limited"
             raise InputError("data.decimate", self.decimate, "1 with data.intersample=zero_order_hold", hint)
@@ -151,7 +152,8 @@ class MeasuredData:
         record = Record(
             **seen.measurable,
             unforced=unforced,
-            intersample=self.intersample,
+            intersample=found.intersample,
+            assumed=found.assumed,
             frame=self.frame,
             gauges=not_held_out(found.gauges, self.holdout),
         )
@@ -174,7 +176,8 @@ class MeasuredData:
     def _read(self, connections: Sequence[str]) -> Sampled:
         """The channels of the window after decimation."""
         clock = self._files.read({channel.setting: channel.column for channel in self._every_channel})
-        return sampled(self._every_channel, clock, self._window(clock.time), self.decimate, connections)
+        window = self._window(clock.time)
+        return sampled(self._every_channel, clock, window, self.decimate, connections, self.intersample)
 
     @property
     def _files(self) -> MeasuredFiles:
@@ -225,7 +228,7 @@ class MeasuredData:
         moves = any(channel.sensor == GROUND for channel in self._every_channel)
         check_frame(self.frame, moves, f"data.{GROUND} is not given")
         if moves and self.intersample == "zero_order_hold":
-            allowed = f"band_limited with data.{GROUND}"
+            allowed = f"band_limited or {FIRST_ORDER_HOLD} with data.{GROUND}"
             raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     def _check_sensors(self) -> None:

@@ -89,6 +89,7 @@ class Record:
         force: (N, n), measured; a column of NaN where the force is unknown; 0 where there is known to be none.
         unforced: (n,) bool, the DOFs that are known to carry no force.
         intersample: How the force behaves between the samples.
+        assumed: Whether nobody said so.
         ground_acceleration: (N,), measured, m/s^2; None where the ground is at rest.
         frame: What accelerometers measure where the ground moves: ``absolute``, as sensors on the structure do, or
             ``relative`` to the ground. Displacements and velocities are relative to it always.
@@ -114,6 +115,7 @@ class Record:
     force: np.ndarray
     unforced: np.ndarray
     intersample: Intersample = "band_limited"
+    assumed: bool = False
     repeats: Repeats | None = None
     simulated: bool = False
     ground_acceleration: np.ndarray | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from pinn_cli.record.clock import Clock
 from pinn_cli.record.data_channels import DataChannel
 from pinn_cli.record.decimation import decimate
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.record import MINIMUM_SAMPLES
+from pinn_cli.record.interpolation import FIRST_ORDER_HOLD, held_by_lines, samples_per_line
+from pinn_cli.record.record import MINIMUM_SAMPLES, Intersample
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, GROUND
 
 log = logging.getLogger(__name__)
 
@@ -30,15 +31,24 @@ class Sampled:
         time: (N,), s, uniform: the times of the columns.
         columns: Quantity and DOF, counted from 1, to samples (N,); those of gauges as they are believed to be.
         gauges: Channels with samples of their own.
+        intersample: How the columns of what acts behave between their samples.
+        assumed: Whether nobody said so, and nothing shows it.
     """
 
     time: np.ndarray
     columns: Mapping[tuple[str, int], np.ndarray]
     gauges: tuple[Gauge, ...]
+    intersample: Intersample = "band_limited"
+    assumed: bool = False
 
 
 def sampled(
-    channels: Sequence[DataChannel], clock: Clock, window: tuple[int, int], factor: int, connections: Sequence[str] = ()
+    channels: Sequence[DataChannel],
+    clock: Clock,
+    window: tuple[int, int],
+    factor: int,
+    connections: Sequence[str] = (),
+    intersample: str | None = None,
 ) -> Sampled:
     """The channels of a window of a file.
 
@@ -50,6 +60,7 @@ def sampled(
         window: First row, and the row after the last.
         factor: Every so manieth sample is kept, after an anti-alias filter.
         connections: Names of the structure's connections.
+        intersample: See :class:`pinn_cli.record.measured_data.MeasuredData`.
 
     Raises:
         InputError: A cell that is no number, a channel with too few, a sensor that shows one value throughout; gaps
@@ -63,13 +74,46 @@ def sampled(
         _check_samples(channel, column)
     time, even = clock.regular(first, last)
     whole = even and not any(np.isnan(column).any() for column in values)
+    lines = _on_lines(channels, values, intersample, even)
+    values = [held_by_lines(column) if held else column for held, column in zip(lines, values, strict=True)]
     if factor > 1:
         if not whole:
             hint = "an anti-alias filter needs every sample"
             raise InputError("data.decimate", factor, "1 where samples are missing or uneven", hint)
         values = list(decimate(np.stack(values, axis=1), factor).T)
         time = time[::factor]
-    return _placed(channels, time, values, even, connections)
+    found = _placed(channels, time, values, even, connections)
+    if intersample == "zero_order_hold":
+        return replace(found, intersample="zero_order_hold")
+    return replace(found, assumed=intersample is None and not any(lines))
+
+
+def _on_lines(
+    channels: Sequence[DataChannel], values: Sequence[np.ndarray], intersample: str | None, even: bool
+) -> list[bool]:
+    """Which channels are of what acts, and go on between their samples by straight lines.
+
+    Raises:
+        InputError: Where that was said of samples that are missing or uneven.
+    """
+    acts = [channel.sensor in (FORCE, GROUND) for channel in channels]
+    whole = [even and not np.isnan(column).any() for column in values]
+    if intersample == FIRST_ORDER_HOLD:
+        for channel, here, complete in zip(channels, acts, whole, strict=True):
+            if here and not complete:
+                hint = f"samples of {channel.column!r} are missing or uneven"
+                raise InputError("data.intersample", intersample, "null or band_limited here", hint)
+        return acts
+    if intersample is not None:
+        return [False] * len(values)
+    found = [
+        here and complete and samples_per_line(column) > 1
+        for here, complete, column in zip(acts, whole, values, strict=True)
+    ]
+    for channel in (channel for channel, held in zip(channels, found, strict=True) if held):
+        text = "%s lies on straight lines: taken with data.intersample=%s; say band_limited if it does not"
+        log.warning(text, channel.setting, FIRST_ORDER_HOLD)
+    return found
 
 
 def _placed(

@@ -142,6 +142,21 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
     return float(np.sqrt(above.mean()))
 
 
+def reaches_nyquist(x: np.ndarray, step: float) -> bool:
+    """Whether a channel (N,) has content up to its Nyquist frequency: power that still falls off in the last parts.
+
+    White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance.
+    """
+    frequency, power = periodogram(x, step)
+    lower, upper = (
+        power[(frequency > low * frequency[-1]) & (frequency <= (low + 0.2) * frequency[-1])] for low in (0.6, 0.8)
+    )
+    if min(len(lower), len(upper)) < FEWEST_BINS or not upper.any():
+        return False
+    chance = 3.0 * np.sqrt(1.0 / len(lower) + 1.0 / len(upper))
+    return bool(np.log(lower.mean() / upper.mean()) > chance)
+
+
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:
     """Share of the band up to ``top`` (Hz) that histories (N, n) fill, together; 1 when they are white, or none."""
     # Averaging over pieces steadies the periodogram, whose own scatter would pass for colour.

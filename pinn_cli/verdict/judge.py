@@ -20,6 +20,7 @@ from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_fin
 from pinn_cli.verdict.prediction import Prediction, is_linear, predicted
 from pinn_cli.verdict.record_faults import record_faults
 from pinn_cli.verdict.refit_causes import refit_causes
+from pinn_cli.verdict.sampling_findings import sampling_findings
 from pinn_cli.verdict.sensor_findings import sensor_findings
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def judge(
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
-    findings += input_findings(problem, estimate, structure)
+    findings += input_findings(problem, estimate, structure) + sampling_findings(problem, estimate, structure)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies:
         # A gain that believed parameters have made up for shows against the prescribed ones.

@@ -191,7 +191,10 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
             "data.decimate=2: must be 1 with data.intersample=zero_order_hold",
             {"decimate": 2, "intersample": "zero_order_hold"},
         ),
-        ("data.intersample=linear: must be one of band_limited, zero_order_hold", {"intersample": "linear"}),
+        (
+            "data.intersample=linear: must be one of band_limited, zero_order_hold, first_order_hold",
+            {"intersample": "linear"},
+        ),
     ],
 )
 def test_a_setting_that_cannot_be_used(tmp_path, expected, changes):

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pinn_cli.record.interpolation import held_by_lines
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Record, Response
 from pinn_cli.record.repeats import Repeats
@@ -78,7 +79,7 @@ def test_decimation_and_windows_treat_it_as_every_column(quake):
             {"frame": "relative", "ground_acceleration": None},
         ),
         (
-            "data.intersample=zero_order_hold: must be band_limited with data.ground_acceleration",
+            "data.intersample=zero_order_hold: must be band_limited or first_order_hold with data.ground_acceleration",
             {"intersample": "zero_order_hold"},
         ),
     ],
@@ -119,3 +120,30 @@ def test_a_response_says_what_sensors_may_measure():
     }
     assert response.ground_acceleration is None
     assert response.hidden is None
+
+
+def test_straight_lines_between_its_samples_are_taken_out(tmp_path, caplog):
+    rng = np.random.default_rng(0)
+    time = np.arange(1001) * STEP
+    lines = np.interp(time, time[::2], rng.standard_normal(501))
+    pd.DataFrame({"t": time, "ground": lines, "roof": np.cos(time)}).to_csv(tmp_path / "quake.csv", index=False)
+    found, asked, left = read(tmp_path), read(tmp_path, intersample="first_order_hold"), {"intersample": "band_limited"}
+    assert "data.ground_acceleration lies on straight lines" in caplog.text
+    np.testing.assert_array_equal(found.ground_acceleration, asked.ground_acceleration)
+    np.testing.assert_allclose(found.ground_acceleration, held_by_lines(lines), rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(read(tmp_path, **left).ground_acceleration, lines)
+    np.testing.assert_array_equal(found.acceleration[:, 2], np.cos(time))
+    assert not found.assumed
+
+
+def test_nobody_says_what_it_does_between_its_samples(quake):
+    assert read(quake).assumed
+    assert not read(quake, intersample="band_limited").assumed
+
+
+def test_lines_have_no_gaps(tmp_path):
+    values = table()
+    values.loc[7, "ground"] = np.nan
+    values.to_csv(tmp_path / "quake.csv", index=False)
+    with pytest.raises(InputError, match=r"data\.intersample=first_order_hold: must be null or band_limited here"):
+        read(tmp_path, intersample="first_order_hold")

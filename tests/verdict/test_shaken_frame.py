@@ -11,7 +11,7 @@ import pytest
 from pinn_cli.record.channels import channels
 from pinn_cli.record.excitation import GroundMotion
 from pinn_cli.record.noise import Noise
-from pinn_cli.record.record import Measurements, Response
+from pinn_cli.record.record import Measurements, Record, Response
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
@@ -24,6 +24,7 @@ from pinn_cli.verdict.judge import judge
 from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import predicted
 from pinn_cli.verdict.record_faults import record_faults
+from pinn_cli.verdict.sampling_findings import sampling_findings
 
 LINEAR = build_chain(3, Linear(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5])
 DUFFING = build_chain(3, Duffing(), m=[2e3, 2e3, 1.5e3], c=6e3, k=[8e5, 7.2e5, 5.6e5], kappa=2e8)
@@ -139,3 +140,35 @@ def test_the_noise_found_of_the_ground(record, levels):
     (ground,) = channels(record, ["ground_acceleration"])
     assert noise_found(estimate(measured(), sigma_ground_acceleration=levels), ground) == 0.02
     assert np.isnan(noise_found(estimate(measured()), ground))
+
+
+# Of a sensor, m/s^2.
+QUIET, LOUD = 1e-3, 1e3
+
+
+def asked(record: Record, noise: float = QUIET) -> list[str]:
+    sigma = [float("nan"), float("nan"), noise]
+    problem = Problem(LINEAR, record)
+    motion = measured().truth.response
+    estimate = Estimate(motion, motion, [], pd.DataFrame(), {"sigma_acceleration": sigma})
+    return [finding.text for finding in sampling_findings(problem, estimate, LINEAR)]
+
+
+@pytest.fixture(scope="module")
+def rare() -> Record:
+    """A ground whose samples still have content at the Nyquist frequency."""
+    record = measured().record
+    white = np.random.default_rng(0).standard_normal(len(record.time) + 1)
+    return replace(record, ground_acceleration=np.convolve(white, [0.5, 0.5], "valid"), assumed=True)
+
+
+def test_it_is_asked_where_it_matters_and_nobody_said(rare):
+    (text,) = asked(rare)
+    assert "25 Hz" in text
+    assert "data.intersample" in text
+
+
+def test_it_is_not_asked_elsewhere(rare):
+    assert asked(replace(rare, assumed=False)) == []
+    assert asked(rare, LOUD) == []
+    assert asked(replace(measured().record, assumed=True)) == []
