@@ -10,10 +10,13 @@ import numpy as np
 from pinn_cli.baseline.linear_gaussian import Filtered
 from pinn_cli.baseline.regression import Regression, regress, regress_with_spread
 from pinn_cli.baseline.state_space import Linearised, NoiseLevels, StateSpace, Trajectory
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 
 # Steps shorter than this part of the motion are taken unseen: the model is smooth on their scale, and looking costs a
 # tenth of a pass. A longer one is halved until the misfit falls, so many times at most.
 SHORT_STEP, HALVINGS = 0.1, 6
+# Prior precision of a gain that is held: of a millionth of its prior standard deviation.
+HELD = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +57,21 @@ class IteratedSmoother:
     def __init__(self, space: StateSpace, passes: int, learn_spread: bool) -> None:
         self.space, self.passes, self.learn_spread = space, passes, learn_spread
         # Of unknown parameters nobody has said what they should be: only beliefs share how far they are off.
-        believed = [not parameter.unknown for parameter in space.problem.uncertain]
+        believed = [not p.unknown and p.kind not in CALIBRATION_UNITS for p in space.problem.uncertain]
         self.sharing = np.array([*believed, *[False] * (2 * space.n)])
+        self.gains = np.array([*[p.kind == "gain" for p in space.problem.uncertain], *[False] * (2 * space.n)])
+        self.held = False
+        self.precision = np.concatenate((space.precision, np.ones(2 * space.n)))
         self.history: list[dict[str, float]] = []
         self.started = time.perf_counter()
+
+    def hold_gains(self, held: bool) -> None:
+        """Hold gains where they start, or let them go.
+
+        At rest a gain does nothing to what a sensor shows, and in a soft structure hardly anything tells it: the search
+        would carry it far off.
+        """
+        self.held = held
 
     def settle(self, trajectory: Trajectory, levels: NoiseLevels, tolerance: float) -> Pass:
         """Passes until the step is shorter than ``tolerance``, or until they are used up.
@@ -84,7 +98,9 @@ class IteratedSmoother:
         at, p = self.space.coefficients(trajectory), len(trajectory.parameters)
         solve = regress_with_spread if self.learn_spread else regress
         try:
-            found = solve(filtered, at, levels.spread, self.sharing)
+            pull = 0.0 if self.held else self.pull_of_gains(trajectory, filtered)
+            own = np.where(self.gains, HELD, self.precision) if self.held else self.precision
+            found = solve(filtered, at, levels.spread, self.sharing, pull, own)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise FloatingPointError(str(error)) from error
         move, disturbances = filtered.smooth(found.change)
@@ -94,6 +110,28 @@ class IteratedSmoother:
         levels = replace(levels, spread=found.spread)
         self._note(levels, found, length)
         return Pass(levels, linearised, filtered, found, disturbances, moved, length)
+
+    def pull_of_gains(self, trajectory: Trajectory, filtered: Filtered) -> np.ndarray:
+        """(p,), derivative of the logarithm of gain^taken by the coefficients.
+
+        What is most probable together with one motion is a gain that is too large: smaller motions are more probable by
+        their prior. Over all motions the density of a gain has a factor gain^-taken, with the values of its sensor that
+        the motion takes up: the sum of the posterior variance of what the sensor shows over that of its noise.
+        """
+        space = self.space
+        out = np.zeros(filtered.mean.shape[2] - 1)
+        gains = {p.index: i for i, p in enumerate(space.problem.uncertain) if p.kind == "gain"}
+        rows = {row: gains[s.gauge] for row, s in enumerate(space.sensors) if s.gauge in gains}
+        if not rows:
+            return out
+        covariance, parameters = filtered.posterior()[0], space.parameters(trajectory)
+        model = filtered.model
+        for row, place in rows.items():
+            seen = np.concatenate((model.state[:, row], model.disturbance[:, row]), axis=1)
+            taken = np.einsum("ki,kij,kj->", seen, covariance, seen) / model.noise[row, row]
+            parameter = space.problem.uncertain[place]
+            out[place] = taken * parameter.prior_std / parameters["gain"][parameter.index]
+        return out
 
     def _note(self, levels: NoiseLevels, found: Regression, step: float) -> None:
         row = {"iteration": len(self.history) + 1, "seconds": time.perf_counter() - self.started}

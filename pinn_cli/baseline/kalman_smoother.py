@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from pinn_cli.baseline.channels import check_gauges, load_cell_noise
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
-from pinn_cli.baseline.process_noise import most_probable, stiffened, widened
+from pinn_cli.baseline.process_noise import most_probable_with_gains, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.scheme.problem import Problem
@@ -50,14 +51,12 @@ class KalmanSmoother(Estimator):
         if problem.inputs.ground or len(problem.structure.memory) or problem.structure.shapes is not None:
             allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
             raise InputError("baseline", self.name, allowed, "the smoother's state is the motion of the DOFs alone")
-
-        if problem.record.gauges:
-            allowed = "baseline=none where samples are missing or a sensor is in doubt"
-            raise InputError("baseline", self.name, allowed, f"channel {problem.record.gauges[0].name} is such")
+        check_gauges(problem.record, self.name)
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""
         response, force = inferred_sensor_noise(problem, run.device)
+        force = load_cell_noise(problem.record, response, force)
         smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
         try:
             last = self._last_pass(smoother, NoiseLevels(response, force, smoother.space.force_scale))
@@ -73,7 +72,7 @@ class KalmanSmoother(Estimator):
     def _last_pass(self, smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
         """The solution under the given process noise, or under the one that is found."""
         if self.process_noise is None:
-            best = widened(smoother, most_probable(smoother, levels))
+            best = widened(smoother, most_probable_with_gains(smoother, levels))
         else:
             best = stiffened(smoother, levels, self.process_noise)
         return smoother.settle(best.trajectory, best.levels, self.tolerance)

@@ -35,7 +35,7 @@ def stiffened(smoother: IteratedSmoother, levels: NoiseLevels, wanted: float) ->
     return reached
 
 
-def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
+def most_probable(smoother: IteratedSmoother, levels: NoiseLevels, begun: Pass | None = None) -> Pass:
     """The pass under the discrepancy of greatest evidence, searched from soft physics to stiff.
 
     Every level starts at the last trajectory, as in `pinn_cli.training.band.evidence`: soft physics forgives a start at
@@ -44,11 +44,12 @@ def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
     Args:
         smoother: The problem's.
         levels: Sensor noise, and the discrepancy to begin with: the force that acts.
+        begun: Where to begin; None: at rest, with the prescribed parameters.
 
     Raises:
         FloatingPointError: Not even the softest level could be smoothed.
     """
-    tried = [smoother.settle(smoother.space.start(), levels, ROUGH)]
+    tried = [smoother.settle(smoother.space.start() if begun is None else begun.trajectory, levels, ROUGH)]
     while tried[-1].levels.discrepancy > FINEST * levels.discrepancy:
         last = tried[-1]
         stiffer = replace(last.levels, discrepancy=last.levels.discrepancy / DECADE)
@@ -59,6 +60,20 @@ def most_probable(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
         if tried[-1].regression.log_evidence < last.regression.log_evidence + NEGLIGIBLE_GAIN:
             break
     return _refined(smoother, tried)
+
+
+def most_probable_with_gains(smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
+    """The same where gains of sensors are in doubt: they are held first, and found from what comes of it.
+
+    Raises:
+        FloatingPointError: See :func:`most_probable`.
+    """
+    if not smoother.gains.any():
+        return most_probable(smoother, levels)
+    smoother.hold_gains(True)
+    held = most_probable(smoother, levels)
+    smoother.hold_gains(False)
+    return most_probable(smoother, replace(held.levels, discrepancy=DECADE * held.levels.discrepancy), held)
 
 
 def widened(smoother: IteratedSmoother, best: Pass) -> Pass:

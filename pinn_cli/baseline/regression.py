@@ -33,7 +33,14 @@ class Regression:
     log_evidence: float
 
 
-def regress(filtered: Filtered, at: np.ndarray, spread: float, sharing: np.ndarray) -> Regression:
+def regress(
+    filtered: Filtered,
+    at: np.ndarray,
+    spread: float,
+    sharing: np.ndarray,
+    pull: np.ndarray | float = 0.0,
+    own: np.ndarray | float = 1.0,
+) -> Regression:
     """Generalised least squares of the innovations on the coefficients.
 
     Args:
@@ -41,27 +48,37 @@ def regress(filtered: Filtered, at: np.ndarray, spread: float, sharing: np.ndarr
         at: (p,), distance of the trajectory's coefficients from their prior mean, in prior standard deviations.
         spread: Factor on the prior standard deviation of some.
         sharing: (p,) bool, of which.
+        pull: (p,), derivative of what the misfit lacks, see
+            :meth:`pinn_cli.baseline.iterated_smoother.IteratedSmoother.pull_of_gains`.
+        own: (p,), prior precision of those that share none.
 
     Raises:
         numpy.linalg.LinAlgError: The coefficients' information is not positive definite.
     """
     moments = filtered.moments
-    precision = np.where(sharing, spread**-2.0, 1.0)
+    precision = np.where(sharing, spread**-2.0, own)
     factor = cho_factor(moments[1:, 1:] + np.diag(precision), lower=True)
-    change = -cho_solve(factor, moments[1:, 0] + precision * at)
+    change = -cho_solve(factor, moments[1:, 0] + precision * at + pull)
     squares = moments[0, 0] + moments[0, 1:] @ change + (precision * at) @ (at + change)
     determinant = 2.0 * np.log(np.diag(factor[0])).sum() - np.log(precision).sum()
     evidence = -0.5 * (filtered.log_spread + squares + determinant)
     return Regression(change, cho_solve(factor, np.eye(len(at))), precision, spread, float(evidence))
 
 
-def regress_with_spread(filtered: Filtered, at: np.ndarray, spread: float, sharing: np.ndarray) -> Regression:
+def regress_with_spread(
+    filtered: Filtered,
+    at: np.ndarray,
+    spread: float,
+    sharing: np.ndarray,
+    pull: np.ndarray | float = 0.0,
+    own: np.ndarray | float = 1.0,
+) -> Regression:
     """The same with the spread that the observations ask for (MacKay's update)."""
-    found = regress(filtered, at, spread, sharing)
+    found = regress(filtered, at, spread, sharing, pull, own)
     for _ in range(SPREAD_ROUNDS if sharing.any() else 0):
         moved = (at + found.change)[sharing]
         before, spread = spread, updated_spread(moved, np.diag(found.covariance)[sharing], spread)
-        found = regress(filtered, at, spread, sharing)
+        found = regress(filtered, at, spread, sharing, pull, own)
         if abs(spread / before - 1.0) < SPREAD_TOLERANCE:
             break
     return found

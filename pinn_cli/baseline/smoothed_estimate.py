@@ -45,7 +45,7 @@ def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summ
     sensor = np.nan_to_num(last.levels.force) ** 2
     share = np.where(record.sensors("force"), sensor / last.levels.disturbance_variance, 1.0)
     acceleration = space.acceleration(trajectory) + last.disturbances / space.parameters(trajectory)["m"]
-    force = np.nan_to_num(record.force) + share * last.disturbances
+    force = space.loads.at_samples(space.parameters(trajectory)) + share * last.disturbances
     force[:, space.hidden] += hidden
     return Estimate(
         Response(record.time, u, v, acceleration, force),
@@ -65,7 +65,8 @@ def _deviations(space: StateSpace, last: Pass, share: np.ndarray) -> Response:
     pushed = np.concatenate((np.zeros((n, s)), np.diag(share)), axis=1)
     pushed[space.hidden, 2 * n + np.arange(len(space.hidden))] = 1.0
     everywhere = (samples, n, s + n)
-    force = spread.of(np.broadcast_to(pushed, everywhere))
+    told = space.loads.by_numbers(space.parameters(linearised.trajectory), space.problem.uncertain)
+    force = spread.of(np.broadcast_to(pushed, everywhere), told)
     # What the motion cannot tell: how the load cell's noise and the model error divide their sum.
     force = np.sqrt(force**2 + share * last.levels.discrepancy**2 * record.sensors("force"))
     return Response(

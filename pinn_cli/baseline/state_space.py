@@ -18,14 +18,18 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from pinn_cli.baseline.discretisation import flow, interpolated_force, propagators
+from pinn_cli.baseline.channels import Channel, Loads, response_channels, uncertain_numbers
+from pinn_cli.baseline.discretisation import flow, propagators
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.band.gauge_rows import calibrations
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record
@@ -51,7 +55,7 @@ class NoiseLevels:
     """Noise levels, as standard deviations.
 
     Attributes:
-        response: Quantity to (n,), of its sensors; NaN where there is none.
+        response: Quantity to (n,), of its sensors; NaN where there is none. Under :data:`GAUGE` those of gauges.
         force: (n,), of the force sensors, N; NaN where there is none.
         discrepancy: Of the force that the model leaves out, on every DOF, N.
         spread: Of the uncertain parameters, in common, over their prior standard deviations.
@@ -61,6 +65,13 @@ class NoiseLevels:
     force: np.ndarray
     discrepancy: float
     spread: float = 1.0
+
+    def of(self, sensor: Channel) -> float:
+        """Of one response sensor, in what it shows."""
+        if sensor.gauge is not None:
+            return float(self.response[GAUGE][sensor.gauge])
+        (dof,) = sensor.weights
+        return float(self.response[sensor.quantity][dof])
 
     @property
     def disturbance_variance(self) -> np.ndarray:
@@ -97,15 +108,28 @@ class StateSpace:
         self.n, self.step = record.ndof, record.step
         self.hidden = np.flatnonzero(~record.sensors("force") & ~record.unforced)
         self.size = 2 * (self.n + len(self.hidden))
-        self.prescribed = problem.structure.parameters_like(np.empty(0))
+        numbers = {kind: values.numpy() for kind, values in calibrations(record.gauges).items()}
+        self.prescribed = problem.structure.parameters_like(np.empty(0)) | numbers
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
-        self.participation = problem.structure.participation(problem.uncertain)
+        self.of_sensors = uncertain_numbers(problem.uncertain)
+        self.structural = [p for p in problem.uncertain if p.kind not in CALIBRATION_UNITS]
+        self.participation = problem.structure.participation(self.structural)
         self.pull = problem.structure.incidence.matrix.toarray().T  # row i: what a unit displacement of DOF i stretches
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
-        self.force = interpolated_force(record, substeps_needed(problem.structure, self.step))
-        self.sensors = [(q, i) for q in RESPONSE_QUANTITIES for i in np.flatnonzero(record.sensors(q))]
-        self.measured = np.stack([getattr(record, q)[:, i] for q, i in self.sensors], axis=1)
+        self.loads = Loads(record, substeps_needed(problem.structure, self.step))
+        self.sensors = response_channels(record)
+        self.measured = np.stack([sensor.shown for sensor in self.sensors], axis=1)
+        self.there = np.stack([sensor.there for sensor in self.sensors], axis=1)
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """(p,), prior precision of the uncertain parameters: 1, but for unknown offsets and drifts of load cells.
+
+        Accelerometers do not feel a force that stays. A force that nobody has described is taken to vary about zero: so
+        its mean over the record is what chance leaves of it, and the rest of what a load cell shows is its offset.
+        """
+        return np.array([self.loads.precision(p, self.corner) for p in self.problem.uncertain])
 
     def start(self) -> Trajectory:
         """At rest, with the prescribed parameters."""
@@ -118,9 +142,10 @@ class StateSpace:
     def acceleration(self, trajectory: Trajectory) -> np.ndarray:
         """(N, n), at the samples, under the measured and the hidden force."""
         u, v, w, _ = self.split(trajectory.states)
-        force = np.nan_to_num(self.problem.record.force)
+        parameters = self.parameters(trajectory)
+        force = self.loads.at_samples(parameters)
         force[:, self.hidden] += w
-        return self.problem.structure.acceleration(u, v, force, self.parameters(trajectory))
+        return self.problem.structure.acceleration(u, v, force, parameters)
 
     def split(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Displacement (..., n), velocity (..., n), hidden force and its rate (..., hidden DOFs)."""
@@ -136,7 +161,7 @@ class StateSpace:
         def slope(z: np.ndarray, f: np.ndarray) -> np.ndarray:
             return np.stack((z[1], self.problem.structure.acceleration(z[0], z[1], f, parameters)))
 
-        force = self.force
+        force = self.loads.between(parameters)
         if len(self.hidden):
             force = force.copy()
             time = np.linspace(0.0, self.step, len(force))[:, None, None]
@@ -145,13 +170,20 @@ class StateSpace:
         latent = np.concatenate((w, rate), axis=1) @ self._latent_transition().T
         return np.concatenate((*moved, latent), axis=1)
 
+    def _motion(self, trajectory: Trajectory) -> dict[str, np.ndarray]:
+        """Quantity to its histories (N, n)."""
+        histories = (*self.split(trajectory.states)[:2], self.acceleration(trajectory))
+        return dict(zip(RESPONSE_QUANTITIES, histories, strict=True))
+
     def residuals(self, trajectory: Trajectory) -> np.ndarray:
         """(N, m + s): observations minus predictions, and each next state minus where the model takes the last."""
-        acceleration = self.acceleration(trajectory)
-        motion = dict(zip(RESPONSE_QUANTITIES, (*self.split(trajectory.states)[:2], acceleration), strict=True))
+        motion = self._motion(trajectory)
         residuals = np.zeros((len(self.measured), len(self.sensors) + self.size))
-        for row, (quantity, dof) in enumerate(self.sensors):
-            residuals[:, row] = self.measured[:, row] - motion[quantity][:, dof]
+        parameters = self.parameters(trajectory)
+        for row, sensor in enumerate(self.sensors):
+            gain, nothing = sensor.numbers(parameters)
+            residuals[:, row] = self.measured[:, row] - (gain * sensor.felt(motion) + nothing)
+        residuals[:, : len(self.sensors)] *= self.there
         residuals[:-1, len(self.sensors) :] = trajectory.states[1:] - self.predicted(trajectory)
         return residuals
 
@@ -171,12 +203,20 @@ class StateSpace:
         coefficient = np.zeros((len(rates), m + s, by_parameter.shape[2]))
         state[:, m:], felt[:, m:] = through, push / parameters["m"]
         coefficient[:, m:] = push @ ((by_parameter + by_parameter[following]) / 2.0)
-        for row, (quantity, dof) in enumerate(self.sensors):
-            if quantity == "acceleration":
-                state[:, row], felt[:, row, dof] = by_state[:, dof], 1.0 / parameters["m"][dof]
-                coefficient[:, row] = by_parameter[:, dof]
-            else:
-                state[:, row, dof if quantity == "displacement" else n + dof] = 1.0
+        motion = self._motion(trajectory)
+        for row, sensor in enumerate(self.sensors):
+            gain, _ = sensor.numbers(parameters)
+            coefficient[:, row] = sensor.by_numbers(sensor.felt(motion), self.problem.uncertain)
+            for dof, weight in sensor.weights.items():
+                if sensor.quantity == "acceleration":
+                    state[:, row] += gain * weight * by_state[:, dof]
+                    felt[:, row, dof] = gain * weight / parameters["m"][dof]
+                    coefficient[:, row] += gain * weight * by_parameter[:, dof]
+                else:
+                    state[:, row, dof if sensor.quantity == "displacement" else n + dof] = gain * weight
+        # A row of zeros tells nothing: that is a sample that is not there.
+        for rows in (state, felt, coefficient):
+            rows[:, :m] *= self.there[:, :, None]
         return Linearised(trajectory, self.residuals(trajectory), state, felt, coefficient, by_state, by_parameter)
 
     def model(self, linearised: Linearised, levels: NoiseLevels) -> LinearGaussian:
@@ -188,7 +228,7 @@ class StateSpace:
         n, m, s, p = self.n, len(self.sensors), self.size, len(self.problem.uncertain)
         variance = levels.disturbance_variance
         noise = np.zeros((m + s, m + s))
-        noise[range(m), range(m)] = [levels.response[q][i] ** 2 for q, i in self.sensors]
+        noise[range(m), range(m)] = [levels.of(sensor) ** 2 for sensor in self.sensors]
         # White force has a mean over the step, e, and varies about it: h^3/3 - h^3/4 of displacement per mass squared.
         within = range(m, m + n)
         noise[within, within] = variance * self.step**4 / 12.0 / self.prescribed["m"] ** 2
@@ -245,12 +285,17 @@ class StateSpace:
         by_state[:, :, : self.n] = -(pull * slope.stiffness.numpy()[:, None]) @ pull.T / mass
         by_state[:, :, self.n : 2 * self.n] = -(pull * slope.damping.numpy()[:, None]) @ pull.T / mass
         by_state[:, self.hidden, 2 * self.n + np.arange(len(self.hidden))] = 1.0 / parameters["m"][self.hidden]
-        return by_state, self._by_parameter(slope, parameters["m"], self.acceleration(trajectory))
+        return by_state, self._by_parameter(slope, parameters, self.acceleration(trajectory))
 
-    def _by_parameter(self, slope: Linearisation, mass: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        own = slope.by_parameters(self.problem.uncertain, torch.as_tensor(acceleration)).numpy()
-        force = self.vector.each("prior_std") * own
-        return -force[:, None] * self.participation / mass[:, None]
+    def _by_parameter(
+        self, slope: Linearisation, parameters: dict[str, np.ndarray], acceleration: np.ndarray
+    ) -> np.ndarray:
+        mass = parameters["m"]
+        own = slope.by_parameters(self.structural, torch.as_tensor(acceleration)).numpy()
+        force = self.vector.each("prior_std")[~self.of_sensors] * own
+        out = self.loads.by_numbers(parameters, self.problem.uncertain) / mass[:, None]
+        out[:, :, ~self.of_sensors] = -force[:, None] * self.participation / mass[:, None]
+        return out
 
     def _fastest(self, by_state: np.ndarray) -> float:
         """A bound on the eigenvalues of the linearised motion, 1/s (Gershgorin, on M^-1 K and on M^-1 C)."""

@@ -91,7 +91,7 @@ def test_a_force_held_through_a_step_moves_it_as_the_disturbance_says() -> None:
     expected = pushed.predicted(truth) - space.predicted(truth)
     np.testing.assert_allclose(linearised.disturbance[:-1, m:] @ push, expected, rtol=1e-5, atol=1e-12)
     felt = pushed.acceleration(truth) - space.acceleration(truth)
-    rows = [row for row, (quantity, _) in enumerate(space.sensors) if quantity == "acceleration"]
+    rows = [row for row, sensor in enumerate(space.sensors) if sensor.quantity == "acceleration"]
     np.testing.assert_allclose(linearised.disturbance[:, rows] @ push, felt, rtol=1e-10)
 
 

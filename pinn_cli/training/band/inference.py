@@ -11,6 +11,7 @@ import numpy as np
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
@@ -28,7 +29,7 @@ from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel, starting_levels
+from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
@@ -128,7 +129,9 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
     try:
         found = _best_start(replace(problem, alternatives=()), [Spline()], settings, device, history)
     except DivergenceError:
-        return starting_levels(problem.record)
+        response, force = starting_levels(problem.record)
+        gauges = [first_level(gauge) for gauge in problem.record.gauges]
+        return (response | {GAUGE: np.array(gauges)} if gauges else response), force
     noise = found.trained.noise
     return noise.response, noise.response.get(FORCE, noise.force[: problem.dynamics.ndof])
 

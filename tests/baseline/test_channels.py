@@ -1,0 +1,145 @@
+"""Sensors in doubt and missing samples in the smoother: derivatives, what is skipped, refused and found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_problems import measured, relative_error, small_chain
+
+from pinn_cli.baseline.channels import check_gauges, response_channels
+from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.baseline.state_space import StateSpace, Trajectory
+from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.settings.errors import InputError
+from pinn_cli.training.estimate import RunContext
+
+GAIN, OFFSET, LOAD_GAIN, LOAD_OFFSET = 1.3, 0.4, 0.8, 0.2
+NUMBERS = ("gain", "offset", "drift")
+
+
+def made(snr_db: float | None = None) -> Measurements:
+    return measured(small_chain("linear"), snr_db=snr_db, duration=24.0, samples=513)
+
+
+def unknown(time: np.ndarray, shown: np.ndarray, *kinds: str) -> dict[str, Calibration]:
+    return {kind: unknown_calibration(kind, time, shown) for kind in kinds}
+
+
+def in_doubt(record: Record, kinds: tuple[str, ...] = ("gain", "offset")) -> Record:
+    """Half of the samples of an accelerometer, and the load cell, with other gains and offsets."""
+    time = record.time
+    there = np.random.default_rng(0).random(len(time)) < 0.5
+    shown = GAIN * record.acceleration[:, 1] + OFFSET
+    load = LOAD_GAIN * record.force[:, 0] + LOAD_OFFSET
+    gauges = (
+        Gauge("a2", "acceleration", {1: 1.0}, time[there], shown[there], unknown(time, shown, *kinds)),
+        Gauge("drift", "displacement", {2: 1.0, 0: -1.0}, time, record.displacement[:, 2] - record.displacement[:, 0]),
+        Gauge("f", "force", {0: 1.0}, time, load, unknown(time, load, *kinds)),
+    )
+    acceleration, force, nothing = record.acceleration.copy(), record.force.copy(), np.full(record.force.shape, np.nan)
+    acceleration[:, 1], force[:, 0] = gauges[0].history(time), gauges[2].history(time)
+    return replace(
+        record, acceleration=acceleration, force=force, displacement=nothing, velocity=nothing, gauges=gauges
+    )
+
+
+def test_derivatives_by_states_and_numbers() -> None:
+    measurements = made()
+    record, truth = in_doubt(measurements.record, NUMBERS), measurements.truth.response
+    problem = Problem(small_chain("linear"), record, sensor_parameters(record))
+    space = StateSpace(problem)
+    states = np.concatenate((truth.displacement, truth.velocity), axis=1)
+    moved = np.random.default_rng(1).uniform(-0.02, 0.02, len(problem.uncertain))
+    at = Trajectory(states, moved)
+    linearised, m = space.linearise(at), len(space.sensors)
+    assert (m, len(moved)) == (4, 6)
+    inner = slice(100, 140)
+    for j, unit in enumerate(np.eye(len(moved))):
+        up, down = (space.residuals(Trajectory(states, moved + sign * 1e-4 * unit)) for sign in (1.0, -1.0))
+        expected = ((down - up) / 2e-4)[inner]
+        found = linearised.coefficient[inner, :, j]
+        np.testing.assert_allclose(found[:, :m], expected[:, :m], rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+        # Within a step the force's change is taken for that of its middle.
+        largest = np.abs(expected[:, m:]).max(axis=0)
+        assert np.all(np.abs(found - expected)[:, m:] <= 0.05 * largest + 2e-3 * largest.max())
+    for i, unit in enumerate(np.eye(space.size)):
+        up, down = (space.residuals(Trajectory(states + sign * 1e-4 * unit, moved)) for sign in (1.0, -1.0))
+        found, expected = linearised.state[inner, :m, i], ((down - up) / 2e-4)[inner, :m]
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(linearised.state[inner, :m]).max())
+
+
+def test_a_sample_that_is_missing_tells_nothing() -> None:
+    record = in_doubt(made().record)
+    problem = Problem(small_chain("linear"), record, sensor_parameters(record))
+    space = StateSpace(problem)
+    row = [sensor.gauge for sensor in space.sensors].index(0)
+    gone = ~space.there[:, row]
+    assert 0.4 < gone.mean() < 0.6
+    linearised = space.linearise(space.start())
+    for rows in (linearised.state, linearised.disturbance, linearised.coefficient, linearised.residuals):
+        assert not rows[gone, row].any()
+        assert rows[~gone, row].any()
+
+
+def test_gains_and_offsets_are_found_beside_the_motion() -> None:
+    measurements = made(snr_db=40.0)
+    record = in_doubt(measurements.record)
+    problem = SparseRecovery().problem(small_chain("linear"), record)
+    smoother = KalmanSmoother()
+    smoother.check(problem)
+    estimate = smoother.solve(problem, RunContext())
+    true = {"gain_a2": GAIN, "offset_a2": OFFSET, "gain_f": LOAD_GAIN, "offset_f": LOAD_OFFSET}
+    found = {p.name: p for p in estimate.parameters}
+    for name, value in true.items():
+        assert abs(found[name].estimate - value) < 4.0 * found[name].std, name
+    assert found["gain_a2"].std < 0.02
+    assert found["gain_f"].std < 0.02
+    truth = measurements.truth.response
+    assert relative_error(estimate.response.acceleration, truth.acceleration) < 0.05
+    assert relative_error(estimate.response.force[:, 0], truth.force[:, 0]) < 0.1
+
+
+def test_a_delay_that_is_known_is_taken_out() -> None:
+    record = made().record
+    time, late = record.time, {"delay": Calibration(2.4 * record.step)}
+    shown = np.interp(time - 2.4 * record.step, time, record.acceleration[:, 1])
+    gauge = Gauge("a2", "acceleration", {1: 1.0}, time, shown, late)
+    (channel,) = [c for c in response_channels(replace(record, gauges=(gauge,))) if c.gauge == 0]
+    seen = channel.there & (np.arange(len(time)) > 5)
+    assert relative_error(channel.shown[seen], record.acceleration[seen, 1]) < 0.02
+    assert not channel.there[-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"calibration": {"delay": Calibration(0.0, 0.1, unknown=True)}}, "none where a delay is in doubt"),
+        ({"quantity": "connection_force", "weights": {}, "connection": 0}, "a sensor feels no motion of DOFs"),
+        ({"quantity": "force", "weights": {0: 1.0}, "fills": False}, "channel x stands beside another one"),
+    ],
+)
+def test_what_it_has_no_rows_for_is_refused_in_one_line(change: dict, expected: str) -> None:
+    record = made().record
+    gauge = replace(Gauge("x", "acceleration", {1: 1.0}, record.time, record.acceleration[:, 1]), **change)
+    with pytest.raises(InputError, match="baseline=kalman_smoother: must be none where") as error:
+        check_gauges(replace(record, gauges=(gauge,)), "kalman_smoother")
+    assert expected in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "expected"), [("acceleration", "between the record's times"), ("force", "a load cell misses samples")]
+)
+def test_samples_that_stand_nowhere_are_refused(quantity: str, expected: str) -> None:
+    record = made().record
+    there = np.random.default_rng(0).random(len(record.time)) < 0.5
+    time = record.time[there] + (0.3 * record.step if quantity == "acceleration" else 0.0)
+    gauge = Gauge("x", quantity, {0: 1.0}, time, record.acceleration[there, 0])
+    with pytest.raises(InputError, match=expected):
+        check_gauges(replace(record, gauges=(gauge,)), "kalman_smoother")
