@@ -17,7 +17,7 @@ from pinn_cli.report.terminal.parameters import diagnostics_text
 from pinn_cli.report.terminal.run import run_text
 from pinn_cli.report.terminal.validation import validation_text
 from pinn_cli.report.validation_run import ValidationRun, validation_table
-from pinn_cli.runs.side_by_side import Items, SharedOutItems, side_by_side
+from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.verdict.records import verdict_of_records
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pinn_cli.runs.stages import Stages
     from pinn_cli.verdict.finding import Verdict
 
-# Parts that the figures are drawn in, side by side; each reads matplotlib for itself.
+# Parts that the figures are drawn in, side by side.
 _SHARES = 2
 
 
@@ -45,6 +45,13 @@ class FigureShare:
     directory: Path
     part: int = 0
     of: int = 1
+
+    def share_out(self) -> None:
+        """Draw all of them, on the cores that there are, which have one matplotlib read for all."""
+        import pinn_cli.report.figures  # noqa: F401
+
+        parts = side_by_side([replace(self, part=i, of=_SHARES) for i in range(_SHARES)])
+        parts.each(FigureShare.draw)
 
     def draw(self) -> None:
         """Draw and save them."""
@@ -135,15 +142,12 @@ class RunReport:
 
         Where there is no core to spare, or copies of a process do no good, :meth:`write` draws them.
         """
-        share = FigureShare(self.results, self.directory)
-        shares = side_by_side([replace(share, part=i, of=_SHARES) for i in range(_SHARES)], behind=True)
-        if not isinstance(shares, SharedOutItems):
-            shares = Items([share])
-        self._drawn = shares.begin(FigureShare.draw)
+        drawn = beside(FigureShare(self.results, self.directory))
+        self._drawn = drawn.begin(FigureShare.share_out)
         try:
             yield
         except BaseException:
-            shares.close()
+            drawn.close()
             tidy(self.directory)
             raise
 

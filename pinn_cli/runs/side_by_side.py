@@ -123,22 +123,26 @@ class SharedOutItems(Items[T]):
         return pid, mine
 
 
-def side_by_side(
-    items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True, behind: bool = False
-) -> Items[T]:
+def side_by_side(items: Sequence[T], sizes: Sequence[int] | None = None, copied: bool = True) -> Items[T]:
     """Items on as many cores as there are.
 
     Args:
         items: Which.
         sizes: Of the work on each; None: all alike.
         copied: False: in this process all the same, as where a GPU holds them.
-        behind: See :class:`SharedOutItems`.
     """
     copies = min(len(items), len(usable_cores()))
+    return SharedOutItems(items, copies, sizes) if copies > 1 and copied and _can_copy() else Items(items)
+
+
+def beside(item: T) -> Items[T]:
+    """One item in a copy of this process that leaves the cores to it; in this process where there is but one core."""
+    return SharedOutItems([item], 1, behind=True) if _can_copy() and len(usable_cores()) > 1 else Items([item])
+
+
+def _can_copy() -> bool:
     # macOS has fork, but its own libraries do not survive it.
-    if copies < 2 or not copied or not sys.platform.startswith("linux") or current_process().daemon:
-        return Items(items)
-    return SharedOutItems(items, copies, sizes, behind)
+    return sys.platform.startswith("linux") and not current_process().daemon
 
 
 def shared_out(sizes: Sequence[int], copies: int) -> list[list[int]]:

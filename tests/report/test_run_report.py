@@ -117,6 +117,14 @@ def test_an_error_of_a_figure_reaches_the_user_and_leaves_no_run_record(composed
     assert not (tmp_path / "run.json").exists()
 
 
+def alive(process):
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
 def interrupt_when(happened):
     while not happened():
         time.sleep(0.01)
@@ -138,7 +146,9 @@ def test_drawing_ends_with_what_is_written_beside_it(composed, make_case, tmp_pa
     monkeypatch.setattr(report, "write", lambda: interrupt_when(lambda: list(tmp_path.glob("*.drawing"))))
     with pytest.raises(KeyboardInterrupt), report.drawing():
         report.write()
-    for file in tmp_path.glob("*.drawing"):
-        with pytest.raises(ProcessLookupError):
-            os.kill(int(file.stem), 0)
+    until = time.monotonic() + 10.0
+    processes = {int(file.stem) for file in tmp_path.glob("*.drawing")}
+    while any(map(alive, processes)) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not any(map(alive, processes))
     assert not list(tmp_path.glob("*partial*"))
