@@ -23,15 +23,17 @@ class Clock:
 
     Attributes:
         table: Whose samples they are.
-        column: Of the times; "": they come from a sampling rate or from the file's header, s, and need no check.
+        column: Of the times; "": they come from a sampling rate, a file's header or several files, s, and need no check.
         readings: (N,), increasing, in ``unit``.
         unit: A key of `TIME_UNITS`.
+        several: Whether they are the times of several files: each may be even, and all together not.
     """
 
     table: Table
     column: str
     readings: np.ndarray
     unit: str = "s"
+    several: bool = False
 
     @classmethod
     def by_column(cls, table: Table, column: str, unit: str) -> Clock:
@@ -70,7 +72,7 @@ class Clock:
         try:
             return self.uniform(first, last), True
         except InputError:
-            if not self.column:
+            if not self.column and not self.several:
                 raise
             return self.time[first:last], False
 

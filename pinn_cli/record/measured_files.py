@@ -61,7 +61,7 @@ class MeasuredFiles:
             clocks = [replace(clock, table=_only(clock.table, kept)) for clock in clocks]
         table = joined([clock.table for clock in clocks], [clock.time for clock in clocks], sorted(times))
         assert table.time is not None
-        return Clock(table, "", table.time)
+        return Clock(table, "", table.time, several=True)
 
     def time_column(self, path: Path) -> str | None:
         """Column of a file's times; None: the sampling rate is given, or looked for in the file's header."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.clock import Clock
+from pinn_cli.record.clock import TIME_TOLERANCE, Clock
 from pinn_cli.record.data_channels import DataChannel
 from pinn_cli.record.decimation import decimate
 from pinn_cli.record.gauge import Gauge
@@ -121,13 +121,13 @@ def _placed(
 ) -> Sampled:
     columns: dict[tuple[str, int], np.ndarray] = {}
     rest: list[tuple[DataChannel, np.ndarray]] = []
+    axis = time if even else _even_axis(time, values)
     for channel, column in zip(channels, values, strict=True):
-        place = channel.place
-        if even and channel.is_plain and place is not None and place not in columns and not np.isnan(column).any():
-            columns[place] = channel.calibrated(column, time)
+        place, there = channel.place, ~np.isnan(column)
+        if channel.is_plain and place is not None and place not in columns and _fills(axis, time[there]):
+            columns[place] = channel.calibrated(column[there], axis)
         else:
             rest.append((channel, column))
-    axis = time if even else _even_axis(time, values)
     gauges: list[Gauge] = []
     for channel, column in rest:
         there = ~np.isnan(column)
@@ -140,12 +140,25 @@ def _placed(
     return Sampled(axis, columns, tuple(gauges))
 
 
+def _fills(axis: np.ndarray, time: np.ndarray) -> bool:
+    """Whether samples at these times (J,) are one for every time of the axis (N,)."""
+    step = axis[1] - axis[0]
+    return len(time) == len(axis) and bool(np.abs(time - axis).max() <= TIME_TOLERANCE * step)
+
+
 def _even_axis(time: np.ndarray, values: list[np.ndarray]) -> np.ndarray:
-    """(N,), even times from first to last, as close as the samples of the fastest channel."""
-    steps = [float(np.median(np.diff(time[~np.isnan(column)]))) for column in values]
-    count = max(MINIMUM_SAMPLES, round((time[-1] - time[0]) / min(steps)) + 1)
-    log.warning("the times are uneven: every sample is used at its own time, and results come at %d even ones", count)
-    return np.linspace(time[0], time[-1], count)
+    """(N,), even times from first to last: those of the fastest channel where they are even, else as close."""
+    own = min((time[~np.isnan(column)] for column in values), key=lambda times: float(np.median(np.diff(times))))
+    step = float(np.median(np.diff(own)))
+    if np.abs(own - np.linspace(own[0], own[-1], len(own))).max() <= TIME_TOLERANCE * step:
+        step = float((own[-1] - own[0]) / (len(own) - 1))
+        before, after = int((own[0] - time[0]) / step), int((time[-1] - own[-1]) / step)
+        axis = np.linspace(own[0] - before * step, own[-1] + after * step, len(own) + before + after)
+    else:
+        axis = np.linspace(time[0], time[-1], max(MINIMUM_SAMPLES, round((time[-1] - time[0]) / step) + 1))
+    text = "the times are uneven: every sample is used at its own time, and results come at %d even ones"
+    log.warning(text, len(axis))
+    return axis
 
 
 def _check_samples(channel: DataChannel, column: np.ndarray) -> None:

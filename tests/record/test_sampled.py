@@ -105,6 +105,19 @@ def test_several_files_of_several_rates(tmp_path):
     assert len(record.time) == ROWS
 
 
+def test_several_files_whose_rates_do_not_divide_each_other(tmp_path):
+    """Their times together are uneven. Those of the fastest file are the record's."""
+    slow = np.arange(250) / 64.0 + 0.013
+    table().drop(columns="a2").to_csv(tmp_path / "fast.csv", index=False)
+    pd.DataFrame({"t": slow, "a2": np.sin(5 * slow)}).to_csv(tmp_path / "slow.csv", index=False)
+    record = MeasuredData(["fast.csv", "slow.csv"], base=tmp_path, **SETTINGS).measure(2).record
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    (gauge,) = record.gauges
+    assert gauge.name == "a2"
+    np.testing.assert_allclose(gauge.time, slow)
+    np.testing.assert_allclose(record.acceleration[:, 0], np.cos(7 * TIME), atol=1e-12)
+
+
 def test_a_filter_needs_every_sample(tmp_path):
     told = refusal(tmp_path, emptied("a1", np.arange(ROWS) == 50), decimate=2)
     assert told.startswith("data.decimate=2: must be 1 where samples are missing or uneven; an anti-alias filter needs")
