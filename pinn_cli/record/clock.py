@@ -23,7 +23,7 @@ class Clock:
 
     Attributes:
         table: Whose samples they are.
-        column: Of the times; "": they come from a sampling rate, a file's header or several files, s, and need no check.
+        column: Of the times; "": they come from a sampling rate, a header or several files, s, and need no check.
         readings: (N,), increasing, in ``unit``.
         unit: A key of `TIME_UNITS`.
         several: Whether they are the times of several files: each may be even, and all together not.
