@@ -53,6 +53,10 @@ class BorderedSystem:
         readout = BandFactor.of(self.band)
         return None if readout is None else -readout.backward(readout.forward(self.gradient))
 
+    def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
+        """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
+        return -float(self.gradient @ step[0] + self.corner_gradient @ step[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:

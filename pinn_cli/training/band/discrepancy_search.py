@@ -22,10 +22,16 @@ R = TypeVar("R")
 # The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three
 # points.
 SCAN_FACTOR = 10.0**0.5
+# Where the evidence rises by more than this from one solution to the next, the peak is far: then steps are twice as long
+# as long as they take no more than so many iterations.
+FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
 # A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
 DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# A discrepancy below this part of the noise of every load cell makes no motion better known: one step without a gain
+# ends the scan there.
+FINEST_OF_NOISE = 1e-2
 # A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
 # a second search from another start.
 SUSPICIOUS_DISCREPANCY = 0.01
@@ -91,6 +97,7 @@ class DiscrepancySearch(ABC):
     ) -> None:
         self.least_squares, self.iterations, self.tolerance = equations, iterations, tolerance
         self.watch, self.learn_spread = watch, learn_spread
+        self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
 
     @property
     @abstractmethod
@@ -118,7 +125,10 @@ class DiscrepancySearch(ABC):
     def train(self, noise: NoiseModel, start: Point) -> Trained | None:
         """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
         watch = lambda losses: self.watch(losses, noise)  # noqa: E731
-        solution = minimise(self.least_squares, noise, start, self.iterations, self.tolerance, watch)
+        solution = minimise(
+            self.least_squares, noise, start, self.iterations, self.tolerance, watch, self._is_cautious
+        )
+        self._is_cautious = solution.cautious
         factor = solution.factor or self.least_squares.assemble(solution.point, noise).factor()
         if factor is None:
             return None
@@ -169,20 +179,27 @@ class DiscrepancySearch(ABC):
             DivergenceError: The first problem cannot be solved.
         """
         tried: list[Trained] = []
-        point, discrepancy, idle = start, largest, 0
+        point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
         best: Trained | None = None
+        indifferent = FINEST_OF_NOISE * _least_noise_of_forces(noise)
         while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
             trained = self.train(noise.with_discrepancy(discrepancy), point)
             followed = best is not None and best.solution.converged
-            if trained is None or (followed and not trained.solution.converged):
+            failed = trained is None or (followed and not trained.solution.converged)
+            lower = trained is not None and best is not None and trained.log_evidence < best.log_evidence
+            if stride > SCAN_FACTOR and (failed or lower):  # beyond what can be followed, or beyond the peak
+                discrepancy, stride = discrepancy * stride / SCAN_FACTOR, SCAN_FACTOR
+                continue
+            if trained is None or failed:
                 break  # stiffer than these steps or these numbers can follow
+            stride = SCAN_FACTOR**2 if best is not None and _is_easy(best, trained) else SCAN_FACTOR
             tried.append(trained)
             point, noise = trained.solution.point, noise.with_spread(self.learned_spread(trained))
             idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
             best = trained if best is None or idle == 0 else best
-            if trained.log_evidence < best.log_evidence - DECISIVE_DROP:
+            if trained.log_evidence < best.log_evidence - DECISIVE_DROP or (idle and discrepancy < indifferent):
                 break
-            discrepancy /= SCAN_FACTOR
+            discrepancy /= stride
         if best is None:
             raise DivergenceError(
                 "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
@@ -239,6 +256,20 @@ class DiscrepancySearch(ABC):
                 break
             trained = again
         return trained
+
+
+def _least_noise_of_forces(noise: NoiseModel) -> float:
+    """Of all load cells, N; 0 without any."""
+    levels = np.concatenate([own.force for own in noise.by_record])
+    return float(np.min(levels[np.isfinite(levels)], initial=np.inf)) if np.isfinite(levels).any() else 0.0
+
+
+def _is_easy(before: Trained, after: Trained | None) -> bool:
+    """Whether a scan that goes on like that is still far from the peak, and may take longer steps to it."""
+    if after is None or not (before.solution.converged and after.solution.converged):
+        return False
+    rise = after.log_evidence - before.log_evidence
+    return rise > FAR_FROM_THE_PEAK and after.solution.iterations <= EASILY_FOLLOWED and not after.solution.cautious
 
 
 def _parabola_top(three: list[Trained]) -> tuple[float, float] | None:

@@ -30,6 +30,9 @@ class Linearised(Protocol):
     def readout_step(self) -> np.ndarray | None:
         """Of the readout weights, with the parameters held; None if their matrix is not positive definite."""
 
+    def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
+        """Of the loss, by the undamped, unbounded step, as the linearised problem has it."""
+
 
 class LeastSquares(Protocol):
     """A weighted least-squares problem: of one record, or of several together."""
@@ -61,8 +64,9 @@ class Solution:
         loss: Weighted sum of squares there.
         iterations: Accepted steps.
         converged: Whether the last step changed the loss by less than the tolerance.
-        factor: Undamped factors of the Hessian from which that last, negligible step was taken; None where it did not
-            converge.
+        factor: Undamped factors of the Hessian where that last, negligible step began; None where it did not converge,
+            or where the Hessian is not positive definite.
+        cautious: Whether the last undamped step was refused.
     """
 
     point: Point
@@ -70,6 +74,7 @@ class Solution:
     iterations: int
     converged: bool
     factor: BorderedFactor | None = None
+    cautious: bool = False
 
 
 def minimise(
@@ -79,12 +84,17 @@ def minimise(
     iterations: int,
     tolerance: float,
     watch: Callable[[dict[str, float]], None],
+    cautious: bool = False,
 ) -> Solution:
     """Levenberg-Marquardt from a starting point.
 
     A step is taken when the loss does not rise, if need be after the motion has followed the parameters
     (:func:`followed`); otherwise the damping grows tenfold. After an accepted step it falls
     tenfold, and to zero once it is negligible, which gives back Gauss-Newton's quadratic convergence.
+
+    Where little is known of a distant part of a structure, whole steps go far along directions that change the loss by
+    next to nothing, out of the range of the linearisation. A whole step that promises no more than the tolerance is the
+    end, whatever comes of it. Where the last whole step was refused, the first one is damped and no other is followed.
 
     Args:
         equations: The least-squares problem.
@@ -93,40 +103,48 @@ def minimise(
         iterations: Steps at most.
         tolerance: Relative decrease of the loss below which it has converged.
         watch: Called with every loss term after each accepted step.
+        cautious: Whether the last undamped step of a similar problem was refused.
 
     Raises:
         DivergenceError: The loss is not finite at the start.
     """
-    point, damping = start, 0.0
+    point, damping = start, FIRST_DAMPING if cautious else 0.0
     loss = sum(equations.losses(point, noise).values())
     if not math.isfinite(loss):
         raise DivergenceError(
             "the loss is not finite at the start of Gauss-Newton; look for extreme values in the record or parameters"
         )
     for iteration in range(iterations):
-        system = equations.assemble(point, noise)
+        system, room = equations.assemble(point, noise), equations.room_below(point)
+        undamped, tried = None, damping == 0.0
+        enough = max(tolerance * loss, 0.0 if equations.is_plain else NEGLIGIBLE)
         while True:
             factor = system.factor(damping)
+            undamped = factor if damping == 0.0 else undamped
             if factor is not None:
-                moved = equations.moved(point, factor.step(system, equations.room_below(point)))
+                step = factor.step(system, room)
+                moved = equations.moved(point, step)
                 terms = equations.losses(moved, noise)
                 if sum(terms.values()) <= loss * (1.0 + 1e-12):
                     break
-                moved = followed(equations, moved, noise)
-                terms = equations.losses(moved, noise)
-                if sum(terms.values()) <= loss * (1.0 + 1e-12):
-                    break
+                if damping == 0.0 and np.all(step[1] > room) and system.decrease(step) <= enough:
+                    return Solution(point, loss, iteration, True, factor, cautious)
+                if damping > 0.0 or not cautious:
+                    moved = followed(equations, moved, noise)
+                    terms = equations.losses(moved, noise)
+                    if sum(terms.values()) <= loss * (1.0 + 1e-12):
+                        break
+            cautious = cautious or damping == 0.0
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > LARGEST_DAMPING:
-                return Solution(point, loss, iteration, False)
-        undamped, decrease = damping == 0.0, loss - sum(terms.values())
-        point, loss = moved, sum(terms.values())
+                return Solution(point, loss, iteration, False, cautious=cautious)
+        decrease = loss - sum(terms.values())
+        point, loss, cautious = moved, sum(terms.values()), cautious and damping > 0.0
         damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
         watch(terms)
-        enough = max(tolerance * loss, 0.0 if equations.is_plain else NEGLIGIBLE)
-        if decrease <= enough and damping == 0.0:
-            return Solution(point, loss, iteration + 1, True, factor if undamped else None)
-    return Solution(point, loss, iterations, False)
+        if decrease <= enough and damping == 0.0 and tried:
+            return Solution(point, loss, iteration + 1, True, undamped, cautious)
+    return Solution(point, loss, iterations, False, cautious=cautious)
 
 
 def followed(equations: LeastSquares, point: Point, noise: NoiseModel) -> Point:

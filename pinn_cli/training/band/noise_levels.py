@@ -17,7 +17,7 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
+from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
 
@@ -29,8 +29,8 @@ LARGEST_CHANGE = 10.0
 DRAWS = 8
 # Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
 FEWEST_LEFT = 1e-3
-# A discrepancy below this part of the force that acts, or of a load cell's noise, makes no motion better known.
-FINEST_DISCREPANCY, FINEST_OF_NOISE = 1e-6, 1e-2
+# A discrepancy below this part of the force that acts makes no motion better known.
+FINEST_DISCREPANCY = 1e-6
 # Part of the samples that it counts for that sensors of one kind are alike: enough where the record leaves a sensor's
 # noise open, since the motion follows it wherever it goes, and next to nothing elsewhere.
 KINSHIP = 0.01

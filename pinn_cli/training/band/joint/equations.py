@@ -41,6 +41,7 @@ class JointEquations(Bounded):
         lower: See :class:`Bounded`.
         scale: (p,), prior standard deviations.
         unknown: (p,) bool.
+        ends: Where every record's readout weights end.
     """
 
     def __init__(self, each: Sequence[NormalEquations], members: Items[Member]) -> None:
@@ -52,7 +53,7 @@ class JointEquations(Bounded):
         self.unknown = torch.as_tensor(self.gathered([own.unknown.cpu().numpy() for own in self.each])).bool()
         # Of every parameter, how many records but the first bring its prior along.
         self.repeated = np.bincount(np.concatenate(self.columns), minlength=len(self.uncertain)) - 1.0
-        self._ends = np.cumsum([own.layout.size for own in self.each])
+        self.ends = np.cumsum([own.layout.size for own in self.each])
         self._numbers = count()
         self._numbered: tuple[Point | None, int] = (None, 0)
 
@@ -77,11 +78,11 @@ class JointEquations(Bounded):
     def start(self) -> Point:
         """At rest, with the prescribed parameters."""
         zeros = self.each[0].target.force.new_zeros
-        return Point(zeros(int(self._ends[-1])), zeros(len(self.uncertain)))
+        return Point(zeros(int(self.ends[-1])), zeros(len(self.uncertain)))
 
     def split(self, point: Point) -> list[Point]:
         """The point of every record."""
-        unknowns = torch.tensor_split(point.unknowns, self._ends[:-1].tolist())
+        unknowns = torch.tensor_split(point.unknowns, self.ends[:-1].tolist())
         return [Point(w, point.parameters[columns]) for w, columns in zip(unknowns, self.columns, strict=True)]
 
     def joined(self, points: Sequence[Point]) -> Point:
@@ -184,6 +185,13 @@ class JointSystem:
         steps = self.equations.members.each(member.readout_alone, self.keys)
         found = [step for step in steps if step is not None]
         return np.concatenate(found) if len(found) == len(steps) else None
+
+    def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
+        """See :meth:`BorderedSystem.decrease`, of all records."""
+        equations = self.equations
+        of_records = np.split(step[0], equations.ends[:-1]), [step[1][columns] for columns in equations.columns]
+        total = sum(equations.members.each(member.decrease, self.keys, *of_records))
+        return total + float((self._repeated_prior * self.point.parameters.cpu().numpy()) @ step[1])
 
     @property
     def _repeated_prior(self) -> np.ndarray:

@@ -176,6 +176,11 @@ def readout_alone(member: Member, system: SystemKey) -> np.ndarray | None:
     return member.system(system).readout_step()
 
 
+def decrease(member: Member, system: SystemKey, weights: np.ndarray, x: np.ndarray) -> float:
+    """See :meth:`BorderedSystem.decrease`."""
+    return member.system(system).decrease((weights, x))
+
+
 def record_term(member: Member, place: Place, noise: NoiseModel, readout_log_determinant: float) -> float:
     """See :meth:`Evidence.record_term`."""
     return member.evidence.record_term(member.point(place), noise, readout_log_determinant)
