@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -42,6 +42,12 @@ class Segments:
         """(N, ...) to (I, S, ...), zero at padding."""
         mask = self.mask.reshape(*self.mask.shape, *[1] * (values.ndim - 1))
         return values[self.sample] * mask.to(values.dtype)
+
+    def part(self, groups: slice) -> Segments:
+        """Some of the groups alone."""
+        arrays = ("sample", "mask", "feature", "displacement", "velocity", "acceleration")
+        continuity = None if self.continuity is None else self.continuity[groups]
+        return replace(self, continuity=continuity, **{name: getattr(self, name)[groups] for name in arrays})
 
     def scatter(self, grouped: Tensor) -> Tensor:
         """(I, S, ...) back to (N, ...)."""

@@ -44,7 +44,7 @@ class BlockSums(TimeMajorSums):
                 band[place + at] += product[row, column]
                 here = slice(self.margin + at, self.margin + at + width)
                 self._gradient[here] += product[:width, -1]
-                self._border[:, here] += product[width:-1, :width]
+                self._dense_border[:, here] += product[width:-1, :width]
             total = products[:, width:-1, width:].sum(0)
             self._corner += total[:, :-1]
             self._slope += total[:, -1]

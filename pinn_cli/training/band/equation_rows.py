@@ -17,6 +17,7 @@ from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
+from pinn_cli.training.band.subdomains import Subdomains
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
 # and no more than that for Fourier features.
@@ -227,6 +228,17 @@ class EquationRows:
         if self.mass is not None:
             out[..., self.pattern.own, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
         return out.flatten(3)
+
+
+    def averaged_jacobian(self, segments: Segments, averages: Subdomains) -> Tensor:
+        """The averages of all rows by the features of the DOFs in their slots, (I, B, n, D)."""
+        share, slots = averages.weight[..., None], (len(self.pattern.coupled), len(self.pattern.offsets))
+        out = (segments.displacement * share).mT @ self.stiffness.flatten(2)
+        out += (segments.velocity * share).mT @ self.damping.flatten(2)
+        out = out.unflatten(-1, slots)
+        if self.mass is not None:
+            out[..., self.pattern.own] += (segments.acceleration * share).sum(1)[..., None] * self.mass
+        return out
 
 
 def own_by_parameter(

@@ -39,6 +39,9 @@ from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
 
+# Numbers of the linearised equation of motion that are held at once: little enough for the caches.
+ROWS_AT_ONCE = 1_000_000
+
 
 def _by_interval(network: LinearReadout) -> bool:
     """Whether the equation of motion can be averaged over the intervals of local features."""
@@ -257,13 +260,16 @@ class NormalEquations(Bounded):
         sums, own = self._sums(), self._own_features()
         for name, residual in residuals.items():
             if name == "physics":
-                rows = self.rows(self.physics, point)
-                sums.add_rows(self.physics, rows, residual, weights[name], self.averages)
+                for part in self._windows(self.physics):
+                    rows, weight = self.rows(self.physics, point, part=part), _part(weights[name], part)
+                    averages = None if self.averages is None else self.averages.part(part)
+                    sums.add_rows(self.physics.part(part), rows, residual[part], weight, averages)
             elif name == "observer":
                 # The observer's residual is (f - restoring force) / m - a: the rows of the restoring force over -m.
                 mass = -self.parameters(point)["m"]
-                rows = self.rows(self.observation, point, with_mass=False)
-                sums.add_rows(self.observation, rows, residual * mass, weights[name] / mass**2)
+                for part in self._windows(self.observation):
+                    rows, weight = self.rows(self.observation, point, False, part), _part(weights[name], part)
+                    sums.add_rows(self.observation.part(part), rows, residual[part] * mass, weight / mass**2)
             elif name in own:
                 segments, features = own[name]
                 moment, weight = (self.dynamics.padded(x) for x in (features.mT @ residual, weights[name]))
@@ -293,13 +299,22 @@ class NormalEquations(Bounded):
             return kind(self.network.channels, features, self.physics.count, self.pattern)
         return DofMajorSums(self.layout, features, self.pattern, self.target.force)
 
-    def rows(self, segments: Segments, point: Point, with_mass: bool = True) -> EquationRows:
-        """Linearised equation of motion at a point, with or without its inertia force."""
+    def _windows(self, segments: Segments) -> list[slice]:
+        """Groups whose rows are held at once."""
+        groups, samples = segments.mask.shape
+        places = self.pattern.places[0].size
+        size = max(1, ROWS_AT_ONCE // (samples * self.dynamics.size * (2 * len(self.pattern.offsets) + places)))
+        return [slice(start, start + size) for start in range(0, groups, size)]
+
+    def rows(
+        self, segments: Segments, point: Point, with_mass: bool = True, part: slice = slice(None)
+    ) -> EquationRows:
+        """Linearised equation of motion at a point, with or without its inertia force; in some groups alone."""
         parameters = self.parameters(point)
-        jet = self.jet(segments, point)
+        jet = Jet(*(x[part] for x in self.jet(segments, point)))
         slope, acceleration = self.dynamics.linearise(jet, parameters), self.dynamics.inertial_acceleration(jet)
         if not with_mass:
-            force = self.observation_target.observer_force
+            force = self.observation_target.observer_force[part]
             acceleration = self.dynamics.structure.acceleration(jet.value, jet.rate, force, parameters)
         mass = self.dynamics.mass(parameters) if with_mass else None
         return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
@@ -340,4 +355,11 @@ class NormalEquations(Bounded):
             self.begins.add(torch.from_numpy(band), torch.from_numpy(gradient), point.unknowns.cpu())
         corner = sums.corner[np.ix_(pick, pick)] + np.diag(precision.cpu().numpy())
         slope = sums.slope[pick] + (precision * point.parameters).cpu().numpy()
-        return BorderedSystem(band, sums.border[:, pick], corner, gradient, slope)
+        border = sums.border
+        border = border if np.array_equal(pick, np.arange(border.shape[1])) else border[:, pick]
+        return BorderedSystem(band, border, corner, gradient, slope)
+
+
+def _part(weight: Tensor, groups: slice) -> Tensor:
+    """The weight (n,) or (I, S, n) of some groups."""
+    return weight if weight.ndim == 1 else weight[groups]

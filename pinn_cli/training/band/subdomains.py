@@ -10,6 +10,7 @@ f / (r - f) at a frequency f, with r knots a second; for odd degrees averages wo
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import torch
@@ -50,6 +51,13 @@ class Subdomains:
         self.segments = _regrouped(segments, self.interval, inside)
         self.points = inside.sum(1)
         self.weight = inside / self.points.sqrt()[:, None]
+
+    def part(self, groups: slice) -> Subdomains:
+        """Some of the averages alone."""
+        out = copy(self)
+        out.interval, out.weight, out.points = (x[groups] for x in (self.interval, self.weight, self.points))
+        out.segments = self.segments.part(groups)
+        return out
 
     @property
     def count(self) -> int:

@@ -41,7 +41,7 @@ class TimeMajorSums(RowSums):
         self._inside = slice(self.margin, self.margin + self.size)
         self._band = np.zeros((self.half_width + 1, length))
         self._gradient = np.zeros(length)
-        self._border = np.zeros((pattern.count, length))
+        self._length = length
         self._corner = np.zeros((pattern.count, pattern.count))
         self._slope = np.zeros(pattern.count)
         self.places = self._in_order(np.moveaxis(pattern.places, 0, -1))  # (kinds, F, n)
@@ -60,7 +60,30 @@ class TimeMajorSums(RowSums):
     @property
     def border(self) -> np.ndarray:
         """See :attr:`RowSums.border`."""
-        return self._border[:, self._inside].T
+        border = np.zeros((self.size, self.pattern.count))
+        if "_dense_border" in self.__dict__:
+            border += self._dense_border[:, self._inside].T
+        if "_pull" in self.__dict__:
+            for lines, connections in zip(self._pull, self._touched, strict=True):
+                for of_end, slots in zip(lines, connections, strict=True):
+                    for line, offset, touched in zip(of_end, self.pattern.offsets, slots, strict=True):
+                        for i, parameter in touched:
+                            border[i + offset :: self.n, parameter] += line[self._inside][i :: self.n]
+        return border
+
+    @cached_property
+    def _dense_border(self) -> np.ndarray:
+        """(places, size and margins), what does not come from the equations of motion of single DOFs."""
+        return np.zeros((self.pattern.count, self._length))
+
+    @cached_property
+    def _pull(self) -> np.ndarray:
+        """(kinds, F, D, size and margins), every parameter of a row against the weights in each of the row's slots.
+
+        It stands at the row's own place, so that all rows are one contiguous piece.
+        """
+        kinds, ends, _ = self.places.shape
+        return np.zeros((kinds, ends, len(self.pattern.offsets), self._length))
 
     @property
     def corner(self) -> np.ndarray:
@@ -131,7 +154,7 @@ class TimeMajorSums(RowSums):
         values, rank = moment.cpu().numpy(), int(self.pattern.rank[function])
         for group, start, length in self._placed(segments):
             for a in range(self.features):
-                line = self._line(self._border[place], start + a * self.n + rank, length)
+                line = self._line(self._dense_border[place], start + a * self.n + rank, length)
                 line += values[group : group + length, a]
 
     def _placed(self, segments: Segments) -> list[tuple[int, int, int]]:
@@ -155,18 +178,15 @@ class TimeMajorSums(RowSums):
         slots, local = int(np.prod(rows.parameter.shape[-2:])), len(self.pattern.offsets) * self.features
         table = np.empty((local + slots + 1, groups, samples, n))
         table[-1] = residual.cpu().numpy()
-        by_parameter = (
-            rows.parameter.flatten(3)
-            if averages is None
-            else averages(rows.parameter.flatten(2)).unflatten(2, (n, slots))
-        )
-        table[local:-1] = by_parameter.permute(3, 0, 1, 2).cpu().numpy()
+        if averages is not None:
+            table[local:-1] = averages(rows.parameter.flatten(2)).unflatten(2, (n, slots)).permute(3, 0, 1, 2).cpu()
+            table[:local, :, 0] = rows.averaged_jacobian(segments, averages).permute(3, 1, 0, 2).flatten(0, 1).cpu()
+            return table
+        table[local:-1] = rows.parameter.flatten(3).permute(3, 0, 1, 2).cpu().numpy()
         chunk = max(1, CHUNK // segments.displacement.numel())
         for start in range(0, n, chunk):
             dofs = slice(start, min(start + chunk, n))
-            slopes = rows.jacobian(segments, dofs)  # (I, dofs, S, 3 B)
-            slopes = slopes if averages is None else averages(slopes)
-            table[:local, :, :, dofs] = slopes.permute(3, 0, 2, 1).cpu().numpy()
+            table[:local, :, :, dofs] = rows.jacobian(segments, dofs).permute(3, 0, 2, 1).cpu().numpy()
         return table
 
     def _in_order(self, values: np.ndarray) -> np.ndarray:
@@ -225,7 +245,7 @@ class TimeMajorSums(RowSums):
             return
         offsets, place = self._offsets(), first * self.stride * n + self.margin
         own = part[len(offsets) : -1].reshape(kinds, ends, *part.shape[1:])
-        used, step, length = self.places >= 0, self.stride * n, self.stride * n * part.shape[1]
+        used = self.places >= 0
         for x in range(ends):
             sums = np.einsum("kin,in->kn", own[:, x], part[-1])
             np.add.at(self._slope, self.places[:, x][used[:, x]], sums[used[:, x]])
@@ -236,11 +256,11 @@ class TimeMajorSums(RowSums):
                 row, column = (np.broadcast_to(at, both.shape)[both] for at in (of_row, of_column))
                 np.add.at(self._corner, (row, column), products[both])
             for kind in range(kinds):
-                for a, offset in enumerate(offsets):
-                    products = own[kind, x] * part[a]
-                    for i, parameter in self._touched[kind][x][a // self.features]:
-                        start = place + offset + i
-                        self._border[parameter, start : start + length : step] += products[:, i]
+                for a, column in enumerate(part[: len(offsets)]):
+                    slot, feature = divmod(a, self.features)
+                    if self._touched[kind][x][slot]:
+                        cells = self._cells(self._pull[kind, x, slot], place + feature * n, part.shape[1])
+                        cells += own[kind, x] * column
 
 
 def _runs(first: np.ndarray) -> list[tuple[int, int]]:
