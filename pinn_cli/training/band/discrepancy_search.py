@@ -22,8 +22,8 @@ R = TypeVar("R")
 # The scan over the discrepancy goes down by this factor: half a decade, fine enough for a parabola through three
 # points.
 SCAN_FACTOR = 10.0**0.5
-# Where the evidence rises by more than this from one solution to the next, the peak is far: then steps are twice as long
-# as long as they take no more than so many iterations.
+# Where the evidence rises by more than this from one solution to the next, the peak is far: then steps are twice as
+# long, while they take no more than so many iterations.
 FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
 # A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
 DECISIVE_DROP = 20.0
@@ -125,9 +125,7 @@ class DiscrepancySearch(ABC):
     def train(self, noise: NoiseModel, start: Point) -> Trained | None:
         """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
         watch = lambda losses: self.watch(losses, noise)  # noqa: E731
-        solution = minimise(
-            self.least_squares, noise, start, self.iterations, self.tolerance, watch, self._is_cautious
-        )
+        solution = minimise(self.least_squares, noise, start, self.iterations, self.tolerance, watch, self._is_cautious)
         self._is_cautious = solution.cautious
         factor = solution.factor or self.least_squares.assemble(solution.point, noise).factor()
         if factor is None:
@@ -178,7 +176,7 @@ class DiscrepancySearch(ABC):
         Raises:
             DivergenceError: The first problem cannot be solved.
         """
-        tried: list[Trained] = []
+        tried: list[tuple[float, float]] = []  # of each the discrepancy and the log evidence: factors are large
         point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
         best: Trained | None = None
         indifferent = FINEST_OF_NOISE * _least_noise_of_forces(noise)
@@ -193,24 +191,25 @@ class DiscrepancySearch(ABC):
             if trained is None or failed:
                 break  # stiffer than these steps or these numbers can follow
             stride = SCAN_FACTOR**2 if best is not None and _is_easy(best, trained) else SCAN_FACTOR
-            tried.append(trained)
+            tried.append((trained.noise.discrepancy, trained.log_evidence))
             point, noise = trained.solution.point, noise.with_spread(self.learned_spread(trained))
             idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
             best = trained if best is None or idle == 0 else best
             if trained.log_evidence < best.log_evidence - DECISIVE_DROP or (idle and discrepancy < indifferent):
                 break
             discrepancy /= stride
+            del trained  # before the next is made
         if best is None:
             raise DivergenceError(
                 "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
             )
         return self._settle_spread(self._refine(tried, best)) if refined else best
 
-    def _refine(self, tried: list[Trained], best: Trained) -> Trained:
+    def _refine(self, tried: list[tuple[float, float]], best: Trained) -> Trained:
         """Close in on the most probable discrepancy by parabolas through the best and its neighbours."""
         for _ in range(REFINEMENTS):
-            tried.sort(key=lambda trained: trained.noise.discrepancy)
-            middle = tried.index(best)
+            tried.sort()
+            middle = tried.index((best.noise.discrepancy, best.log_evidence))
             if not 0 < middle < len(tried) - 1:
                 break
             top = _parabola_top(tried[middle - 1 : middle + 2])
@@ -219,7 +218,7 @@ class DiscrepancySearch(ABC):
             trained = self.train(best.noise.with_discrepancy(top[0]), best.solution.point)
             if trained is None or not trained.solution.converged:
                 break
-            tried.append(trained)
+            tried.append((trained.noise.discrepancy, trained.log_evidence))
             best = max(best, trained, key=lambda candidate: candidate.log_evidence)
         return best
 
@@ -272,10 +271,10 @@ def _is_easy(before: Trained, after: Trained | None) -> bool:
     return rise > FAR_FROM_THE_PEAK and after.solution.iterations <= EASILY_FOLLOWED and not after.solution.cautious
 
 
-def _parabola_top(three: list[Trained]) -> tuple[float, float] | None:
+def _parabola_top(three: list[tuple[float, float]]) -> tuple[float, float] | None:
     """Discrepancy and log evidence at the top of the parabola through three of them; None where it opens upwards."""
-    x = np.log([trained.noise.discrepancy for trained in three])
-    curvature, slope, level = np.polyfit(x - x[1], [trained.log_evidence for trained in three], 2)
+    x = np.log([discrepancy for discrepancy, _ in three])
+    curvature, slope, level = np.polyfit(x - x[1], [log_evidence for _, log_evidence in three], 2)
     if curvature >= 0:
         return None
     # A lopsided peak throws the parabola onto a neighbour: stay inside.

@@ -229,7 +229,6 @@ class EquationRows:
             out[..., self.pattern.own, :] += segments.acceleration[:, None] * self.mass[dofs, None, None]
         return out.flatten(3)
 
-
     def averaged_jacobian(self, segments: Segments, averages: Subdomains) -> Tensor:
         """The averages of all rows by the features of the DOFs in their slots, (I, B, n, D)."""
         share, slots = averages.weight[..., None], (len(self.pattern.coupled), len(self.pattern.offsets))

@@ -144,6 +144,7 @@ def minimise(
         watch(terms)
         if decrease <= enough and damping == 0.0 and tried:
             return Solution(point, loss, iteration + 1, True, undamped, cautious)
+        del system, factor, undamped, step  # before the next are made
     return Solution(point, loss, iterations, False, cautious=cautious)
 
 

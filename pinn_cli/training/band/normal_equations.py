@@ -306,9 +306,7 @@ class NormalEquations(Bounded):
         size = max(1, ROWS_AT_ONCE // (samples * self.dynamics.size * (2 * len(self.pattern.offsets) + places)))
         return [slice(start, start + size) for start in range(0, groups, size)]
 
-    def rows(
-        self, segments: Segments, point: Point, with_mass: bool = True, part: slice = slice(None)
-    ) -> EquationRows:
+    def rows(self, segments: Segments, point: Point, with_mass: bool = True, part: slice = slice(None)) -> EquationRows:
         """Linearised equation of motion at a point, with or without its inertia force; in some groups alone."""
         parameters = self.parameters(point)
         jet = Jet(*(x[part] for x in self.jet(segments, point)))
