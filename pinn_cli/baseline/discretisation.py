@@ -8,7 +8,7 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import force_spline
-from pinn_cli.record.runge_kutta import Slope, runge_kutta_step
+from pinn_cli.record.runge_kutta_step import Slope, runge_kutta_step
 
 # The exponential's series is summed where step times rate is at most this, and doubled from there.
 SERIES_REACH = 0.5

@@ -7,23 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from pinn_cli.record.corners import Corners
+from pinn_cli.record.multiple_shooting import MANY_STEPS, MOST_COORDINATES, shot
+from pinn_cli.record.runge_kutta_step import Slope, runge_kutta_step
 
 Force = Callable[[np.ndarray], np.ndarray]
-Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-
-def runge_kutta_step(
-    slope: Slope, z: np.ndarray, left: np.ndarray, middle: np.ndarray, right: np.ndarray, step: float
-) -> np.ndarray:
-    """Displacement and velocity z (2, ..., ndof) a ``step`` (s) later, by the classical method of order four.
-
-    ``left``, ``middle`` and ``right`` are the forces (..., ndof) at the step's beginning, middle and end, N.
-    """
-    k1 = slope(z, left)
-    k2 = slope(z + (0.5 * step) * k1, middle)
-    k3 = slope(z + (0.5 * step) * k2, middle)
-    k4 = slope(z + step * k3, right)
-    return z + (step / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 
 
 def runge_kutta(
@@ -56,6 +43,10 @@ def runge_kutta(
         left, middle, right = left[:-1], force(starts[:-1] + 0.5 * h), left[1:]
     else:
         left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
+    if corners is None and steps >= MANY_STEPS and start.ndim == 2 == left.ndim and start.shape[1] <= MOST_COORDINATES:
+        found = shot(slope, start, (left, middle, right), h)
+        if found is not None:
+            return found[::substeps]
     z = start
     states = np.empty((steps + 1, *z.shape))
     states[0] = z

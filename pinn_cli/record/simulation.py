@@ -14,7 +14,8 @@ import numpy as np
 
 from pinn_cli.record.corners import Corners
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Response
-from pinn_cli.record.runge_kutta import Force, Slope, runge_kutta
+from pinn_cli.record.runge_kutta import Force, runge_kutta
+from pinn_cli.record.runge_kutta_step import Slope
 from pinn_cli.record.state_equation import StateEquation
 from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
 from pinn_cli.settings.errors import InputError

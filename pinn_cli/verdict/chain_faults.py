@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.runge_kutta import runge_kutta_step
+from pinn_cli.record.runge_kutta_step import runge_kutta_step
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.modes import modes_of
 from pinn_cli.verdict.channel_faults import MENDS_BY_MOVING, REPRODUCED

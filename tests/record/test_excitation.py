@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from omegaconf import OmegaConf
+from scipy.fft import ifft
 
-from pinn_cli.record.excitation import BandedNoise, Excitation, Impulse, SineSweep
+from pinn_cli.record.excitation import BandedNoise, Excitation, Impulse, SineSweep, sinusoids
+from pinn_cli.record.excitation.sinusoids import sum_of_sinusoids
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build
@@ -154,3 +156,25 @@ def test_every_config_is_an_excitation(name):
     assert force.shape == (4096, 6)
     assert force[:, 0].any()
     assert not force[:, 1:].any()
+
+
+@pytest.mark.parametrize(("begin", "samples"), [(0.0, 241), (0.125, 240), (0.3, 700)])
+def test_many_evenly_spaced_times_are_transformed(begin, samples, monkeypatch):
+    rng, bins = np.random.default_rng(0), np.arange(3, 40)
+    coefficients = rng.normal(size=(len(bins), 2)) + 1j * rng.normal(size=(len(bins), 2))
+    time = begin + 0.25 * np.arange(samples)
+    expected = sum_of_sinusoids(time, 60.0, bins, coefficients)
+    transformed = []
+    monkeypatch.setattr(sinusoids, "MANY_TERMS", 1)
+    monkeypatch.setattr(sinusoids, "ifft", lambda *x, **settings: transformed.append(1) or ifft(*x, **settings))
+    np.testing.assert_allclose(sum_of_sinusoids(time, 60.0, bins, coefficients), expected, atol=1e-11)
+    assert transformed
+
+
+@pytest.mark.parametrize("time", [np.arange(100) ** 1.01, 0.7 * np.arange(100), 2.0 * np.arange(100)])
+def test_other_times_are_not(time, monkeypatch):
+    """Uneven ones, those that do not fill a period, and those that are too far apart for the highest frequency."""
+    bins, coefficients = np.arange(3, 40), np.ones((37, 1))
+    expected = np.cos(2.0 * np.pi / 60.0 * np.outer(time, bins)).sum(axis=1, keepdims=True)
+    monkeypatch.setattr(sinusoids, "MANY_TERMS", 1)
+    np.testing.assert_allclose(sum_of_sinusoids(time, 60.0, bins, coefficients), expected, atol=1e-9)
