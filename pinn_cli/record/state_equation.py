@@ -13,7 +13,7 @@ from pinn_cli.system.parameters import MASS
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from pinn_cli.record.runge_kutta import Slope
+    from pinn_cli.record.runge_kutta_step import Slope
     from pinn_cli.system.structure import Structure
 
 

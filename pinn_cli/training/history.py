@@ -25,6 +25,9 @@ class History:
         name: Of the training, on the bar.
         iterations: How many there will be, None where nobody knows.
         every: Iterations from row to row.
+
+    Attributes:
+        factorisations: Of normal matrices, where there are any.
     """
 
     def __init__(
@@ -36,6 +39,7 @@ class History:
         every: int = 1,
     ) -> None:
         self.rows: list[dict[str, float]] = []
+        self.factorisations = 0
         self.watch, self.every = watch, every
         self.started = time.perf_counter()
         disable = None if progress else True
@@ -87,6 +91,10 @@ class History:
         if not np.isnan(noise.force).all():
             weights["forced"] = 1.0 / (np.nanmean(noise.force) ** 2 + noise.discrepancy**2)
         self.add(len(self.rows) + 1, losses, weights, discrepancy=f"{noise.discrepancy:.2g} N")
+
+    def count(self, factorisations: int) -> None:
+        """Add so many to those that there were."""
+        self.factorisations += factorisations
 
     def table(self) -> pd.DataFrame:
         """All rows."""

@@ -85,6 +85,7 @@ class DiscrepancySearch(ABC):
         tolerance: See :func:`minimise`.
         watch: Called with every loss term and the noise model after each step.
         learn_spread: Whether the common spread of the prescribed parameters is learned.
+        count: Called with the factorisations that a solution took.
     """
 
     def __init__(
@@ -94,9 +95,10 @@ class DiscrepancySearch(ABC):
         tolerance: float,
         watch: Callable[[dict[str, float], NoiseModel], None],
         learn_spread: bool = True,
+        count: Callable[[int], None] = lambda factorisations: None,
     ) -> None:
         self.least_squares, self.iterations, self.tolerance = equations, iterations, tolerance
-        self.watch, self.learn_spread = watch, learn_spread
+        self.watch, self.learn_spread, self.count = watch, learn_spread, count
         self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
 
     @property
@@ -128,6 +130,7 @@ class DiscrepancySearch(ABC):
         solution = minimise(self.least_squares, noise, start, self.iterations, self.tolerance, watch, self._is_cautious)
         self._is_cautious = solution.cautious
         factor = solution.factor or self.least_squares.assemble(solution.point, noise).factor()
+        self.count(solution.factorisations + (solution.factor is None))
         if factor is None:
             return None
         return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))

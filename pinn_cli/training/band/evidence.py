@@ -44,8 +44,9 @@ class Evidence(DiscrepancySearch):
         tolerance: float,
         watch: Callable[[dict[str, float], NoiseModel], None],
         learn_spread: bool = True,
+        count: Callable[[int], None] = lambda factorisations: None,
     ) -> None:
-        super().__init__(equations, iterations, tolerance, watch, learn_spread)
+        super().__init__(equations, iterations, tolerance, watch, learn_spread, count)
         self.equations, self.problem = equations, equations.problem
         self.records: tuple[Evidence, ...] = (self,)
 

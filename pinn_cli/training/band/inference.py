@@ -70,7 +70,7 @@ class InferenceSettings:
     def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
         """What finds the solutions of one network."""
         equations = NormalEquations(network, problem, device)
-        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread)
+        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
 
     def all_solved_by(
         self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History

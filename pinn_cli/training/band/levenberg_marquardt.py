@@ -66,6 +66,7 @@ class Solution:
         converged: Whether the last step changed the loss by less than the tolerance.
         factor: Undamped factors of the Hessian where that last, negligible step began; None where it did not converge,
             or where the Hessian is not positive definite.
+        factorisations: That were tried.
         cautious: Whether the last undamped step was refused.
     """
 
@@ -73,6 +74,7 @@ class Solution:
     loss: float
     iterations: int
     converged: bool
+    factorisations: int
     factor: BorderedFactor | None = None
     cautious: bool = False
 
@@ -108,7 +110,7 @@ def minimise(
     Raises:
         DivergenceError: The loss is not finite at the start.
     """
-    point, damping = start, FIRST_DAMPING if cautious else 0.0
+    point, damping, tries = start, FIRST_DAMPING if cautious else 0.0, 0
     loss = sum(equations.losses(point, noise).values())
     if not math.isfinite(loss):
         raise DivergenceError(
@@ -119,7 +121,7 @@ def minimise(
         undamped, tried = None, damping == 0.0
         enough = max(tolerance * loss, 0.0 if equations.is_plain else NEGLIGIBLE)
         while True:
-            factor = system.factor(damping)
+            factor, tries = system.factor(damping), tries + 1
             undamped = factor if damping == 0.0 else undamped
             if factor is not None:
                 step = factor.step(system, room)
@@ -128,24 +130,24 @@ def minimise(
                 if sum(terms.values()) <= loss * (1.0 + 1e-12):
                     break
                 if damping == 0.0 and np.all(step[1] > room) and system.decrease(step) <= enough:
-                    return Solution(point, loss, iteration, True, factor, cautious)
+                    return Solution(point, loss, iteration, True, tries, factor, cautious)
                 if damping > 0.0 or not cautious:
-                    moved = followed(equations, moved, noise)
+                    moved, tries = followed(equations, moved, noise), tries + 1
                     terms = equations.losses(moved, noise)
                     if sum(terms.values()) <= loss * (1.0 + 1e-12):
                         break
             cautious = cautious or damping == 0.0
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > LARGEST_DAMPING:
-                return Solution(point, loss, iteration, False, cautious=cautious)
+                return Solution(point, loss, iteration, False, tries, cautious=cautious)
         decrease = loss - sum(terms.values())
         point, loss, cautious = moved, sum(terms.values()), cautious and damping > 0.0
         damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
         watch(terms)
         if decrease <= enough and damping == 0.0 and tried:
-            return Solution(point, loss, iteration + 1, True, undamped, cautious)
+            return Solution(point, loss, iteration + 1, True, tries, undamped, cautious)
         del system, factor, undamped, step  # before the next are made
-    return Solution(point, loss, iterations, False, cautious=cautious)
+    return Solution(point, loss, iterations, False, tries, cautious=cautious)
 
 
 def followed(equations: LeastSquares, point: Point, noise: NoiseModel) -> Point:

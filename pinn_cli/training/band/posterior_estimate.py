@@ -35,6 +35,7 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
     parameters, correlation = parameter_posterior(evidence.equations, trained, misfit)
     found = {
         "iterations": len(history.rows),
+        "factorisations": history.factorisations,
         "stop_reason": "converged" if trained.solution.converged else "iteration limit",
         "log_evidence": trained.log_evidence,
         "parameter_spread": trained.noise.spread,

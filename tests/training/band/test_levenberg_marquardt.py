@@ -15,8 +15,9 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.energy import dissipated_power
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
-from pinn_cli.training.band.levenberg_marquardt import minimise
+from pinn_cli.training.band.levenberg_marquardt import FIRST_DAMPING, minimise
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
@@ -232,3 +233,51 @@ def test_at_its_bound_a_parameter_is_one_that_is_held_at_zero():
     # The prior of the bounded one counts its way from 50 to 0.
     assert bounded.loss == pytest.approx(held.loss + (50.0 / 100.0) ** 2, rel=1e-6)
     torch.testing.assert_close(bounded.point.parameters[:1], held.point.parameters, rtol=1e-4, atol=1e-5)
+
+
+def counted_factorisations(monkeypatch) -> list[float]:
+    """The dampings of all factorisations, -1 for those with the parameters held."""
+    found: list[float] = []
+    factor, held = BorderedSystem.factor, BorderedSystem.readout_step
+    monkeypatch.setattr(BorderedSystem, "factor", lambda s, damping=0.0: found.append(damping) or factor(s, damping))
+    monkeypatch.setattr(BorderedSystem, "readout_step", lambda s: found.append(-1.0) or held(s))
+    return found
+
+
+@pytest.mark.parametrize("cautious", [False, True])
+@pytest.mark.parametrize("away", [0.0, 30.0])
+def test_factorisations_are_counted(away, cautious, monkeypatch):
+    equations, noise = posed("duffing", uncertain=True)
+    start = equations.start().moved((away, 0.0))
+    found = counted_factorisations(monkeypatch)
+    solution = minimise(equations, noise, start, 40, 1e-6, lambda terms: None, cautious)
+    assert solution.factorisations == len(found) > 0
+    assert found[0] == (FIRST_DAMPING if cautious else 0.0)
+
+
+def test_a_cautious_solution_is_the_same(monkeypatch):
+    equations, noise = posed("duffing", uncertain=True)
+    bold, careful = (
+        minimise(equations, noise, equations.start(), 40, 1e-9, lambda terms: None, cautious)
+        for cautious in (False, True)
+    )
+    assert bold.converged
+    assert careful.converged
+    assert careful.loss == pytest.approx(bold.loss, rel=1e-8)
+    assert careful.factor is not None
+
+
+def test_where_a_whole_step_promises_nothing_it_is_the_end(monkeypatch):
+    equations, noise = posed("duffing", uncertain=True)
+    there = solved(equations, noise).point
+    found, losses = counted_factorisations(monkeypatch), NormalEquations.losses
+    # Every step is a little worse, as where rounding is all that is left.
+    monkeypatch.setattr(
+        NormalEquations,
+        "losses",
+        lambda own, p, level: losses(own, p, level) | {"rounding": 0.0 if p is there else 1e-3},
+    )
+    solution = minimise(equations, noise, there, 40, 1e-6, lambda terms: None)
+    assert solution.converged
+    assert solution.point is there
+    assert found == [0.0]

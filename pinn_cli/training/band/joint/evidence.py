@@ -39,7 +39,7 @@ class JointEvidence(DiscrepancySearch):
         on_cpu = all(equations.target.force.device.type == "cpu" for equations in each)
         sizes = [equations.layout.size for equations in each]
         equations = JointEquations(each, side_by_side([Member(own) for own in records], sizes, copied=on_cpu))
-        super().__init__(equations, first.iterations, first.tolerance, first.watch, first.learn_spread)
+        super().__init__(equations, first.iterations, first.tolerance, first.watch, first.learn_spread, first.count)
         self.equations, self.problem, self.records = equations, problem, tuple(records)
 
     @property
