@@ -16,7 +16,7 @@ from pinn_cli.record.runge_kutta_step import Slope, runge_kutta_step
 
 # Steps from which on pieces are worth their trouble, and coordinates up to which: a piece's end is followed for a
 # change of every number of the state that it begins with.
-MANY_STEPS, MOST_COORDINATES = 20_000, 6
+MANY_STEPS, MOST_COORDINATES = 20_000, 3
 # Numbers of all pieces that a step is taken for at once: enough that Python's own time does not count, few enough for
 # the caches. Steps of a piece at least: a few periods, in which a cubic spring makes of any start a sensible motion.
 AT_ONCE, LEAST_STEPS = 4_000, 128
