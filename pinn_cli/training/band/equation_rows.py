@@ -144,7 +144,8 @@ class RowPattern:
     def strength(self, own: Tensor) -> Tensor:
         """(..., count), the size of what each parameter does to its own connection or mass; see :meth:`by_parameter`.
 
-        One that several connections share pulls at many coordinates: then it is the length of that pull.
+        One that several connections share pulls at many coordinates, and so does a connection of modes: then it is the
+        length of that pull.
         """
         blocks, start = [], 0
         pulls = {self.kinds[number]: (part, pull) for number, part, pull in self._shared}
@@ -156,9 +157,16 @@ class RowPattern:
                 blocks.append(rows.square().sum(-2).sqrt()[..., :members])
                 start = part.stop
             else:
-                blocks.append(own[..., start : start + members])
+                blocks.append(own[..., start : start + members] * self._length(kind, own))
                 start += members
         return torch.cat(blocks, -1)
+
+    def _length(self, kind: str, like: Tensor) -> Tensor | float:
+        """How far the coordinates pull at every connection of a kind; of DOFs each by one."""
+        if self.dynamics.structure.shapes is None or kind not in self.kinds or kind == MASS:
+            return 1.0
+        pull = self.dynamics.branches.matrix[self.dynamics.branch(kind)]
+        return torch.as_tensor(np.sqrt(pull.power(2).sum(axis=1)).A1).to(like)
 
     def of_parameters(self, values: Tensor) -> Tensor:
         """(n, kinds, F), values of all members (count,) in the slots; 0 where unused."""

@@ -48,3 +48,20 @@ def test_all_channels_at_once_are_as_one_by_one():
         expected = posterior.combined(equations.observation, equations.dynamics.sensing(quantity))
         assert found[quantity].shape == (SAMPLES, 4)
         torch.testing.assert_close(found[quantity], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_parameter_of_modes_is_as_strong_as_it_pulls_at_them():
+    """In the unit of the modes' equations: what it does to its connection, times the length of the shapes there."""
+    structure, silent = modal(), np.full((SAMPLES, 4), NONE)
+    motion, force = silent.copy(), np.zeros((SAMPLES, 4))
+    motion[:, 0] = np.random.default_rng(6).standard_normal(SAMPLES)
+    record = Record(np.linspace(0.0, 3.0, SAMPLES), silent, silent, motion, force, np.ones(4, dtype=bool))
+    spring = next(p for p in structure.every_parameter() if p.kind == "k" and p.index == 3)
+    problem = Problem(structure, record, (replace(spring, prior_std=1.0),))
+    equations = NormalEquations(Spline(intervals=8).build(record, functions=problem.dynamics.size), problem)
+    start = equations.start()
+    moved = replace(start, unknowns=torch.linspace(-1.0, 1.0, len(start.unknowns), dtype=torch.float64))
+    strength = equations.own_by_parameter(equations.physics, moved)[..., spring.index]
+    rows = equations.rows(equations.physics, moved).parameter
+    pulled = rows[..., 0, :].square().sum((-1, -2)).sqrt()
+    torch.testing.assert_close(strength.abs(), pulled, rtol=1e-9, atol=1e-12)
