@@ -154,3 +154,23 @@ def test_a_measured_record(pinn_run: PinnRun, tmp_path: Path) -> None:
     assert list(table.index) == NAMES
     assert table["true"].isna().all()
     assert abs(table.loc["k_2", "estimate"] - 15.0) < 4.0 * table.loc["k_2", "std"]
+
+
+HYSTERETIC = (
+    "system=structure", "system.dofs=[a,b]", "system.mass={a:2000,b:1500}", "excitation.band=[0.5,12]",
+    "excitation.rms=3000", "excitation.dofs=[b]", "simulation.duration=10", "simulation.samples=1001",
+    "noise.snr_db=30", "scheme=bayesian", "scheme.initial_motion=rest", "posterior=laplace", "figures=false",
+    ("system.connections={s1:{between:[ground,a],law:bouc_wen,c:4500,k:1.5e6,A:4e5,beta:120,gamma:80,n:1},"
+    "s2:{between:[a,b],law:linear,c:4200,k:1.4e6}}"),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_structure_with_memory(pinn_run: PinnRun) -> None:
+    """Under Gaussians hundreds of times as wide as the parameters it ended where the brace has no stiffness."""
+    outcome = pinn_run(*HYSTERETIC)
+    assert outcome.status == 0, outcome.err
+    table = parameters(outcome)
+    assert (table.loc[["k_s1", "k_s2", "A_s1"], "error_percent"] < 8.0).all()
+    apart = (table["estimate"] - table["true"]) / table["std"]
+    assert (apart.abs() < 3.5).all()

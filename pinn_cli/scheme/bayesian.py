@@ -16,7 +16,7 @@ from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.prior_settings import checked_priors, read_priors, with_defaults
+from pinn_cli.scheme.prior_settings import WIDE, checked_priors, read_priors, with_defaults
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
 from pinn_cli.scheme.starts import Start, parameter_starts
@@ -30,8 +30,8 @@ from pinn_cli.system.structure import Structure
 
 log = logging.getLogger(__name__)
 
-# Gauss-Newton works under Gaussians this much wider than a parameter's scale; the likelihood that it hands on is freed
-# of them again.
+# Gauss-Newton works under Gaussians this much wider than a prior that the user chose; the likelihood that it hands on
+# is freed of them again. Of others it works under one as wide as the prior itself: far out lie other solutions.
 WIDTH = 100.0
 
 
@@ -122,13 +122,13 @@ def _unknown(parameter: Parameter, prior: Prior, start: Start, chosen_by_user: b
         chosen_by_user: Whether the prior is; then the parameter begins at its mean.
     """
     centre, width = prior.mean, prior.std
-    chosen = np.isfinite(centre) and np.isfinite(width) and width > 0
+    chosen = chosen_by_user and np.isfinite(centre) and np.isfinite(width) and width > 0
     scale = max(start.scale, abs(centre), width) if chosen else start.scale
-    first = centre if chosen_by_user and chosen and centre != 0 else start.value
+    first = centre if chosen and centre != 0 else start.value
     return replace(
         parameter,
         prescribed=float(first),
-        prior_std=WIDTH * scale,
+        prior_std=(WIDTH if chosen else WIDE) * scale,
         scale=scale,
         unknown=True,
         positive=prior.positive,
