@@ -127,8 +127,10 @@ def test_a_sensor_of_one_name_is_one_sensor():
         SparseRecovery(parameter_uncertainty=0.0).joint_problem(CHAIN, records)
 
 
-def test_a_bayesian_scheme_says_that_it_has_no_calibrations():
+def test_a_bayesian_scheme_has_priors_of_what_is_in_doubt_of_sensors():
     records = [with_gauge(record, gain=Calibration(1.0, 0.1)) for record in roving()]
     assert sensor_parameters(records[0])
-    with pytest.raises(InputError, match=r"data\.channels=gain_f in doubt: must be sensors whose gain"):
-        Bayesian(unknown="k_*").joint_problem(CHAIN, records)
+    problem = Bayesian(unknown="k_*").joint_problem(CHAIN, records)
+    for own in problem.by_record:
+        (gain,) = (p for p in own.uncertain if p.kind == "gain")
+        assert (gain.prior.mean, gain.prior.std) == (1.0, 0.1)
