@@ -95,6 +95,21 @@ class Rival:
     log_odds: float
 
 
+@dataclass(frozen=True)
+class Disagreement:
+    """How far one of several records pulls their common parameters from where all of them together ended.
+
+    Attributes:
+        square: Sum of squares of the pull, over its variance if all records measured one structure.
+        freedom: Over so many directions: what ``square`` then is on average.
+        alone: Name of every parameter to what the record by itself says.
+    """
+
+    square: float
+    freedom: int
+    alone: dict[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class ConnectionHistories:
     """What the connections do, in the order of the structure's; of modes, those that were added to them.
@@ -134,6 +149,7 @@ class Estimate:
             the same. ``parameters`` and ``correlation`` are then those of all records.
         own: How many of ``parameters``, the first ones, are this record's own; None: all.
         rivals: Other solutions that explain the record as well.
+        disagreements: Of every record that was solved together with others; none of a lone one.
     """
 
     response: Response
@@ -147,6 +163,7 @@ class Estimate:
     further: tuple[Estimate, ...] = ()
     own: int | None = None
     rivals: tuple[Rival, ...] = ()
+    disagreements: tuple[Disagreement, ...] = ()
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:
@@ -154,7 +171,8 @@ class Estimate:
         if not self.further:
             return (self,)
         correlation = None if self.correlation is None else self.correlation[: self.own, : self.own]
-        alone = replace(self, further=(), own=None, parameters=self.parameters[: self.own], correlation=correlation)
+        bare = replace(self, further=(), disagreements=(), own=None)
+        alone = replace(bare, parameters=self.parameters[: self.own], correlation=correlation)
         return (alone, *self.further)
 
 

@@ -20,6 +20,7 @@ from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.agreement import disagreements
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -55,8 +56,9 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
             strict=True,
         )
     )
-    if not further:
+    if not isinstance(evidence, JointEvidence):
         return first
+    first = replace(first, disagreements=disagreements(evidence, trained))
     every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
     return replace(first, further=tuple(further), **every)
 

@@ -16,6 +16,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.agreement import told
 from pinn_cli.training.band.joint.equations import joined_parameters
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -256,3 +257,17 @@ def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
     covariance = np.diag(np.linalg.inv(dense(evidence, trained.solution.point, noise)[0]))[-3:]
     unit = evidence.equations.scale.numpy()
     assert np.all(np.array(deviations) >= 0.98 * np.sqrt(covariance) * unit)
+
+
+def test_pulls_of_all_records_balance_the_prior() -> None:
+    """At the most probable parameters the slopes of all records' misfits and of the prior add up to none."""
+    evidence, noise = together(SHARED)
+    trained = evidence.train(noise, evidence.equations.start())
+    each = evidence.each_record(told, trained)
+    at = trained.solution.point.parameters.numpy()
+    prior = evidence.equations.precision(noise).numpy() * at
+    size = np.sqrt(sum(np.diag(information) for information, _ in each))
+    np.testing.assert_allclose(sum(pull for _, pull in each) / size, prior / size, atol=2e-2)
+    assert max(np.abs(pull / size).max() for _, pull in each) > 0.1
+    for information, _ in each:
+        assert np.linalg.eigvalsh(information / np.outer(size, size)).min() > -1e-8
