@@ -12,6 +12,7 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
+from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
@@ -94,7 +95,7 @@ class StateParameter(Scheme):
     def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
         """See :meth:`Scheme.joint_problem`."""
         record, *further = records
-        chosen = unknown_parameters(prescribed, record, self.unknown, further)
+        chosen = unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE_FORCE)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)

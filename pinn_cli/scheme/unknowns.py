@@ -28,7 +28,11 @@ def all_names(structure: Structure) -> dict[str, Parameter]:
 
 
 def unknown_parameters(
-    structure: Structure, record: Record, unknown: str | Sequence[str] | None, further: Sequence[Record] = ()
+    structure: Structure,
+    record: Record,
+    unknown: str | Sequence[str] | None,
+    further: Sequence[Record] = (),
+    forces_free: bool = True,
 ) -> list[Parameter]:
     """The unknown parameters, in the chain's order.
 
@@ -40,6 +44,8 @@ def unknown_parameters(
             if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it,
             and the factors of its parts.
         further: Other records of the same structure; a sensor in any of them is one.
+        forces_free: Whether forces that nobody measured are whatever the motion takes; else they are processes, and
+            equations of motion hold under them too.
 
     Raises:
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
@@ -61,7 +67,7 @@ def unknown_parameters(
             raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
     found = [parameter for name, parameter in names.items() if name in chosen]
     for parameter in found:
-        _check_touched(parameter, structure, records)
+        _check_touched(parameter, structure, records, forces_free)
     return found
 
 
@@ -104,7 +110,7 @@ def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter])
     return allowed, f"the estimator's model is a {structure.nonlinearity_name} chain"
 
 
-def _check_touched(parameter: Parameter, structure: Structure, records: Sequence[Record]) -> None:
+def _check_touched(parameter: Parameter, structure: Structure, records: Sequence[Record], forces_free: bool) -> None:
     """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
     if structure.shapes is not None:
         if parameter.kind == MASS:
@@ -112,7 +118,7 @@ def _check_touched(parameter: Parameter, structure: Structure, records: Sequence
             raise InputError("scheme.unknown", parameter.name, allowed, hint)
         return
     enforced = np.any([record.unforced | record.sensors("force") for record in records], axis=0)
-    if not enforced[structure.ends(parameter)].any():
+    if forces_free and not enforced[structure.ends(parameter)].any():
         raise InputError(
             "scheme.unknown",
             parameter.name,

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Rms of a displacement's standard deviation over that of the displacement: from here on nobody knows it.
 UNTOLD = 0.5
+# Part of the power of the sensors' spectra, in a part of the band, that a model may miss beyond chance.
+MISSED = 0.3
 
 
 def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
@@ -27,7 +29,7 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
         estimate: Of the motion.
         structure: With the estimated parameters.
     """
-    return _output_only(problem) + _untold(problem, estimate) + _energy(structure)
+    return _output_only(problem, estimate) + _spectra(estimate) + _untold(problem, estimate) + _energy(structure)
 
 
 def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
@@ -46,7 +48,20 @@ def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
     return [Finding("untold", names, f"{text}; put sensors there, or measure the forces")]
 
 
-def _output_only(problem: Problem) -> list[Finding]:
+def _spectra(estimate: Estimate) -> list[Finding]:
+    """A structure under unknown forces that does not show what the sensors show."""
+    misfit = float(estimate.summary.get("spectral_misfit", 0.0))
+    if misfit <= MISSED:
+        return []
+    text = (
+        "under forces that are independent, or alike, on all DOFs where none was measured, the estimated structure does"
+        f" not show the spectra of the sensors: in a part of the band their power is {100.0 * misfit:.0f} % off"
+    )
+    remedy = "parameters and intervals are not to be trusted; check masses, sensors and connections"
+    return [Finding("spectra", "parameters", f"{text}; {remedy}")]
+
+
+def _output_only(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Nothing that acts was measured: all that a record tells is relative."""
     record = problem.record
     measured = record.sensors("force").any() or record.ground_acceleration is not None
@@ -57,7 +72,8 @@ def _output_only(problem: Problem) -> list[Finding]:
         " forces, and every stiffness, are as right as the prescribed masses"
     )
     found = [Finding("output_only", "force", text, "sound")]
-    if problem.uncertain and len(problem.inputs.forces) == record.ndof:
+    told_by_spectra = "spectral_misfit" in estimate.summary
+    if problem.uncertain and len(problem.inputs.forces) == record.ndof and not told_by_spectra:
         text = (
             "no force was measured, and parameters were uncertain: damping comes out far too small then, stiffnesses"
             " some per cent off, and their intervals are too narrow"

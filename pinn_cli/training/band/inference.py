@@ -23,13 +23,14 @@ from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
-from pinn_cli.training.band.rivals import weighed
+from pinn_cli.training.band.rivals import Choice, weighed
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
+from pinn_cli.training.whittle.whittle_estimate import KnownParameters, known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
@@ -60,16 +61,21 @@ class Inferred:
 
 @dataclass(frozen=True)
 class InferenceSettings:
-    """How a problem is solved; see :class:`pinn_cli.training.gauss_newton.GaussNewton`."""
+    """How a problem is solved; see :class:`pinn_cli.training.gauss_newton.GaussNewton`.
+
+    Attributes:
+        known: Parameters that are told before, and held.
+    """
 
     iterations: int
     tolerance: float
     learn_spread: bool
     pooled: bool
+    known: KnownParameters | None = None
 
     def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
         """What finds the solutions of one network."""
-        equations = NormalEquations(network, problem, device)
+        equations = NormalEquations(network, problem, device, self.known)
         return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
 
     def all_solved_by(
@@ -89,6 +95,7 @@ def inferred(
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
+    problem, settings = _of_spectra(problem, settings)
     if all(len(own.inputs.forces) == own.record.ndof for own in problem.by_record):
         # Forces that are free on every DOF follow any parameters: their spread would grow without end.
         settings = replace(settings, learn_spread=False)
@@ -105,8 +112,19 @@ def inferred(
             break
         designs, found = finer, again
     evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
-    choice = weighed(evidence, found.trained, settle)
+    choice = Choice(found.trained) if settings.known else weighed(evidence, found.trained, settle)
     return Inferred(evidence, _driven_in_band(evidence, evidence.widen_for_colour(choice.trained)), choice.rivals)
+
+
+def _of_spectra(problem: Problem, settings: InferenceSettings) -> tuple[Problem, InferenceSettings]:
+    """The problem and its settings, with parameters that the spectra of its sensors tell, where these tell them."""
+    starts = (replace(problem, alternatives=()), *problem.alternatives)
+    every = [(start, known_parameters(start, settings.learn_spread)) for start in starts]
+    found = [(start, known) for start, known in every if known is not None and known.converged]
+    if not found:
+        return problem, settings
+    best, known = max(found, key=lambda one: one[1].log_likelihood)
+    return best, replace(settings, known=known, learn_spread=False)
 
 
 def _finer(designs: Sequence[NetworkDesign], found: Inferred) -> list[NetworkDesign] | None:
@@ -151,6 +169,7 @@ def _best_start(
         evidence = settings.all_solved_by(start, networks, device, history)
         noise = NoiseModel.of_records([starting_noise(own) for own in evidence.records])
         noise = noise.pooled() if settings.pooled else noise
+        noise = noise if settings.known is None else noise.with_spread(settings.known.spread)
         try:
             trained = _searched(evidence, noise)
         except DivergenceError as error:

@@ -38,6 +38,7 @@ class LeastSquares(Protocol):
     """A weighted least-squares problem: of one record, or of several together."""
 
     is_plain: bool
+    is_linear: bool
 
     def start(self) -> Point:
         """At rest, with the prescribed parameters."""
@@ -144,7 +145,8 @@ def minimise(
         point, loss, cautious = moved, sum(terms.values()), cautious and damping > 0.0
         damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
         watch(terms)
-        if decrease <= enough and damping == 0.0 and tried:
+        exact = equations.is_linear and factor is undamped
+        if exact or (decrease <= enough and damping == 0.0 and tried):
             return Solution(point, loss, iteration + 1, True, tries, undamped, cautious)
         del system, factor, undamped, step  # before the next are made
     return Solution(point, loss, iterations, False, tries, cautious=cautious)

@@ -30,6 +30,7 @@ from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.initial_motion import initial_motion
+from pinn_cli.training.band.known_border import KnownBorderSystem
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Bounded, Point
 from pinn_cli.training.band.ridge import ridge_loss, ridge_of
@@ -38,6 +39,7 @@ from pinn_cli.training.band.sensor_rows import SensorRows
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 # Numbers of the linearised equation of motion that are held at once: little enough for the caches.
 ROWS_AT_ONCE = 1_000_000
@@ -67,9 +69,17 @@ class NormalEquations(Bounded):
         network: Fixed features, linear readout, an output for every unknown function.
         problem: Structure, record, uncertain parameters.
         device: Where residuals and blocks are computed.
+        known: Parameters of a linear structure that something else has told; None: they are solved for.
     """
 
-    def __init__(self, network: LinearReadout, problem: Problem, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        network: LinearReadout,
+        problem: Problem,
+        device: str = "cpu",
+        known: KnownParameters | None = None,
+    ) -> None:
+        self.known, self.is_linear = known, known is not None
         self.problem, self.dynamics, self.is_plain = problem, problem.dynamics, problem.dynamics.is_plain
         self.refinement = collocation_refinement(network, problem.record)
         self.target = targets(problem.record, self.dynamics, device, refinement=self.refinement)
@@ -150,9 +160,10 @@ class NormalEquations(Bounded):
         return [rows.moved(point.unknowns, parameters, step.unknowns, by, spread) for rows in self.gauge_rows]
 
     def start(self) -> Point:
-        """The structure at rest with its prescribed parameters."""
+        """The structure at rest with its prescribed parameters, or with those that are known."""
         zeros = self.target.force.new_zeros
-        return Point(zeros(self.layout.size), zeros(len(self.scale)))
+        parameters = zeros(len(self.scale)) if self.known is None else torch.as_tensor(self.known.distance)
+        return Point(zeros(self.layout.size), parameters.to(self.target.force))
 
     def readout(self, point: Point) -> Tensor:
         """The readout weights of a point as the network keeps them, (channels, count, ndof)."""
@@ -355,7 +366,8 @@ class NormalEquations(Bounded):
         slope = sums.slope[pick] + (precision * point.parameters).cpu().numpy()
         border = sums.border
         border = border if np.array_equal(pick, np.arange(border.shape[1])) else border[:, pick]
-        return BorderedSystem(band, border, corner, gradient, slope)
+        system = BorderedSystem(band, border, corner, gradient, slope)
+        return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)
 
 
 def _part(weight: Tensor, groups: slice) -> Tensor:

@@ -88,6 +88,8 @@ def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
         **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in _noise_felt(equations, trained).items()},
     }
     summary |= _of_unknown_forces(equations, trained)
+    if equations.known is not None:
+        summary["spectral_misfit"] = equations.known.misfit
     return Estimate(response, std, [], pd.DataFrame(), summary, connections=_connections(posterior, response))
 
 

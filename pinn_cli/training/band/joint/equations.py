@@ -48,6 +48,7 @@ class JointEquations(Bounded):
         self.each, self.members = tuple(each), members
         self.uncertain, self.columns = joined_parameters([own.uncertain for own in self.each])
         self.is_plain = all(own.is_plain for own in self.each)
+        self.is_linear = False
         self.lower = self.gathered([own.lower for own in self.each])
         self.scale = torch.as_tensor(self.gathered([own.scale.cpu().numpy() for own in self.each]))
         self.unknown = torch.as_tensor(self.gathered([own.unknown.cpu().numpy() for own in self.each])).bool()

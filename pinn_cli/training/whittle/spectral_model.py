@@ -1,0 +1,183 @@
+"""What a linear structure under unknown forces makes of them: the spectra that its sensors should show.
+
+The responses' spectra at one frequency are y = G_u w_u + G_f f + noise: unknown forces w_u, measured ones f. With G the
+transfer functions, Q the power of the forces and R that of the sensors' noise, y - G_f f has the covariance
+
+    S = G_u Q_u G_u^H + G_f Q_f G_f^H + R
+
+where Q_f is the noise of the load cells (Brillinger, Time Series, 1981, chapter 8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.parameters import MASS, ParameterVector
+from pinn_cli.training.noise_model import starting_levels
+from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
+
+# The power of unknown forces is told at frequencies that grow by this factor: much more than a resonance is wide.
+KNOT_RATIO = 1.6
+
+
+def is_spectral(problem: Problem) -> bool:
+    """Whether spectra say all that a record does of a problem's parameters: forces unknown, the structure linear.
+
+    Nothing may act but forces, and sensors need columns without gaps, gains or delays.
+    """
+    inputs, structure, record = problem.inputs, problem.structure, problem.record
+    linear = all(isinstance(group.nonlinearity, Linear) for group in structure.groups)
+    alone = not inputs.ground and not inputs.loads and not len(structure.memory) and not record.gauges
+    plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
+    return bool(inputs.forces) and linear and alone and plain and not problem.further
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """Of the response sensors' spectra at every frequency, with its derivatives.
+
+    Attributes:
+        value: (G, S, S).
+        slopes: (q, G, S, S), by every unknown.
+        seen: (G, S, L), from measured forces to the sensors.
+        seen_slopes: (p, G, S, L), by the structure's parameters.
+    """
+
+    value: np.ndarray
+    slopes: np.ndarray
+    seen: np.ndarray
+    seen_slopes: np.ndarray
+
+
+class SpectralModel:
+    """Spectra of a problem's sensors as a function of its unknowns.
+
+    The unknowns (q,) are the uncertain parameters (p,) in prior standard deviations from their prescribed values, the
+    logarithm of the unknown forces' level at some frequencies (J,), what each force's differs from that (U,), the power
+    that all have in common over what each has alone (1,), and the logarithm of every sensor's noise (S,).
+
+    Args:
+        problem: See :func:`is_spectral`.
+        spectrum: Of its record.
+    """
+
+    def __init__(self, problem: Problem, spectrum: CrossSpectrum) -> None:
+        self.problem, self.spectrum, dynamics = problem, spectrum, problem.dynamics
+        self.dynamics, self.structure = dynamics, problem.structure
+        nominal = {kind: values.double() for kind, values in problem.structure.parameters.items()}
+        self.vector = ParameterVector(nominal, problem.uncertain)
+        self.spread = self.vector.each("prior_std")
+        n, omega = dynamics.ndof, spectrum.omega
+        order = np.array([RESPONSE_QUANTITIES.index(quantity) for quantity, _ in spectrum.sensors])
+        rows = [dynamics.sensing(quantity)[0][1].toarray()[dof, :n] for quantity, dof in spectrum.sensors]
+        self.sensing = (1j * omega[:, None]) ** order, np.array(rows)
+        acting = [*problem.inputs.forces, *spectrum.loads]
+        shapes = problem.structure.shapes
+        self.pushed = np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T
+        self.unknown_forces = len(problem.inputs.forces)
+        floor = starting_levels(problem.record)
+        self.first_noise = np.array([floor[0][quantity][dof] for quantity, dof in spectrum.sensors])
+        self.load_noise = floor[1][list(spectrum.loads)]
+        self.shape = _hats(omega)
+
+    @property
+    def places(self) -> dict[str, slice]:
+        """Where the unknowns of each kind stand."""
+        sizes = {
+            "parameters": len(self.spread),
+            "shape": self.shape.shape[1],
+            "forces": self.unknown_forces,
+            "together": 1,
+            "noise": len(self.first_noise),
+        }
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        return {name: slice(*pair) for name, pair in zip(sizes, pairwise(ends), strict=True)}
+
+    @property
+    def size(self) -> int:
+        """Unknowns in all, q."""
+        return self.places["noise"].stop
+
+    def start(self) -> np.ndarray:
+        """(q,): prescribed parameters, forces that give the sensors their power, and the noise that spectra show."""
+        x = np.zeros(self.size)
+        x[self.places["noise"]] = np.log(self.first_noise)
+        _, _, at_sensors = self._transfer(x)
+        every = np.einsum("gsf,gsf->g", at_sensors, at_sensors.conj()).real
+        sensors = len(self.first_noise)
+        power = np.einsum("gss->g", self.spectrum.power[:, :sensors, :sensors]).real
+        x[self.places["shape"]] = 0.5 * np.log(np.median(power / every))
+        return x
+
+    def _transfer(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """From the coordinates' equations to the sensors (G, S, n), from the forces to the coordinates, to sensors."""
+        mass, damping, stiffness = self.matrices(x[self.places["parameters"]])
+        omega = self.spectrum.omega[:, None, None]
+        receptance = np.linalg.inv(-(omega**2) * mass + 1j * omega * damping + stiffness)
+        derivative, weights = self.sensing
+        sensed = derivative[:, :, None] * (weights @ receptance)
+        return sensed, receptance @ self.pushed, sensed @ self.pushed
+
+    def matrices(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mass, damping and stiffness (n, n) of parameters (p,), in prior standard deviations."""
+        values = self.vector.values(torch.as_tensor(parameters * self.spread))
+        still = torch.zeros(self.dynamics.ndof, dtype=torch.float64)
+        slope = self.structure.linearise(still, still, values)
+        stretch = self.structure.incidence.matrix.toarray()
+        of_connections = (stretch.T @ (x.numpy()[:, None] * stretch) for x in (slope.damping, slope.stiffness))
+        return np.diag(values[MASS].numpy()), *of_connections
+
+    @cached_property
+    def _by_parameter(self) -> list[tuple[np.ndarray, ...]]:
+        """What one prior standard deviation of each parameter adds to the three matrices: they are linear in them."""
+        none = self.matrices(np.zeros(len(self.spread)))
+        return [
+            tuple(more - own for more, own in zip(self.matrices(unit), none, strict=True))
+            for unit in np.eye(len(self.spread))
+        ]
+
+    def covariance(self, x: np.ndarray) -> Covariance:
+        """At the unknowns (q,)."""
+        sensed, at_coordinates, at_sensors = self._transfer(x)
+        places, omega = self.places, self.spectrum.omega[:, None, None]
+        unknown = self.shape @ x[places["shape"]][:, None] + x[places["forces"]]
+        loads = np.broadcast_to(self.load_noise, (len(omega), len(self.load_noise)))
+        level = np.concatenate((np.exp(unknown), loads), axis=1)
+        scaled = level[:, :, None] * at_sensors.conj().transpose(0, 2, 1)  # (G, F, S)
+        own_too = np.arange(scaled.shape[1]) < self.unknown_forces
+        common = scaled[:, own_too].sum(1, keepdims=True)
+        mixed = scaled + x[places["together"]] * own_too[:, None] * common
+        weighed = level[:, :, None] * mixed
+        noise = np.exp(2.0 * x[places["noise"]])
+        value = at_sensors @ weighed + np.diag(noise)
+        slopes = np.empty((self.size, *value.shape), dtype=complex)
+        seen = slice(self.unknown_forces, None)
+        seen_slopes = np.empty((len(self.spread), *at_sensors[:, :, seen].shape), dtype=complex)
+        for i, (mass, damping, stiffness) in enumerate(self._by_parameter):
+            moved = -sensed @ (-(omega**2) * mass + 1j * omega * damping + stiffness) @ at_coordinates
+            product = moved @ weighed
+            slopes[i], seen_slopes[i] = product + product.conj().transpose(0, 2, 1), moved[:, :, seen]
+        own = at_sensors[:, :, : self.unknown_forces, None] * weighed[:, None, : self.unknown_forces]  # (G, S, U, S)
+        own = own + own.conj().transpose(0, 3, 2, 1)
+        slopes[places["shape"]] = self.shape.T[:, :, None, None] * own.sum(2)
+        slopes[places["forces"]] = own.transpose(2, 0, 1, 3)
+        slopes[places["together"]] = common.conj().transpose(0, 2, 1) @ common
+        slopes[places["noise"]] = 0.0
+        for i, variance in enumerate(noise):
+            slopes[places["noise"].start + i, :, i, i] = 2.0 * variance
+        return Covariance(value, slopes, at_sensors[:, :, seen], seen_slopes)
+
+
+def _hats(omega: np.ndarray) -> np.ndarray:
+    """(G, J), functions of frequency that are 1 at one knot and 0 at all others, linear in the logarithm between."""
+    octaves = np.log(omega[-1] / omega[0])
+    knots = np.linspace(np.log(omega[0]), np.log(omega[-1]), max(2, 1 + round(octaves / np.log(KNOT_RATIO))))
+    return np.stack([np.interp(np.log(omega), knots, unit) for unit in np.eye(len(knots))], axis=1)

@@ -1,0 +1,277 @@
+"""The most probable parameters of a linear structure under unknown forces, by Whittle's likelihood.
+
+Forces that nobody measured leave the motion open: what tells the parameters is how probable the sensors' spectra are
+with all motions and forces integrated out,
+
+    -log p = sum over frequencies of [log det S + tr(S^-1 P)] + priors
+
+(Whittle, Arkiv foer Matematik 2, 1953; Au, Operational Modal Analysis, 2017, has it for single modes). The most
+probable motion, forces and parameters together are something else: their damping is far too small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import chi2
+
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.parameter_spread import updated_spread
+from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
+from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral
+
+# Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.
+STEPS, NEGLIGIBLE = 60, 1e-3
+# Most that a logarithm may change in one step.
+LARGEST_STEP = 2.0
+# Damping of a step, relative to the diagonal of the information: first, largest.
+FIRST_DAMPING, LARGEST_DAMPING = 1e-4, 1e4
+# Rounds of the prior spreads; where those of the forces' spectrum and of differences between forces begin, and the
+# least: nepers.
+ROUNDS, FIRST_SPREAD, LEAST_SPREAD, SETTLED = 12, 0.3, 0.02, 0.05
+# Parts of the spectra that a misfit is looked for in, as wide as a resonance and its flanks, and values in one at the
+# least; a misfit less probable than this is no chance.
+PART_RATIO, FEWEST_IN_PART, IMPROBABLE = 1.1, 20.0, 1e-4
+# Prior standard deviation of the logarithm of a sensor's noise about what its spectrum shows.
+NOISE_SPREAD = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownParameters:
+    """What the spectra tell of the parameters of a problem.
+
+    Attributes:
+        distance: (p,), from the prescribed values in prior standard deviations.
+        covariance: (p, p), of those.
+        log_likelihood: Of the record, with its priors.
+        converged: Whether another step would change nothing.
+        misfit: How many times the power of the part of the spectra that fits worst is off; see :meth:`Whittle.misfit`.
+        spread: How far believed parameters are off in common, over what was believed.
+    """
+
+    distance: np.ndarray
+    covariance: np.ndarray
+    log_likelihood: float
+    converged: bool
+    misfit: float
+    spread: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """-log p at some unknowns, its gradient (q,) and its expected Hessian (q, q), the priors' parts included."""
+
+    value: float
+    gradient: np.ndarray
+    information: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Spectra in units in which S is the identity.
+
+    Attributes:
+        log_determinant: (G,), of S.
+        power: (G, S, S), of what measured forces leave of the responses; the identity on average.
+        slopes: (q, G, S, S), of S.
+        seen: (p, G, S, L), of what measured forces make of the responses.
+        crossed: (G, L, S), measured forces times what they leave of the responses, negative.
+    """
+
+    log_determinant: np.ndarray
+    power: np.ndarray
+    slopes: np.ndarray
+    seen: np.ndarray
+    crossed: np.ndarray
+
+
+class Whittle:
+    """Whittle's likelihood of a model, with Gaussian priors of its unknowns.
+
+    Args:
+        model: Of the spectra.
+        learn_spread: Whether believed parameters may be off by more than was believed, in common. By less they never
+            are: few of them look right by chance, and their intervals came out too narrow.
+    """
+
+    def __init__(self, model: SpectralModel, learn_spread: bool) -> None:
+        self.model, self.spectrum, self.learn_spread = model, model.spectrum, learn_spread
+        lower, self.believed = model.vector.each("lower") / model.spread, ~model.vector.each("unknown")
+        self.lower = np.full(model.size, -np.inf)
+        self.lower[model.places["parameters"]] = lower
+        self.lower[model.places["together"]] = 0.0
+        self.centre = model.start()
+        knots = model.shape.shape[1]
+        self.bends = np.zeros((max(knots - 2, 0), model.size))
+        self.bends[:, model.places["shape"]] = np.diff(np.eye(knots), 2, axis=0)
+        self.differences = np.zeros((model.unknown_forces, model.size))
+        self.differences[:, model.places["forces"]] = np.eye(model.unknown_forces)
+
+    def precision(self, spreads: np.ndarray) -> np.ndarray:
+        """(q, q), of the priors.
+
+        Args:
+            spreads: (3,), of the bends of the forces' spectrum, of what forces differ by, and of what believed
+                parameters are off by in common, over what was believed.
+        """
+        diagonal = np.zeros(self.model.size)
+        diagonal[self.model.places["parameters"]] = np.where(self.believed, spreads[2] ** -2, 1.0)
+        diagonal[self.model.places["noise"]] = NOISE_SPREAD**-2
+        diagonal[self.model.places["together"]] = 1.0
+        out = np.diag(diagonal)
+        for rows, spread in zip((self.bends, self.differences), spreads[:2], strict=True):
+            out += rows.T @ rows / spread**2
+        return out
+
+    def scored(self, x: np.ndarray, precision: np.ndarray) -> Scored | None:
+        """At unknowns (q,); None where the covariance is not positive definite."""
+        whitened = self._whitened(x)
+        if whitened is None:
+            return None
+        power, slopes, seen, count = whitened.power, whitened.slopes, whitened.seen, self.spectrum.count
+        away = x - self.centre * self._has_centre
+        value = float(count @ (whitened.log_determinant + np.einsum("gss->g", power).real)) + 0.5 * float(
+            away @ precision @ away
+        )
+        excess = (np.eye(power.shape[-1]) - power) * count[:, None, None]
+        gradient = np.einsum("qgst,gts->q", slopes, excess, optimize=True).real + precision @ away
+        flat = (slopes * np.sqrt(count)[:, None, None]).reshape(len(x), -1)
+        information = (flat @ flat.conj().T).real + precision
+        p = len(seen)
+        if seen.shape[-1]:
+            gradient[:p] += 2.0 * np.einsum("g,pgsl,gls->p", count, seen, whitened.crossed, optimize=True).real
+            information[:p, :p] += self._of_measured(seen)
+        return Scored(value, gradient, information)
+
+    @property
+    def _has_centre(self) -> np.ndarray:
+        own = np.zeros(self.model.size)
+        own[self.model.places["noise"]] = 1.0
+        return own
+
+    def _whitened(self, x: np.ndarray) -> Whitened | None:
+        """At unknowns (q,); None where the covariance is not positive definite."""
+        model = self.model.covariance(x)
+        try:
+            root = np.linalg.cholesky(model.value)
+        except np.linalg.LinAlgError:
+            return None
+        unit = np.linalg.inv(root)
+        sensors = model.value.shape[-1]
+        whole = self.spectrum.power
+        own, cross, loads = whole[:, :sensors, :sensors], whole[:, sensors:, :sensors], whole[:, sensors:, sensors:]
+        seen, back = model.seen, model.seen.conj().transpose(0, 2, 1)
+        left = own - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
+        logs = 2.0 * np.log(np.einsum("gss->gs", root).real).sum(1)
+        hermitian = unit.conj().transpose(0, 2, 1)
+        crossed = (loads @ back - cross) @ hermitian
+        slopes = unit @ model.slopes @ hermitian
+        return Whitened(logs, unit @ left @ hermitian, slopes, unit @ model.seen_slopes, crossed)
+
+    def _of_measured(self, seen: np.ndarray) -> np.ndarray:
+        sensors = len(self.spectrum.sensors)
+        loads = self.spectrum.power[:, sensors:, sensors:] * self.spectrum.count[:, None, None]
+        return 2.0 * np.einsum("pgsl,glm,qgsm->pq", seen, loads, seen.conj(), optimize=True).real
+
+    def updated(self, spreads: np.ndarray, x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """(3,), the most probable spreads of :meth:`precision` at a solution."""
+        pairs = zip((self.bends, self.differences), spreads[:2], strict=True)
+        of_forces = [_spread(rows, x, covariance, spread) for rows, spread in pairs]
+        believed = np.flatnonzero(self.believed)
+        if not self.learn_spread or not len(believed):
+            return np.array([*of_forces, spreads[2]])
+        found = updated_spread(x[believed], np.diag(covariance)[believed], spreads[2])
+        return np.array([*of_forces, max(1.0, found)])
+
+    def maximised(self, x: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, Scored, bool] | None:
+        """The most probable unknowns by Fisher scoring with Levenberg's damping, and whether they are converged."""
+        here, damping = self.scored(x, precision), FIRST_DAMPING
+        if here is None:
+            return None
+        for _ in range(STEPS):
+            held = (x <= self.lower) & (here.gradient > 0.0)
+            while True:
+                moved = np.maximum(x + self._limited(_step(here, damping, held)), self.lower)
+                there = self.scored(moved, precision)
+                if there is not None and there.value <= here.value + NEGLIGIBLE:
+                    break
+                damping *= 10.0
+                if damping > LARGEST_DAMPING:
+                    return x, here, False
+            decrease, x, here = here.value - there.value, moved, there
+            damping = max(damping / 10.0, 1e-12)
+            if decrease < NEGLIGIBLE and damping < 1.0:
+                return x, here, True
+        return x, here, False
+
+    def _limited(self, step: np.ndarray) -> np.ndarray:
+        """A step that changes no logarithm by more than a factor of about ten."""
+        logarithms = np.r_[self.model.places["shape"].start : self.model.size]
+        return step * min(1.0, LARGEST_STEP / max(float(np.abs(step[logarithms]).max()), 1e-300))
+
+    def misfit(self, x: np.ndarray) -> float:
+        """See :attr:`KnownParameters.misfit`: where the sensors' whitened spectra are no unit matrix beyond chance."""
+        whitened = self._whitened(x)
+        assert whitened is not None
+        power, count = whitened.power, self.spectrum.count
+        part = np.floor(np.log(self.spectrum.omega / self.spectrum.omega[0]) / np.log(PART_RATIO)).astype(int)
+        worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]
+        for number in range(parts):
+            own = part == number
+            told = count[own].sum()
+            if told < FEWEST_IN_PART:
+                continue
+            left = np.einsum("g,gst->st", count[own], power[own]) / told - np.eye(size)
+            by_chance = chi2.sf(told * np.sum(np.abs(left) ** 2), size**2) * parts
+            if by_chance < IMPROBABLE:
+                worst = max(worst, float(np.linalg.norm(left, 2)))
+        return worst
+
+
+def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParameters | None:
+    """What the spectra of a record tell of a problem's parameters; None where they are not all that it tells.
+
+    Args:
+        problem: With its record.
+        learn_spread: See :class:`Whittle`.
+    """
+    if not problem.uncertain or not is_spectral(problem):
+        return None
+    spectrum = CrossSpectrum.of(problem.record)
+    if spectrum is None:
+        return None
+    model = SpectralModel(problem, spectrum)
+    whittle = Whittle(model, learn_spread)
+    x, spreads = whittle.centre, np.array([FIRST_SPREAD, FIRST_SPREAD, 1.0])
+    for _ in range(ROUNDS):
+        found = whittle.maximised(x, whittle.precision(spreads))
+        if found is None:
+            return None
+        x, scored, converged = found
+        covariance, before = np.linalg.inv(scored.information), spreads
+        spreads = whittle.updated(spreads, x, covariance)
+        if np.abs(np.log(spreads / before)).max() < SETTLED:
+            break
+    own = model.places["parameters"]
+    misfit = whittle.misfit(x)
+    return KnownParameters(x[own], covariance[own, own], -scored.value, converged, misfit, float(before[2]))
+
+
+def _step(scored: Scored, damping: float, held: np.ndarray) -> np.ndarray:
+    """A damped step (q,) of Fisher scoring; the unknowns that are held at a bound stay there."""
+    free, step = ~held, np.zeros(len(held))
+    information = scored.information[np.ix_(free, free)]
+    information = information + damping * np.diag(np.diag(information))
+    step[free] = -cho_solve(cho_factor(information), scored.gradient[free])
+    return step
+
+
+def _spread(rows: np.ndarray, x: np.ndarray, covariance: np.ndarray, before: float) -> float:
+    """The most probable prior spread of some sums of unknowns (MacKay 1992)."""
+    if not len(rows):
+        return before
+    told = len(rows) - np.trace(rows @ covariance @ rows.T) / before**2
+    found = np.sqrt(np.sum((rows @ x) ** 2) / max(told, 1e-3 * len(rows)))
+    return float(np.clip(found, max(LEAST_SPREAD, 0.2 * before), 5.0 * before))

@@ -1,0 +1,234 @@
+"""Parameters from the spectra of sensors: derivatives, priors, estimates and intervals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from ambient_records import ambient_record, frame, storeys
+
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.topology import build_structure
+from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
+from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral
+from pinn_cli.training.whittle.whittle_estimate import Whittle, known_parameters
+
+FLOORS, RATE, EDGE = 3, 50.0, 20.0
+NAMES = [f"x{i}" for i in range(FLOORS)]
+
+
+def believed_frame(first_frequency, off=0.0, seed=0, law="linear", **more):
+    """The frame as somebody believes it to be, springs and dampers off by chance."""
+    random = np.random.default_rng(seed)
+    m, c, k = frame(FLOORS, first_frequency)
+    ends = ["ground", *NAMES]
+    connections = {
+        f"storey_{i}": {
+            "between": ends[i : i + 2],
+            "law": law,
+            "c": c[i] * (1.0 + off * random.standard_normal()),
+            "k": k[i] * (1.0 + off * random.standard_normal()),
+            **more,
+        }
+        for i in range(FLOORS)
+    }
+    return build_structure(NAMES, dict(zip(NAMES, m, strict=True)), connections)
+
+
+def shaken(first_frequency, duration, seed, together=0.0, measured=(), sensors=(0, 2), snr_db=30.0):
+    """A record of the frame under periodic forces, white up to the edge, by its transfer functions alone."""
+    random, samples = np.random.default_rng(seed), round(duration * RATE)
+    m, c, k = frame(FLOORS, first_frequency)
+    frequency = np.fft.rfftfreq(samples, 1.0 / RATE)
+    omega = 2.0 * np.pi * frequency[:, None, None]
+    inside = (frequency > 0) & (frequency < EDGE)
+    own = random.standard_normal((len(frequency), FLOORS, 2)) @ [1.0, 1j]
+    common = random.standard_normal((len(frequency), 1, 2)) @ [1.0, 1j]
+    spectrum = (own + together**0.5 * common) * inside[:, None]
+    dynamic = -(omega**2) * np.diag(m) + 1j * omega * storeys(c) + storeys(k)
+    motion = np.linalg.solve(dynamic, spectrum[..., None])[..., 0]
+    acceleration = np.fft.irfft(-(omega[:, 0] ** 2) * motion, samples, axis=0)
+    force = np.fft.irfft(spectrum, samples, axis=0)
+    nothing = np.full_like(force, np.nan)
+    seen, pushed = nothing.copy(), nothing.copy()
+    for histories, columns, shown in ((acceleration, sensors, seen), (force, measured, pushed)):
+        for dof in columns:
+            noise = 10.0 ** (-snr_db / 20.0) * histories[:, dof].std() * random.standard_normal(samples)
+            shown[:, dof] = histories[:, dof] + noise
+    time = np.arange(samples) / RATE
+    return Record(time, nothing, nothing.copy(), seen, pushed, unforced=np.zeros(FLOORS, dtype=bool))
+
+
+def posed(first_frequency=3.0, duration=40.0, seed=0, off=0.05, **more):
+    return SparseRecovery(parameter_uncertainty=0.1).problem(
+        believed_frame(first_frequency, off, seed), shaken(first_frequency, duration, seed, **more)
+    )
+
+
+def off_by(problem, known):
+    """Distance of every estimate from the truth, in its own standard deviations and relative to the truth."""
+    found = np.array([p.prescribed + p.prior_std * x for p, x in zip(problem.uncertain, known.distance, strict=True)])
+    _, c, k = frame(FLOORS, 3.0)
+    truth = np.array([{"c": c, "k": k}[p.kind][p.index] for p in problem.uncertain])
+    std = np.array([p.prior_std for p in problem.uncertain]) * np.sqrt(np.diag(known.covariance))
+    return (found - truth) / std, found / truth - 1.0
+
+
+@cache
+def model(measured=(1,)):
+    problem = posed(duration=12.0, measured=measured)
+    return SpectralModel(problem, CrossSpectrum.of(problem.record))
+
+
+def somewhere(model):
+    x = model.start() + 0.1 * np.random.default_rng(0).standard_normal(model.size)
+    x[model.places["together"]] = 0.4
+    return x
+
+
+def test_noise_of_a_sensor_reads_its_variance():
+    """A strong sensor sets the band; what another shows of it is white noise."""
+    record = shaken(3.0, 80.0, 0)
+    noise = np.full_like(record.acceleration, np.nan)
+    noise[:, 1] = 3.0 * np.random.default_rng(0).standard_normal(len(noise))
+    spectrum = CrossSpectrum.of(replace(record, velocity=noise))
+    at = spectrum.sensors.index(("velocity", 1))
+    mean = np.average(spectrum.power[:, at, at].real, weights=spectrum.count)
+    assert mean == pytest.approx(9.0, rel=0.1)
+    share = spectrum.count.sum() / np.count_nonzero(
+        np.fft.rfftfreq(len(noise), record.step) < spectrum.omega[-1] / 6.283
+    )
+    assert 0.85 < share < 1.0  # a taper correlates neighbours
+
+
+@pytest.mark.parametrize("measured", [(), (1,)])
+def test_slopes_of_the_spectra_are_their_derivatives(measured):
+    own = model(measured)
+    x, step = somewhere(own), 1e-6
+    here = own.covariance(x)
+    for i, unit in enumerate(np.eye(own.size)):
+        more, less = (own.covariance(x + sign * step * unit) for sign in (1.0, -1.0))
+        numeric = (more.value - less.value) / (2.0 * step)
+        error = np.abs(here.slopes[i] - numeric).max()
+        assert error < 1e-5 * np.abs(numeric).max() + 1e-9 * np.abs(here.value).max()
+        if i < len(here.seen_slopes) and measured:
+            numeric = (more.seen - less.seen) / (2.0 * step)
+            assert np.allclose(here.seen_slopes[i], numeric, rtol=1e-5, atol=1e-7 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("measured", [(), (1,)])
+def test_the_gradient_is_that_of_the_likelihood(measured):
+    own = model(measured)
+    whittle, x, step = Whittle(own, True), somewhere(own), 1e-6
+    precision = whittle.precision(np.array([0.3, 0.2, 1.5]))
+    gradient = whittle.scored(x, precision).gradient
+    numeric = [
+        (whittle.scored(x + step * unit, precision).value - whittle.scored(x - step * unit, precision).value)
+        / (2 * step)
+        for unit in np.eye(own.size)
+    ]
+    assert np.allclose(gradient, numeric, rtol=1e-4, atol=1e-5 * np.abs(numeric).max())
+
+
+@pytest.mark.slow
+def test_the_information_is_what_the_gradient_scatters_by():
+    scores, information = [], None
+    for seed in range(40):
+        problem = posed(duration=12.0, seed=seed, off=0.0)  # the truth is prescribed
+        whittle = Whittle(SpectralModel(problem, CrossSpectrum.of(problem.record)), True)
+        own = whittle.model.places["parameters"]
+        narrow = whittle.precision(np.array([0.02, 0.02, 1e-3]))
+        found = whittle.maximised(whittle.centre, narrow)[0]
+        free = whittle.scored(found, 1e-9 * np.eye(len(found)))
+        scores.append(free.gradient[own])
+        information = free.information[own, own]
+    spread = np.std(scores, axis=0) / np.sqrt(np.diag(information))
+    assert np.all((spread > 0.6) & (spread < 1.4))
+
+
+CASES = [(0.0, ()), (1.0, ()), (0.0, (1,))]
+NAMED = ["independent forces", "forces with much in common", "one force measured"]
+
+
+def distances(seeds, together, measured):
+    every = []
+    for seed in seeds:
+        problem = posed(duration=60.0, seed=seed, together=together, measured=measured)
+        known = known_parameters(problem)
+        assert known.converged
+        assert known.misfit < 0.3
+        distance, relative = off_by(problem, known)
+        every.append(distance)
+        assert np.abs(relative[[p.kind == "k" for p in problem.uncertain]]).max() < 0.06
+    return np.abs(every)
+
+
+@pytest.mark.parametrize(("together", "measured"), CASES, ids=NAMED)
+def test_parameters_within_their_intervals(together, measured):
+    assert distances(range(2), together, measured).max() < 3.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("together", "measured"), CASES, ids=NAMED)
+def test_intervals_hold_as_often_as_they_say(together, measured):
+    assert 0.8 < np.mean(distances(range(16), together, measured) < 1.645) < 0.99
+
+
+def test_damping_is_not_drawn_to_zero():
+    """Motion and parameters that are most probable together have a tenth to two thirds of it."""
+    ratios = []
+    for seed in range(2):
+        problem = posed(duration=60.0, seed=seed)
+        _, relative = off_by(problem, known_parameters(problem))
+        ratios.append(relative[[p.kind == "c" for p in problem.uncertain]])
+    assert abs(np.mean(ratios)) < 0.08
+
+
+def test_unknown_parameters_need_no_prescribed_ones():
+    structure, record = believed_frame(3.0, 0.2, 3), shaken(3.0, 60.0, 3)
+    problem = StateParameter(unknown=["k_*", "c_*"], parameter_uncertainty=0.0).problem(structure, record)
+    known = known_parameters(problem)
+    distance, _ = off_by(problem, known)
+    assert np.abs(distance).max() < 3.5
+    with pytest.raises(InputError, match="nothing says what it is"):
+        StateParameter(unknown="k_*", unknown_force="free").problem(structure, record)
+
+
+def test_believed_parameters_that_are_far_off_free_each_other():
+    problem = posed(duration=60.0, off=0.4, seed=5)
+    freed, held = known_parameters(problem), known_parameters(problem, learn_spread=False)
+    assert freed.spread > 1.5
+    assert held.spread == 1.0
+    assert np.abs(off_by(problem, freed)[0]).max() < 3.5
+
+
+def test_the_same_record_gives_the_same_numbers():
+    one, other = known_parameters(posed()), known_parameters(posed())
+    assert np.array_equal(one.distance, other.distance)
+    assert np.array_equal(one.covariance, other.covariance)
+
+
+def test_what_spectra_do_not_tell():
+    problem = posed()
+    record = problem.record
+    assert is_spectral(problem)
+    assert not is_spectral(replace(problem, further=(problem,)))
+    bent = SparseRecovery().problem(believed_frame(3.0, law="duffing", kappa=1.0), record)
+    assert not is_spectral(bent)
+    measured = SparseRecovery().problem(problem.structure, replace(record, force=np.zeros_like(record.force)))
+    assert not is_spectral(measured)
+    nothing_uncertain = SparseRecovery(parameter_uncertainty=0.0).problem(problem.structure, record)
+    assert known_parameters(nothing_uncertain) is None
+
+
+def test_a_record_by_exact_steps():
+    made = ambient_record(3.0, 50.0, 60.0, seed=4)
+    problem = SparseRecovery(parameter_uncertainty=0.1).problem(made.structure, made.record)
+    known = known_parameters(problem)
+    deviation = known.distance / np.sqrt(np.diag(known.covariance))  # what is prescribed is the truth
+    assert np.abs(deviation).max() < 3.5
