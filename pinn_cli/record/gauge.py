@@ -27,6 +27,8 @@ GAUGE = "gauge"
 WIDEST_GAIN, WIDEST_OFFSET, WIDEST_DELAY = 10.0, 10.0, 5.0
 # Standard deviations of its delay by which a gauge may ask for motion before or after the record.
 DELAYS_ALLOWED = 3.0
+# Samples in a row that show a channel's noise; of fewer the emptiest part of a spectrum is often empty by chance.
+FEWEST_IN_RUN = 256
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,16 @@ class Gauge:
         steps = np.diff(self.time)
         step = float(np.median(steps))
         return step if np.ptp(steps) < EVEN * step else None
+
+    @property
+    def even_run(self) -> tuple[np.ndarray, float] | None:
+        """Its longest run of even samples (R,), and the step, s; None where none is long enough to show its noise."""
+        steps = np.diff(self.time)
+        step = float(np.median(steps))
+        breaks = np.concatenate(([-1], np.flatnonzero(np.abs(steps - step) > EVEN * step), [len(steps)]))
+        longest = int(np.argmax(np.diff(breaks)))
+        run = self.values[breaks[longest] + 1 : breaks[longest + 1] + 1]
+        return (run, step) if len(run) >= FEWEST_IN_RUN or len(run) == len(self.values) else None
 
     @property
     def start(self) -> float:

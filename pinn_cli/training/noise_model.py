@@ -212,11 +212,11 @@ def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def first_level(gauge: Gauge) -> float:
-    """Where the noise of a gauge starts: what the spectrum of its samples shows, where these are even."""
-    rms, step = float(np.std(gauge.values)), gauge.even_step
+    """Where the noise of a gauge starts: what the spectrum of its samples shows, where many in a row are even."""
+    rms, run = float(np.std(gauge.values)), gauge.even_run
     level = FIRST_SENSOR * rms
-    if step:
-        level = visible_floor(gauge.values, step) or min(level, lowest_level(gauge.values, step))
+    if run is not None:
+        level = visible_floor(*run) or min(level, lowest_level(*run))
     return max(level, FINEST_SENSOR * rms)
 
 
@@ -225,8 +225,8 @@ def finest_level(gauge: Gauge) -> float:
 
     Where the motion does not tell a load cell's noise, none at all would do as well, and bands would be too narrow.
     """
-    step = gauge.even_step if gauge.quantity == FORCE else None
-    shown = (visible_floor(gauge.values, step) if step else None) or 0.0
+    run = gauge.even_run if gauge.quantity == FORCE else None
+    shown = (visible_floor(*run) if run is not None else None) or 0.0
     return max(shown, FINEST_SENSOR * float(np.std(gauge.values)))
 
 

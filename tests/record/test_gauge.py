@@ -129,3 +129,19 @@ def test_between_uneven_samples_there_are_straight_lines():
     gauge = Gauge("a", "acceleration", {0: 1.0}, time, time**2)
     assert gauge.even_step is None
     np.testing.assert_allclose(gauge.history(np.array([0.245])), np.interp(0.245, time, time**2))
+
+
+def test_the_longest_even_run_stands_for_a_channel_with_gaps():
+    time = 2.0 + 0.01 * np.arange(1000)
+    values = np.arange(1000.0)
+
+    def run(there: np.ndarray) -> tuple[np.ndarray, float] | None:
+        return Gauge("a1", "acceleration", {0: 1.0}, time[there], values[there]).even_run
+
+    gap = (np.arange(1000) < 300) | (np.arange(1000) >= 600)
+    found, step = run(gap)
+    np.testing.assert_array_equal(found, values[600:])
+    assert step == pytest.approx(0.01)
+    assert run(np.random.default_rng(0).random(1000) < 0.5) is None
+    # All of them where none is missing, however few.
+    np.testing.assert_array_equal(run(np.arange(1000) < 20)[0], values[:20])

@@ -9,10 +9,19 @@ from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
-from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features, sensor_noise
+from pinn_cli.training.noise_model import (
+    FeatureProjection,
+    NoiseModel,
+    finest_level,
+    first_level,
+    first_output,
+    output_features,
+    sensor_noise,
+)
 
 
 @pytest.fixture(scope="module")
@@ -96,3 +105,17 @@ def test_noise_is_told_by_the_scatter_of_repeats_where_there_are_any():
     for quantity, levels in {**response, "force": force}.items():
         sensors = record.sensors(quantity)
         np.testing.assert_allclose(levels[sensors], record.repeats.noise_of_mean(quantity)[sensors])
+
+
+def test_a_load_cell_with_a_gap_shows_its_noise_where_it_has_samples():
+    """Without it the noise of the cell and that of an accelerometer beside it can stand in for each other."""
+    rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
+    shown = sum(np.cos(2.0 * np.pi * f * time + 7.0 * f) for f in np.linspace(0.5, 15.0, 60))
+    shown = shown + 0.05 * rng.standard_normal(3000)
+    there = (time < 12.0) | (time > 18.0)
+    gauge = Gauge("f", "force", {0: 1.0}, time[there], shown[there])
+    assert first_level(gauge) == pytest.approx(0.05, rel=0.15)
+    assert finest_level(gauge) == pytest.approx(0.05, rel=0.15)
+    half = rng.random(3000) < 0.5
+    scattered = Gauge("f", "force", {0: 1.0}, time[half], shown[half])
+    assert first_level(scattered) == pytest.approx(0.1 * np.std(scattered.values))
