@@ -141,12 +141,15 @@ def minimise(
             damping = max(10.0 * damping, FIRST_DAMPING)
             if damping > LARGEST_DAMPING:
                 return Solution(point, loss, iteration, False, tries, cautious=cautious)
-        decrease = loss - sum(terms.values())
-        point, loss, cautious = moved, sum(terms.values()), cautious and damping > 0.0
+        decrease, damped = loss - sum(terms.values()), damping > 0.0
         damping = damping / 10.0 if damping > FIRST_DAMPING else 0.0
+        converged = decrease <= enough and damping == 0.0 and tried
+        if converged and damped and undamped is not None:
+            # A damped step that gains next to nothing may go far all the same: the Hessian belongs to where it began.
+            return Solution(point, loss, iteration, True, tries, undamped, cautious)
+        point, loss, cautious = moved, sum(terms.values()), cautious and damped
         watch(terms)
-        exact = equations.is_linear and factor is undamped
-        if exact or (decrease <= enough and damping == 0.0 and tried):
+        if converged or (equations.is_linear and factor is undamped):
             return Solution(point, loss, iteration + 1, True, tries, undamped, cautious)
         del system, factor, undamped, step  # before the next are made
     return Solution(point, loss, iterations, False, tries, cautious=cautious)
