@@ -271,14 +271,14 @@ class NormalEquations(Bounded):
         sums, own = self._sums(), self._own_features()
         for name, residual in residuals.items():
             if name == "physics":
-                for part in self._windows(self.physics):
+                for part in self.windows(self.physics):
                     rows, weight = self.rows(self.physics, point, part=part), _part(weights[name], part)
                     averages = None if self.averages is None else self.averages.part(part)
                     sums.add_rows(self.physics.part(part), rows, residual[part], weight, averages)
             elif name == "observer":
                 # The observer's residual is (f - restoring force) / m - a: the rows of the restoring force over -m.
                 mass = -self.parameters(point)["m"]
-                for part in self._windows(self.observation):
+                for part in self.windows(self.observation):
                     rows, weight = self.rows(self.observation, point, False, part), _part(weights[name], part)
                     sums.add_rows(self.observation.part(part), rows, residual[part] * mass, weight / mass**2)
             elif name in own:
@@ -310,8 +310,8 @@ class NormalEquations(Bounded):
             return kind(self.network.channels, features, self.physics.count, self.pattern)
         return DofMajorSums(self.layout, features, self.pattern, self.target.force)
 
-    def _windows(self, segments: Segments) -> list[slice]:
-        """Groups whose rows are held at once."""
+    def windows(self, segments: Segments) -> list[slice]:
+        """Groups whose linearised equations of motion are held at once, one range after the other."""
         groups, samples = segments.mask.shape
         places = self.pattern.places[0].size
         size = max(1, ROWS_AT_ONCE // (samples * self.dynamics.size * (2 * len(self.pattern.offsets) + places)))

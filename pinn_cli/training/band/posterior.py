@@ -110,24 +110,30 @@ class ReadoutPosterior:
 
     def force(self, segments: Segments) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
-        rows = LocalRows(self.equations, segments, self.point)
-        result = [self._force_of_dof(rows, dof) for dof in range(self.equations.dynamics.ndof)]
-        return segments.scatter(torch.stack(result, -1).to(segments.mask.device)).cpu()
+        result = self._forces(segments, self.equations.dynamics.ndof)
+        return segments.scatter(result.to(segments.mask.device)).cpu()
 
     def force_residual(self) -> Tensor:
         """Standard deviation of the physics residual as it is enforced: (I, 1, n) of averages, or (I, S, n)."""
         e = self.equations
-        rows = LocalRows(e, e.physics, self.point, e.averages)
-        return torch.stack([self._force_of_dof(rows, dof) for dof in range(e.layout.ndof)], -1).cpu()
+        return self._forces(e.physics, e.layout.ndof, e.averages).cpu()
 
     def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
-        rows, dofs = LocalRows(self.equations, segments, self.point), range(self.equations.dynamics.ndof)
-        every = [self._by_parameter(*rows.of_dof(dof)) for dof in dofs]
-        return segments.scatter(torch.stack(every, 2).to(segments.mask.device)).cpu()
+        every = []
+        for part in self.equations.windows(segments):
+            rows = LocalRows(self.equations, segments, self.point, None, part)
+            each = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
+            every.append(torch.stack(each, 2))
+        return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
 
-    def _force_of_dof(self, rows: LocalRows, dof: int) -> Tensor:
-        return self.deviation(*rows.of_dof(dof))
+    def _forces(self, segments: Segments, dofs: int, averages: Subdomains | None = None) -> Tensor:
+        """Standard deviation of what the first equations ask for, (I, S, dofs), or of averages (I, 1, dofs)."""
+        every = []
+        for part in self.equations.windows(segments):
+            rows = LocalRows(self.equations, segments, self.point, averages, part)
+            every.append(torch.stack([self.deviation(*rows.of_dof(dof)) for dof in range(dofs)], -1))
+        return torch.cat(every)
 
     def deviation(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
         """Standard deviation of linear rows, (I, S).
@@ -165,14 +171,21 @@ class LocalRows:
         segments: I groups of S times.
         point: Where it is linearised.
         averages: Taken of the rows; None: none.
+        part: Which groups.
     """
 
     def __init__(
-        self, equations: NormalEquations, segments: Segments, point: Point, averages: Subdomains | None = None
+        self,
+        equations: NormalEquations,
+        segments: Segments,
+        point: Point,
+        averages: Subdomains | None = None,
+        part: slice = slice(None),
     ) -> None:
-        self.equations, self.segments, self.averages = equations, segments, averages
-        self.rows = equations.rows(segments, point)
-        self.local = torch.as_tensor(equations.layout.columns(segments.feature))
+        self.equations, self.segments = equations, segments.part(part)
+        self.averages = None if averages is None else averages.part(part)
+        self.rows = equations.rows(segments, point, part=part)
+        self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
 
     def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
         """Positions (I, D B), rows by the weights there (I, S, D B), 0 in unused slots, and by parameter."""
