@@ -12,6 +12,7 @@ from ambient_records import ambient_record
 from pinn_cli.network.spline import Spline
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.system.topology import build_structure
 from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -80,3 +81,21 @@ def test_a_sensor_of_another_scale_than_it_says_makes_uncertain_parameters_quest
     assert any(finding.kind == "spectra" and finding.word == "questionable" for finding in found)
     right = known_parameters(SparseRecovery(parameter_uncertainty=0.1).problem(made.structure, made.record))
     assert right.misfit == 0.0
+
+
+def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable():
+    made = ambient_record(4.0, 50.0, 20.0, 15.0)
+    names, connections = ["x0", "x1", "x2"], {}
+    for i, (c, k) in enumerate(zip(*(made.structure.parameters[kind].tolist() for kind in ("c", "k")), strict=True)):
+        own = {"between": ["ground", *names][i : i + 2], "c": c, "k": k}
+        connections[f"storey_{i}"] = own | ({"law": "duffing", "kappa": 1.0} if i == 0 else {"law": "linear"})
+    bent = build_structure(names, dict.fromkeys(names, 1000.0), connections)
+    pushed = np.full_like(made.record.force, np.nan)
+    pushed[:, 0] = made.truth.force[:, 0]
+    problem = SparseRecovery(parameter_uncertainty=0.1).problem(bent, replace(made.record, force=pushed))
+    assert known_parameters(problem) is None
+    found = input_findings(problem, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
+    assert any(finding.kind == "output_only_parameters" for finding in found)
+    known = SparseRecovery(parameter_uncertainty=0.0).problem(bent, replace(made.record, force=pushed))
+    found = input_findings(known, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
+    assert not any(finding.kind == "output_only_parameters" for finding in found)

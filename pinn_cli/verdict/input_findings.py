@@ -29,7 +29,8 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
         estimate: Of the motion.
         structure: With the estimated parameters.
     """
-    return _output_only(problem, estimate) + _spectra(estimate) + _untold(problem, estimate) + _energy(structure)
+    of_parameters = _spectra(estimate) + _under_forces(problem, estimate)
+    return _output_only(problem) + of_parameters + _untold(problem, estimate) + _energy(structure)
 
 
 def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
@@ -54,14 +55,14 @@ def _spectra(estimate: Estimate) -> list[Finding]:
     if misfit <= MISSED:
         return []
     text = (
-        "under forces that are independent, or alike, on all DOFs where none was measured, the estimated structure does"
-        f" not show the spectra of the sensors: in a part of the band their power is {100.0 * misfit:.0f} % off"
+        "under unmeasured forces of any smooth spectrum the estimated structure does not show the spectra of the"
+        f" sensors: in a part of the band their power is {100.0 * misfit:.0f} % off"
     )
-    remedy = "parameters and intervals are not to be trusted; check masses, sensors and connections"
+    remedy = "parameters and intervals are not to be trusted; check masses, sensors, connections, and whether forces have lines"
     return [Finding("spectra", "parameters", f"{text}; {remedy}")]
 
 
-def _output_only(problem: Problem, estimate: Estimate) -> list[Finding]:
+def _output_only(problem: Problem) -> list[Finding]:
     """Nothing that acts was measured: all that a record tells is relative."""
     record = problem.record
     measured = record.sensors("force").any() or record.ground_acceleration is not None
@@ -71,16 +72,20 @@ def _output_only(problem: Problem, estimate: Estimate) -> list[Finding]:
         "no force was measured: the record tells frequencies, damping and shapes, but no absolute mass or stiffness;"
         " forces, and every stiffness, are as right as the prescribed masses"
     )
-    found = [Finding("output_only", "force", text, "sound")]
-    told_by_spectra = "spectral_misfit" in estimate.summary
-    if problem.uncertain and len(problem.inputs.forces) == record.ndof and not told_by_spectra:
-        text = (
-            "no force was measured, and parameters were uncertain: damping comes out far too small then, stiffnesses"
-            " some per cent off, and their intervals are too narrow"
-        )
-        remedy = "measure a force, or prescribe the parameters (scheme.parameter_uncertainty=0)"
-        found.append(Finding("output_only_parameters", "parameters", f"{text}; {remedy}"))
-    return found
+    return [Finding("output_only", "force", text, "sound")]
+
+
+def _under_forces(problem: Problem, estimate: Estimate) -> list[Finding]:
+    """Parameters that were found together with the most probable unknown forces, and not by the spectra."""
+    if not problem.uncertain or not problem.inputs.forces or "spectral_misfit" in estimate.summary:
+        return []
+    text = (
+        "some forces were not measured, parameters were uncertain, and the sensors' spectra cannot tell them (they tell"
+        " those of linear connections under such forces, from one record, by sensors in columns): damping comes out too"
+        " small then, stiffnesses up to some per cent off, and intervals too narrow"
+    )
+    remedy = "measure the forces, or prescribe the parameters (scheme.parameter_uncertainty=0)"
+    return [Finding("output_only_parameters", "parameters", f"{text}; {remedy}")]
 
 
 def _energy(structure: Structure) -> list[Finding]:
