@@ -58,7 +58,7 @@ def _spectra(estimate: Estimate) -> list[Finding]:
         "under unmeasured forces of any smooth spectrum the estimated structure does not show the spectra of the"
         f" sensors: in a part of the band their power is {100.0 * misfit:.0f} % off"
     )
-    remedy = "parameters and intervals are not to be trusted; check masses, sensors, connections, and whether forces have lines"
+    remedy = "do not trust parameters and intervals; check masses, sensors, connections, and whether forces have lines"
     return [Finding("spectra", "parameters", f"{text}; {remedy}")]
 
 

@@ -52,7 +52,8 @@ class CrossSpectrum:
         channels, taper = np.stack(columns, axis=1), tukey(len(record.time), TAPERED)
         spectrum = np.fft.rfft((channels - channels.mean(0)) * taper[:, None], axis=0) / np.sqrt(np.sum(taper**2))
         frequency = np.fft.rfftfreq(len(record.time), record.step)
-        lowest = np.nanmin([signal_edges(column, record.step)[0] for column in columns[: len(sensors)]])
+        edges = np.array([signal_edges(column, record.step)[0] for column in columns[: len(sensors)]])
+        lowest = np.min(edges, initial=np.inf, where=np.isfinite(edges))
         first = max(LOWEST_BINS, int(np.searchsorted(frequency, lowest)))
         last = int(np.searchsorted(frequency, BELOW_EDGE * record_band(record), side="right"))
         if not last - first >= FEWEST_BINS:

@@ -232,3 +232,12 @@ def test_a_record_by_exact_steps():
     known = known_parameters(problem)
     deviation = known.distance / np.sqrt(np.diag(known.covariance))  # what is prescribed is the truth
     assert np.abs(deviation).max() < 3.5
+
+
+def test_a_record_without_a_band_tells_nothing():
+    record = shaken(3.0, 20.0, 0)
+    still = np.where(np.isfinite(record.acceleration), 0.0, np.nan)
+    assert CrossSpectrum.of(replace(record, acceleration=still)) is None
+    short = slice(0, 40)
+    part = {q: getattr(record, q)[short] for q in ("time", "displacement", "velocity", "acceleration", "force")}
+    assert CrossSpectrum.of(replace(record, **part)) is None
