@@ -19,6 +19,7 @@ from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.judge import judge
+from pinn_cli.verdict.noise_findings import noise_findings
 
 
 def solved(made, uncertainty=0.0):
@@ -99,3 +100,15 @@ def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable():
     known = SparseRecovery(parameter_uncertainty=0.0).problem(bent, replace(made.record, force=pushed))
     found = input_findings(known, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert not any(finding.kind == "output_only_parameters" for finding in found)
+
+
+@pytest.mark.parametrize(("measured", "free"), [((1,), True), ((0, 1), False)])
+def test_sensors_are_rightly_followed_where_as_many_forces_are_unknown(measured, free):
+    made = ambient_record(4.0, 50.0, 10.0, 15.0)
+    pushed = np.full_like(made.record.force, np.nan)
+    pushed[:, measured] = made.truth.force[:, measured]
+    problem = SparseRecovery(parameter_uncertainty=0.0).problem(made.structure, replace(made.record, force=pushed))
+    samples = float(len(made.record.time))
+    summary = {"effective_parameters": {"acceleration": [samples, None, samples]}}
+    found = noise_findings(problem, Estimate(made.truth, made.truth, [], pd.DataFrame(), summary))
+    assert free != any(finding.kind == "copied" for finding in found)

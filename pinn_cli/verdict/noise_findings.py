@@ -35,8 +35,10 @@ def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
     seen = channels(problem.record, (*RESPONSE_QUANTITIES, GROUND))
     found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
-    # Where a force that nobody measured acts on every DOF, any motion is rightly followed.
-    copied = [] if len(problem.inputs.forces) == problem.record.ndof else _copied(problem.record, estimate)
+    # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
+    # followed.
+    free = len(problem.inputs.forces) >= min(problem.record.ndof, len(seen))
+    copied = [] if free else _copied(problem.record, estimate)
     return found + _discrepancy(problem, estimate) + copied + _unfinished(estimate)
 
 
