@@ -20,14 +20,14 @@ import pandas as pd
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.training.estimate import RunContext
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pinn_cli.record.record import Response
+    from pinn_cli.record.response import Response
     from pinn_cli.training.estimate import Estimate
 
 RATIOS_DB = (50, 20, 10)

@@ -30,7 +30,7 @@ from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
     from pinn_cli.cli.prepare import PreparedProblem
-    from pinn_cli.record.record import Response
+    from pinn_cli.record.response import Response
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import RunContext, Watch
     from pinn_cli.validation.base import Setup

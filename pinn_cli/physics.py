@@ -17,7 +17,8 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.record.between_samples import refined_history, refined_times
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet

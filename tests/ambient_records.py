@@ -8,7 +8,8 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import fftconvolve, firwin
 
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.topology import build_structure
 

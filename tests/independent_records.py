@@ -9,7 +9,8 @@ from functools import cache
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pinn_cli.record.record import QUANTITIES, Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import QUANTITIES, Response
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import QUANTITIES, Record, Response, Truth
+from pinn_cli.record.record import Record, Truth
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, Parameter
 from pinn_cli.training.estimate import Estimate, ParameterEstimate

@@ -9,7 +9,8 @@ import numpy as np
 
 from pinn_cli.baseline.discretisation import interpolated_force
 from pinn_cli.record.gauge import GAUGE, Gauge
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE

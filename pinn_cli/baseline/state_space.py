@@ -22,7 +22,7 @@ from pinn_cli.baseline.channels import Channel, Loads, response_channels, uncert
 from pinn_cli.baseline.discretisation import flow, propagators
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.scheme.problem import Problem

@@ -131,7 +131,7 @@ _WINDOW = ("start", "stop")
 def _channels(data: DictConfig) -> list[DataChannel]:
     """The columns that the settings name, in the short form and in the long one."""
     from pinn_cli.record.data_channels import DataChannel, data_channels
-    from pinn_cli.record.record import GROUND, QUANTITIES
+    from pinn_cli.record.response import GROUND, QUANTITIES
 
     found = []
     for quantity in QUANTITIES:
@@ -168,7 +168,7 @@ def _of_record(config: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray
     """The sensors of a record that is simulated, or that somebody's own class reads."""
     from pinn_cli.inspection.signal import Signal
     from pinn_cli.record.channels import channels
-    from pinn_cli.record.record import MEASURED_QUANTITIES
+    from pinn_cli.record.response import MEASURED_QUANTITIES
 
     run = RunConfig.read(config, base)
     true, _ = run.model_error.structures(run.structure)

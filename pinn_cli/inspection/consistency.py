@@ -9,7 +9,7 @@ import numpy as np
 from pinn_cli.inspection.frequency_response import Spectra, chance_coherence, piece_length
 from pinn_cli.inspection.peaks import Peak
 from pinn_cli.inspection.signal import Sampling, Signal
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
 AGREE, COHERENT = 0.1, 0.5

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.record import GROUND, UNITS
+from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
 

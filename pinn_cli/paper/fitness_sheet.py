@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pinn_cli.paper.cases import SMOOTHER
 from pinn_cli.paper.sheet import DASH, Cell, Row, Sheet, mark, number
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, record_band
 
 # The Hann window spreads a channel's mean over the two lowest bins.

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 
 if TYPE_CHECKING:
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
 
 # The DOF of the ground's channel, counted from 0; a reader, who counts from 1, sees it as 0.
 GROUND_DOF = -1

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import force_spline
+from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.structure import Structure

@@ -18,19 +18,8 @@ from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.held_out import not_held_out, scored_by
 from pinn_cli.record.interpolation import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.measured_files import MeasuredFiles
-from pinn_cli.record.record import (
-    GROUND,
-    MINIMUM_SAMPLES,
-    QUANTITIES,
-    RESPONSE_QUANTITIES,
-    Frame,
-    Measurements,
-    Record,
-    Response,
-    Truth,
-    check_frame,
-    dof_mask,
-)
+from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
+from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.sampled import Sampled, sampled
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import (

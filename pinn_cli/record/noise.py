@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.record import GROUND, MEASURED_QUANTITIES, QUANTITIES, Response
 from pinn_cli.record.repeats import Repeats
+from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, Response
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST_LEGACY_SEED, is_finite_number, one_of, whole_number
 

@@ -13,20 +13,12 @@ import numpy as np
 
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.repeats import Repeats
+from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
-from pinn_cli.system import quantities
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-RESPONSE_QUANTITIES = quantities.MOTION
-QUANTITIES = (*RESPONSE_QUANTITIES, "force")
-# Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
-GROUND = quantities.GROUND
-# All that a sensor may measure.
-MEASURED_QUANTITIES = (*QUANTITIES, GROUND)
-UNITS = quantities.UNITS
 
 Intersample = Literal["band_limited", "zero_order_hold"]
 INTERSAMPLE: tuple[str, ...] = get_args(Intersample)
@@ -35,48 +27,6 @@ FRAMES: tuple[str, ...] = get_args(Frame)
 
 # Fewer samples than this are no time history: three points per knot of a spline leave nothing to estimate.
 MINIMUM_SAMPLES = 16
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """Motion and force of every DOF; NaN where unknown.
-
-    Attributes:
-        time: (N,), s.
-        displacement, velocity: (N, n), relative to the ground, m, m/s.
-        acceleration: (N, n), m/s^2, in the record's frame: with the ground's (absolute) or without it (relative).
-        force: (N, n), external, N; what the ground's motion does to the masses is no external force.
-        ground_acceleration: (N,), m/s^2; None where the ground is at rest.
-        hidden: (N, h), N, the forces of connections with memory; None where there are none.
-        coordinates: (N, 2, c), displacement and velocity of a structure's coordinates, where these are modes and not
-            the DOFs; None where they are the DOFs.
-    """
-
-    time: np.ndarray
-    displacement: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    force: np.ndarray
-    ground_acceleration: np.ndarray | None = None
-    hidden: np.ndarray | None = None
-    coordinates: np.ndarray | None = None
-
-    @property
-    def measurable(self) -> dict[str, Any]:
-        """All of it that sensors may measure, by the name that a record has for it; the times as well."""
-        return {name: getattr(self, name) for name in ("time", *MEASURED_QUANTITIES)}
-
-    def state(self, sample: int) -> list[np.ndarray]:
-        """Displacement and velocity of the coordinates at a sample, and hidden forces (h,) where there are any."""
-        motion = (self.displacement[sample], self.velocity[sample])
-        if self.coordinates is not None:
-            motion = self.coordinates[sample, 0], self.coordinates[sample, 1]
-        return [*motion] if self.hidden is None else [*motion, self.hidden[sample]]
-
-    @classmethod
-    def unknown(cls, time: np.ndarray, ndof: int) -> Response:
-        """A response of which nothing is known."""
-        return cls(time, *(np.full((len(time), ndof), np.nan) for _ in QUANTITIES))
 
 
 @dataclass(frozen=True, eq=False)

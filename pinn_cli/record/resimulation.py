@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import has_equation_of_motion, substeps_needed

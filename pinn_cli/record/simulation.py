@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.corners import Corners
-from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Response
+from pinn_cli.record.record import MINIMUM_SAMPLES, Frame
+from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force, runge_kutta
 from pinn_cli.record.runge_kutta_step import Slope
 from pinn_cli.record.state_equation import StateEquation

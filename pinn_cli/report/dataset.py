@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from pinn_cli.record.record import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
 from pinn_cli.runs.writing import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.report.connection_forces import ConnectionForces
     from pinn_cli.report.drift import Drifts
     from pinn_cli.training.estimate import Estimate

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from scipy.sparse import csr_matrix
 
-    from pinn_cli.record.record import Response
+    from pinn_cli.record.response import Response
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 

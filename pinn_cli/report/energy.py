@@ -16,7 +16,7 @@ from pinn_cli.training.estimated_structure import estimated_structure
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.record.record import Response
+    from pinn_cli.record.response import Response
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 

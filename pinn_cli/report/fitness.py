@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.results import with_labels
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pinn_cli.record.record import Response
+    from pinn_cli.record.response import Response
 
 FORMULAS = ("fitness_percent", "range_fitness_percent")
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.fitness import fitness_percent, fitness_table
 from pinn_cli.training.estimated_structure import estimated_structure

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from pinn_cli.record.record import UNITS
+from pinn_cli.record.response import UNITS
 from pinn_cli.report.dataset import netcdf_attributes
 from pinn_cli.runs.identity import package_version
 from pinn_cli.runs.writing import write_bytes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.record import MEASURED_QUANTITIES
+from pinn_cli.record.response import MEASURED_QUANTITIES
 from pinn_cli.report.connection_forces import ConnectionForces
 from pinn_cli.report.drift import Drifts, drift_table
 from pinn_cli.report.energy import DissipatedEnergy, energy_table

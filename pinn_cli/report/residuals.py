@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels, clipped_percent, constant_percent
-from pinn_cli.record.record import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.report.results import with_labels
 from pinn_cli.verdict.noise_findings import noise_found
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pinn_cli.record.channels import Channel
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.training.estimate import Estimate
 
 COLUMNS = (

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pinn_cli.posterior.result import PosteriorResult
-    from pinn_cli.record.record import Record, Response, Truth
+    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.response import Response
     from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure

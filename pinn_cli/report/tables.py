@@ -14,7 +14,8 @@ from pinn_cli.report.parameters import parameter_table
 from pinn_cli.report.residuals import residual_table
 
 if TYPE_CHECKING:
-    from pinn_cli.record.record import Record, Response, Truth
+    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.response import Response
     from pinn_cli.report.results import RunDescription
     from pinn_cli.training.estimate import Estimate
 

@@ -19,8 +19,8 @@ import pandas as pd
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.ensemble import Members, spread_of
-from pinn_cli.record.record import RESPONSE_QUANTITIES, UNITS
 from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.report.results import with_labels
@@ -34,7 +34,8 @@ from pinn_cli.verdict.noise_findings import noise_found
 if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.gauge import Gauge
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.record.validation_data import ValidationRecord
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate

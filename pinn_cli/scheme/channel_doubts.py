@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pinn_cli.record.gauge import DELAYS_ALLOWED
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.system.quantities import FORCE
 

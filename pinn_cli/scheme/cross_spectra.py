@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import LOWEST_BINS, lowest_level, record_band
 from pinn_cli.scheme.lagged_products import Products
 from pinn_cli.system.quantities import FORCE

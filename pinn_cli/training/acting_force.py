@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.training.noise_model import NoiseModel
 
 

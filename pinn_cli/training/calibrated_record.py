@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.record.gauge import DEGREE, Gauge
-from pinn_cli.record.record import GROUND, QUANTITIES, Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND, QUANTITIES, Response
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 
 if TYPE_CHECKING:

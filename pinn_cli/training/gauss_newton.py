@@ -15,7 +15,8 @@ import numpy as np
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number

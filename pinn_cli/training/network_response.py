@@ -6,7 +6,7 @@ import torch
 
 from pinn_cli.network.base import Network
 from pinn_cli.physics import Targets, estimated_response
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.learned_parameters import LearnedParameters
 

@@ -17,7 +17,8 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
 from pinn_cli.system.quantities import FORCE
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 

@@ -13,8 +13,9 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.record import MINIMUM_SAMPLES, Record, Response
+from pinn_cli.record.record import MINIMUM_SAMPLES, Record
 from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError

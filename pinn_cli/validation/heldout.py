@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number

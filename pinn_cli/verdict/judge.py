@@ -26,7 +26,8 @@ from pinn_cli.verdict.sensor_findings import sensor_findings
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 
 if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel

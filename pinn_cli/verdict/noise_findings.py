@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
 from pinn_cli.verdict.finding import Finding, failed_if
 

@@ -18,7 +18,8 @@ from pinn_cli.verdict.linear_response import linear_response
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.record.runge_kutta import Force
     from pinn_cli.system.structure import Structure
 

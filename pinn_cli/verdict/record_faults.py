@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels, equal_runs
-from pinn_cli.record.record import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.verdict.finding import Finding
 

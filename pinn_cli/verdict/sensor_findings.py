@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.record import GROUND
+from pinn_cli.record.response import GROUND
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.comparison import Comparison, comparisons
 from pinn_cli.verdict.finding import Finding, failed_if

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from small_problems import measured, small_chain
 
 from pinn_cli.baseline.discretisation import flow, interpolated_force, propagators
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 
 
 def oscillators(ndof: int, fastest: float, seed: int = 0) -> np.ndarray:

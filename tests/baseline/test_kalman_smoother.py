@@ -14,7 +14,8 @@ from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem

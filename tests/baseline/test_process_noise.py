@@ -10,7 +10,8 @@ from pinn_cli.baseline.iterated_smoother import IteratedSmoother
 from pinn_cli.baseline.process_noise import RESOLUTION, most_probable, stiffened, widened
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
 

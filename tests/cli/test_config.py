@@ -12,7 +12,7 @@ from omegaconf import OmegaConf, open_dict
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.config_names import option_names
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report import published
 from pinn_cli.settings.errors import InputError
 

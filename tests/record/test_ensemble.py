@@ -10,8 +10,9 @@ from small_problems import small_chain
 from structures import braced, hysteretic, modal
 
 from pinn_cli.record.ensemble import Members, spread_of
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import resimulate
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.estimate import ParameterEstimate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.noise import Noise, add_noise
-from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.settings.errors import InputError
 
 TIME = np.linspace(0.0, 60.0, 4096)

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.settings.errors import InputError
 
 TIME = np.linspace(1.0, 3.0, 41)

@@ -7,7 +7,7 @@ import pytest
 
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.noise import add_noise
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, VanDerPol

@@ -7,7 +7,7 @@ import pytest
 
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.noise import Noise, averaged
-from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.settings.errors import InputError

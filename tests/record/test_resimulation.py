@@ -7,8 +7,8 @@ import pytest
 import torch
 from small_problems import measured, small_chain
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES
 from pinn_cli.record.resimulation import MOST_SUBSTEPS, TooStiffError, resimulate
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import OverflowsError
 
 REST = np.zeros(3)

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 from pinn_cli.record.excitation import GroundMotion
 from pinn_cli.record.noise import Noise
-from pinn_cli.record.record import QUANTITIES
 from pinn_cli.record.resimulation import resimulate
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation, simulate
 from pinn_cli.settings.errors import InputError

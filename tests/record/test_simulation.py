@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from pinn_cli.record.excitation import BandedNoise, Impulse
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import OverflowsError, Simulation, simulate
 from pinn_cli.record.state_equation import StateEquation
 from pinn_cli.record.steps import substeps_needed

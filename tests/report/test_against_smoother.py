@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.against_smoother import compared, errors
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 
 
 def test_ours_is_compared_with_the_best_level_of_each_quantity():

@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 from fake_posteriors import LABELS, make_record, make_result, make_samples, parameters_of, true_parameters
 
-from pinn_cli.record.record import Response, Truth
+from pinn_cli.record.record import Truth
+from pinn_cli.record.response import Response
 from pinn_cli.report.results import Results, RunDescription
 from pinn_cli.report.run_report import write_posterior
 from pinn_cli.system.building import build_chain

@@ -10,7 +10,7 @@ import xarray as xr
 from small_estimates import make_estimate
 from structures import braced
 
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.report.dataset import response_dataset, write_dataset
 from pinn_cli.report.drift import COLUMNS, Drifts, drift_table
 from pinn_cli.report.figures.drift import drift_figure

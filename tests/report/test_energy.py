@@ -9,7 +9,7 @@ import pytest
 from small_estimates import make_estimate
 from structures import braced, hysteretic
 
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import simulate
 from pinn_cli.report.energy import COLUMNS, DissipatedEnergy, dissipated, energy_table
 from pinn_cli.report.results import LABELS

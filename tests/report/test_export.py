@@ -8,7 +8,7 @@ import pytest
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.files.mat import MatFormat
 from pinn_cli.record.files.uff import UffFormat
-from pinn_cli.record.record import QUANTITIES, UNITS
+from pinn_cli.record.response import QUANTITIES, UNITS
 from pinn_cli.report.dataset import response_dataset
 from pinn_cli.report.export.formats import EXPORTS, exports_of
 from pinn_cli.settings.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.report.fitness import both_formulas, fitness_percent, fitness_table, groups
 from pinn_cli.report.results import LABELS
 

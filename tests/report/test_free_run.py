@@ -14,7 +14,8 @@ from small_estimates import parameter_estimate
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.record.noise import add_noise
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Measurements, Record, Response
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.fitness import FORMULAS, fitness_table
 from pinn_cli.report.free_run import REFERENCES, estimated_structure, free_run, free_run_table
 from pinn_cli.report.results import LABELS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report import published
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from small_estimates import other_estimate
 
-from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.report.figures import (
     correlation_figure,
     error_map_figure,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from pinn_cli.record.record import QUANTITIES, UNITS, Response
+from pinn_cli.record.response import QUANTITIES, UNITS, Response
 from pinn_cli.report.dataset import response_dataset, write_dataset
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_estimates import parameter_estimate
 
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.report import published
 from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import FreeRun, free_run_table

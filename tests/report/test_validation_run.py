@@ -10,7 +10,7 @@ from small_estimates import make_estimate
 from small_problems import measured, small_chain
 
 from pinn_cli.record.gauge import Calibration, Gauge
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.validation_data import ValidationRecord
 from pinn_cli.report.figures.validation import validation_figure
 from pinn_cli.report.results import LABELS

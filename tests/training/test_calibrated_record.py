@@ -9,7 +9,8 @@ import pandas as pd
 import pytest
 
 from pinn_cli.record.gauge import Calibration, Gauge
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, ParameterEstimate

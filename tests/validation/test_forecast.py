@@ -14,7 +14,8 @@ from small_estimates import parameter_estimate
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.record import QUANTITIES, Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import DivergenceError, InputError

@@ -13,7 +13,8 @@ from interrupted_runs import without_figures
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.record import QUANTITIES, Measurements, Record, Response, Truth
+from pinn_cli.record.record import Measurements, Record, Truth
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery

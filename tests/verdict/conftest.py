@@ -9,7 +9,8 @@ from frame_records import measure, measurements
 from small_estimates import parameter_estimate
 from small_problems import small_chain
 
-from pinn_cli.record.record import Record, Response
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure

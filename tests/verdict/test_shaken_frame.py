@@ -11,7 +11,8 @@ import pytest
 from pinn_cli.record.channels import channels
 from pinn_cli.record.excitation import GroundMotion
 from pinn_cli.record.noise import Noise
-from pinn_cli.record.record import Measurements, Record, Response
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.record.response import Response
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem

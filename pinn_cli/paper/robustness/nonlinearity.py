@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pinn_cli.paper.cases import BESIDE
 from pinn_cli.paper.robustness.realisation import Realisation
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.runs.writing import write_table
 
 if TYPE_CHECKING:

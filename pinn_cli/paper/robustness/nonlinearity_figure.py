@@ -11,7 +11,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from pinn_cli.paper.cases import SMOOTHER
 from pinn_cli.paper.robustness.realisation import PINN
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.report.figures import style
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 
 if TYPE_CHECKING:
     import xarray as xr

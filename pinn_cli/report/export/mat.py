@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.export.base import Export, histories
 from pinn_cli.runs.writing import write_bytes
 

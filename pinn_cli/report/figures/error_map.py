@@ -9,7 +9,7 @@ from matplotlib import colormaps
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.record.record import QUANTITIES
+from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import block_maximum
 
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.training.estimate import Estimate
 
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from pinn_cli.record.channels import Channel, channels
-from pinn_cli.record.record import GROUND, MEASURED_QUANTITIES
+from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices

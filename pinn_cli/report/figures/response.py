@@ -11,14 +11,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.record.record import GROUND, QUANTITIES
+from pinn_cli.record.response import GROUND, QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from pinn_cli.record.record import Record, Response
+    from pinn_cli.record.record import Record
+    from pinn_cli.record.response import Response
     from pinn_cli.training.estimate import Estimate
 
 ROWS_IN_FULL = 6  # more DOFs than these: the first two and the last two, as in the paper

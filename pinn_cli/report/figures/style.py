@@ -15,7 +15,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from pinn_cli.record.record import UNITS
+from pinn_cli.record.response import UNITS
 from pinn_cli.runs.writing import replacing
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.channels import Channel, channels
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
 from pinn_cli.report.figures.response import PERIODS_IN_FULL, PERIODS_SHOWN, periods_of

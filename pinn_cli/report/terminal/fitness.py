@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.terminal.columns import WIDTH, percent
 

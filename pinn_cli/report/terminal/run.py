@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.record import GROUND, UNITS
+from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.report import published
 from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.parameters import identifiability_warnings

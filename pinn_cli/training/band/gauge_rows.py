@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.record.gauge import DELAYS_ALLOWED, Gauge
-from pinn_cli.record.record import GROUND
+from pinn_cli.record.response import GROUND
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector

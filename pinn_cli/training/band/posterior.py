@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point

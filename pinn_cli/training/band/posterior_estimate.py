@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.record import GROUND, RESPONSE_QUANTITIES, Response
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter

@@ -16,7 +16,7 @@ from pinn_cli.network.base import States
 from pinn_cli.network.embedding import BAND_MARGIN
 from pinn_cli.physics import physics_residual
 from pinn_cli.record.evenly_spaced import evenly_spaced
-from pinn_cli.record.record import QUANTITIES, Response
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.factor import cholesky

@@ -16,7 +16,8 @@ from pinn_cli.network.base import Network, States
 from pinn_cli.physics import hold_delay, observation_residuals, physics_residual, targets
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.evenly_spaced import evenly_spaced
-from pinn_cli.record.record import QUANTITIES, RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, signal_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError

@@ -12,7 +12,7 @@ import torch
 from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import targets
-from pinn_cli.record.record import Response
+from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number

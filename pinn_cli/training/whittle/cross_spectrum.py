@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal.windows import tukey
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES, Record
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band, signal_edges
 
 # Part of the record that the taper takes at both ends together: what resonances leak falls off steeply then.

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from pinn_cli.record.record import RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.parameters import MASS, ParameterVector

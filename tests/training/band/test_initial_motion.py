@@ -14,7 +14,8 @@ from pinn_cli.baseline.kalman_smoother import KalmanSmoother
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.record import QUANTITIES, Measurements, Record, Response
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem

@@ -1,0 +1,63 @@
+"""A motion and the forces that go with it: time histories of every quantity on every DOF.
+
+Arrays are numpy float64 (time, dof), SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.system import quantities
+
+RESPONSE_QUANTITIES = quantities.MOTION
+QUANTITIES = (*RESPONSE_QUANTITIES, "force")
+# Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
+GROUND = quantities.GROUND
+# All that a sensor may measure.
+MEASURED_QUANTITIES = (*QUANTITIES, GROUND)
+UNITS = quantities.UNITS
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Motion and force of every DOF; NaN where unknown.
+
+    Attributes:
+        time: (N,), s.
+        displacement, velocity: (N, n), relative to the ground, m, m/s.
+        acceleration: (N, n), m/s^2, in the record's frame: with the ground's (absolute) or without it (relative).
+        force: (N, n), external, N; what the ground's motion does to the masses is no external force.
+        ground_acceleration: (N,), m/s^2; None where the ground is at rest.
+        hidden: (N, h), N, the forces of connections with memory; None where there are none.
+        coordinates: (N, 2, c), displacement and velocity of a structure's coordinates, where these are modes and not
+            the DOFs; None where they are the DOFs.
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    force: np.ndarray
+    ground_acceleration: np.ndarray | None = None
+    hidden: np.ndarray | None = None
+    coordinates: np.ndarray | None = None
+
+    @property
+    def measurable(self) -> dict[str, Any]:
+        """All of it that sensors may measure, by the name that a record has for it; the times as well."""
+        return {name: getattr(self, name) for name in ("time", *MEASURED_QUANTITIES)}
+
+    def state(self, sample: int) -> list[np.ndarray]:
+        """Displacement and velocity of the coordinates at a sample, and hidden forces (h,) where there are any."""
+        motion = (self.displacement[sample], self.velocity[sample])
+        if self.coordinates is not None:
+            motion = self.coordinates[sample, 0], self.coordinates[sample, 1]
+        return [*motion] if self.hidden is None else [*motion, self.hidden[sample]]
+
+    @classmethod
+    def unknown(cls, time: np.ndarray, ndof: int) -> Response:
+        """A response of which nothing is known."""
+        return cls(time, *(np.full((len(time), ndof), np.nan) for _ in QUANTITIES))
