@@ -24,10 +24,9 @@ from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inference import (
     ITERATIONS,
     TOLERANCE,
-    InferenceSettings,
-    Inferred,
     inferred,
 )
+from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
 from pinn_cli.training.band.starting_noise import starting_noise

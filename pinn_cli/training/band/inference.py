@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,76 +15,30 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.band.coloured import coloured, driven_in_band, has_forces
 from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.driving import Drive, level_in_band, reaches_beyond, spectrum_in_band
+from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import settled
-from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.rivals import Choice, weighed
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
-from pinn_cli.training.estimate import Rival
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
-from pinn_cli.training.whittle.whittle_estimate import KnownParameters, known_parameters
+from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
 # A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
 # noisy as their spectra say.
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
-# Rounds of the spectrum of unknown forces, of the noise levels under each, and of the forces' level at the end.
-COLOUR_ROUNDS, CORRELATION_ROUNDS, LEVEL_ROUNDS = 3, 3, 2
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
-
-
-@dataclass(frozen=True, eq=False)
-class Inferred:
-    """A solution, what it was found with, and others that explain the record as well."""
-
-    evidence: Evidence | JointEvidence
-    trained: Trained
-    rivals: tuple[Rival, ...] = ()
-
-    @property
-    def by_record(self) -> list[tuple[NormalEquations, Point]]:
-        """Of every record its equations, and the point where they are solved."""
-        equations = self.evidence.equations
-        points = equations.split(self.trained.solution.point)
-        return list(zip([own.equations for own in self.evidence.records], points, strict=True))
-
-
-@dataclass(frozen=True)
-class InferenceSettings:
-    """How a problem is solved; see :class:`pinn_cli.training.gauss_newton.GaussNewton`.
-
-    Attributes:
-        known: Parameters that are told before, and held.
-    """
-
-    iterations: int
-    tolerance: float
-    learn_spread: bool
-    pooled: bool
-    known: KnownParameters | None = None
-
-    def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
-        """What finds the solutions of one network."""
-        equations = NormalEquations(network, problem, device, self.known)
-        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
-
-    def all_solved_by(
-        self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History
-    ) -> Evidence | JointEvidence:
-        """What finds the solutions of one network for every record."""
-        pairs = zip(problem.by_record, networks, strict=True)
-        records = [self.solved_by(own, network, device, history) for own, network in pairs]
-        return records[0] if len(records) == 1 else JointEvidence(problem, records)
 
 
 def inferred(
@@ -101,11 +55,11 @@ def inferred(
         settings = replace(settings, learn_spread=False)
     designs = [design] * len(problem.by_record)
     found = _best_start(problem, designs, settings, device, history)
-    if _has_forces(problem):
+    if has_forces(problem):
         found = _in_their_band(found, problem, designs, settings, device, history)
-        found = _coloured(found, settings, device, history)
+        found = coloured(found, settings, device, history)
     # Finer features would reach further beyond the band, where forces that nobody measured are free.
-    for _ in range(0 if _has_forces(problem) else REFINEMENTS):
+    for _ in range(0 if has_forces(problem) else REFINEMENTS):
         finer = _finer(designs, found)
         again = None if finer is None else _refined(found, finer, settings, device, history)
         if finer is None or again is None:
@@ -113,7 +67,7 @@ def inferred(
         designs, found = finer, again
     evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
     choice = Choice(found.trained) if settings.known else weighed(evidence, found.trained, settle)
-    return Inferred(evidence, _driven_in_band(evidence, evidence.widen_for_colour(choice.trained)), choice.rivals)
+    return Inferred(evidence, driven_in_band(evidence, evidence.widen_for_colour(choice.trained)), choice.rivals)
 
 
 def _of_spectra(problem: Problem, settings: InferenceSettings) -> tuple[Problem, InferenceSettings]:
@@ -206,11 +160,6 @@ def _simulated_start(evidence: Evidence | JointEvidence) -> Point | None:
     return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
 
 
-def _has_forces(problem: Problem) -> bool:
-    """Whether some forces were not measured."""
-    return any(own.inputs.forces for own in problem.by_record)
-
-
 def _in_their_band(
     found: Inferred,
     problem: Problem,
@@ -237,64 +186,6 @@ def _of_wider_band(problem: Problem, factor: float) -> Problem:
     inputs = problem.inputs
     wider = replace(inputs, edge=inputs.edge * factor, correlation_time=inputs.correlation_time / factor)
     return replace(problem, inputs=wider, further=())
-
-
-def _coloured(found: Inferred, settings: InferenceSettings, device: str, history: History) -> Inferred:
-    """The solution under the most probable spectrum of the unknown forces."""
-    for _ in range(COLOUR_ROUNDS):
-        drives = found.evidence.each_record(spectrum_in_band, found.trained)
-        if not any(drives):
-            break
-        again = _driven(found, drives, settings, device, history)
-        if again is None:
-            break
-        found = again
-    return found
-
-
-def _driven(
-    found: Inferred, drives: Sequence[Drive | None], settings: InferenceSettings, device: str, history: History
-) -> Inferred | None:
-    """The solution with other spectra; None of a record: as before. None where there is no solution."""
-    before = replace(found.evidence.problem, alternatives=())
-    first, *others = [_of_spectrum(own, drive) for own, drive in zip(before.by_record, drives, strict=True)]
-    networks = [own.equations.network for own in found.evidence.records]
-    evidence = settings.all_solved_by(replace(first, further=tuple(others)), networks, device, history)
-    levels = [None if drive is None else drive.level for drive in drives]
-    again = evidence.train(_with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point)
-    if again is None or not again.solution.converged:
-        return None
-    return Inferred(evidence, settled(evidence, again, settings.pooled, CORRELATION_ROUNDS))
-
-
-def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
-    if drive is None:
-        return replace(problem, further=())
-    inputs = replace(problem.inputs, correlation_time=drive.correlation_time, damping_ratio=drive.damping_ratio)
-    return replace(problem, inputs=inputs, further=())
-
-
-def _with_levels(evidence: Evidence | JointEvidence, noise: NoiseModel, levels: Sequence[float | None]) -> NoiseModel:
-    """The same noise with unknown forces of every record that are driven so much; None: as before."""
-    forces = [own.equations.dynamics.forces for own in evidence.records]
-    each = [
-        own if level is None else own.driven_by(level, at)
-        for own, level, at in zip(noise.by_record, levels, forces, strict=True)
-    ]
-    return NoiseModel.of_records(each)
-
-
-def _driven_in_band(evidence: Evidence | JointEvidence, trained: Trained) -> Trained:
-    """The solution with unknown forces as large as they are in the record's band."""
-    if not _has_forces(evidence.problem):
-        return trained
-    for _ in range(LEVEL_ROUNDS):
-        noise = _with_levels(evidence, trained.noise, evidence.each_record(level_in_band, trained))
-        again = evidence.train(noise, trained.solution.point)
-        if again is None or not again.solution.converged:
-            break
-        trained = again
-    return trained
 
 
 def _refined(

@@ -16,9 +16,10 @@ from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.inference import InferenceSettings, starting_noise
+from pinn_cli.training.band.inferred import InferenceSettings
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel

@@ -1,0 +1,82 @@
+"""Solutions under the spectrum and the level that forces that nobody measured have in the record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.driving import Drive, level_in_band, spectrum_in_band
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.inferred import InferenceSettings, Inferred
+from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.noise_levels import settled
+from pinn_cli.training.history import History
+from pinn_cli.training.noise_model import NoiseModel
+
+# Rounds of the spectrum of unknown forces, of the noise levels under each, and of the forces' level at the end.
+COLOUR_ROUNDS, CORRELATION_ROUNDS, LEVEL_ROUNDS = 3, 3, 2
+
+
+def has_forces(problem: Problem) -> bool:
+    """Whether some forces were not measured."""
+    return any(own.inputs.forces for own in problem.by_record)
+
+
+def coloured(found: Inferred, settings: InferenceSettings, device: str, history: History) -> Inferred:
+    """The solution under the most probable spectrum of the unknown forces."""
+    for _ in range(COLOUR_ROUNDS):
+        drives = found.evidence.each_record(spectrum_in_band, found.trained)
+        if not any(drives):
+            break
+        again = _driven(found, drives, settings, device, history)
+        if again is None:
+            break
+        found = again
+    return found
+
+
+def _driven(
+    found: Inferred, drives: Sequence[Drive | None], settings: InferenceSettings, device: str, history: History
+) -> Inferred | None:
+    """The solution with other spectra; None of a record: as before. None where there is no solution."""
+    before = replace(found.evidence.problem, alternatives=())
+    first, *others = [_of_spectrum(own, drive) for own, drive in zip(before.by_record, drives, strict=True)]
+    networks = [own.equations.network for own in found.evidence.records]
+    evidence = settings.all_solved_by(replace(first, further=tuple(others)), networks, device, history)
+    levels = [None if drive is None else drive.level for drive in drives]
+    again = evidence.train(_with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point)
+    if again is None or not again.solution.converged:
+        return None
+    return Inferred(evidence, settled(evidence, again, settings.pooled, CORRELATION_ROUNDS))
+
+
+def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
+    if drive is None:
+        return replace(problem, further=())
+    inputs = replace(problem.inputs, correlation_time=drive.correlation_time, damping_ratio=drive.damping_ratio)
+    return replace(problem, inputs=inputs, further=())
+
+
+def _with_levels(evidence: Evidence | JointEvidence, noise: NoiseModel, levels: Sequence[float | None]) -> NoiseModel:
+    """The same noise with unknown forces of every record that are driven so much; None: as before."""
+    forces = [own.equations.dynamics.forces for own in evidence.records]
+    each = [
+        own if level is None else own.driven_by(level, at)
+        for own, level, at in zip(noise.by_record, levels, forces, strict=True)
+    ]
+    return NoiseModel.of_records(each)
+
+
+def driven_in_band(evidence: Evidence | JointEvidence, trained: Trained) -> Trained:
+    """The solution with unknown forces as large as they are in the record's band."""
+    if not has_forces(evidence.problem):
+        return trained
+    for _ in range(LEVEL_ROUNDS):
+        noise = _with_levels(evidence, trained.noise, evidence.each_record(level_in_band, trained))
+        again = evidence.train(noise, trained.solution.point)
+        if again is None or not again.solution.converged:
+            break
+        trained = again
+    return trained

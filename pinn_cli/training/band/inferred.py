@@ -1,0 +1,61 @@
+"""A solution of a problem, and how it is looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.estimate import Rival
+from pinn_cli.training.history import History
+from pinn_cli.training.whittle.whittle_estimate import KnownParameters
+
+
+@dataclass(frozen=True, eq=False)
+class Inferred:
+    """A solution, what it was found with, and others that explain the record as well."""
+
+    evidence: Evidence | JointEvidence
+    trained: Trained
+    rivals: tuple[Rival, ...] = ()
+
+    @property
+    def by_record(self) -> list[tuple[NormalEquations, Point]]:
+        """Of every record its equations, and the point where they are solved."""
+        equations = self.evidence.equations
+        points = equations.split(self.trained.solution.point)
+        return list(zip([own.equations for own in self.evidence.records], points, strict=True))
+
+
+@dataclass(frozen=True)
+class InferenceSettings:
+    """How a problem is solved; see :class:`pinn_cli.training.gauss_newton.GaussNewton`.
+
+    Attributes:
+        known: Parameters that are told before, and held.
+    """
+
+    iterations: int
+    tolerance: float
+    learn_spread: bool
+    pooled: bool
+    known: KnownParameters | None = None
+
+    def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
+        """What finds the solutions of one network."""
+        equations = NormalEquations(network, problem, device, self.known)
+        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
+
+    def all_solved_by(
+        self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History
+    ) -> Evidence | JointEvidence:
+        """What finds the solutions of one network for every record."""
+        pairs = zip(problem.by_record, networks, strict=True)
+        records = [self.solved_by(own, network, device, history) for own, network in pairs]
+        return records[0] if len(records) == 1 else JointEvidence(problem, records)
