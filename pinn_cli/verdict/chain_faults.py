@@ -40,7 +40,7 @@ MOST_STEPS = 12_000
 LEAST_FACTOR = 1.1
 # Steps times hypotheses times DOFs that are simulated at most: 50 DOFs would take minutes and gigabytes.
 MOST_WORK = 10_000_000
-# NMSE that counts as none: beyond it, one channel must not outweigh the others.
+# NMSE that counts as none: beyond it, one channel must not outweigh the others, and nothing is left to mend.
 FLOOR = 1e-3
 
 
@@ -53,6 +53,8 @@ def time_unit_fault(structure: Structure, record: Record, excused: Sequence[str]
         excused: Names of channels that have a fault of their own.
     """
     if not np.isfinite(record.force).all() or in_band(structure, record):
+        return None
+    if worst_misfit(predicted(structure, record), excused) < FLOOR:
         return None
     for seconds in UNITS:
         scaled = replace(record, time=record.time * seconds)
@@ -89,6 +91,8 @@ def mass_fault(structure: Structure, record: Record, excused: Sequence[str] = ()
     if not np.isfinite(record.force).all() or structure.shapes is not None:
         return None
     before = worst_misfit(predicted(structure, record), excused)
+    if before < FLOOR:
+        return None
     dofs = np.repeat(np.arange(structure.ndof), len(COARSE))
     factors = np.tile(COARSE, structure.ndof)
     score = _scores(structure, record, dofs, factors, PERIODS, excused)
