@@ -73,11 +73,11 @@ def sampled(
     for channel, column in zip(channels, values, strict=True):
         _check_samples(channel, column)
     time, even = clock.regular(first, last)
-    whole = even and not any(np.isnan(column).any() for column in values)
-    lines = _on_lines(channels, values, intersample, even)
+    whole = [even and not np.isnan(column).any() for column in values]
+    lines = _on_lines(channels, values, intersample, whole)
     values = [held_by_lines(column) if held else column for held, column in zip(lines, values, strict=True)]
     if factor > 1:
-        if not whole:
+        if not all(whole):
             hint = "an anti-alias filter needs every sample"
             raise InputError("data.decimate", factor, "1 where samples are missing or uneven", hint)
         values = list(decimate(np.stack(values, axis=1), factor).T)
@@ -89,15 +89,20 @@ def sampled(
 
 
 def _on_lines(
-    channels: Sequence[DataChannel], values: Sequence[np.ndarray], intersample: str | None, even: bool
+    channels: Sequence[DataChannel], values: Sequence[np.ndarray], intersample: str | None, whole: Sequence[bool]
 ) -> list[bool]:
     """Which channels are of what acts, and go on between their samples by straight lines.
+
+    Args:
+        channels: Of the file.
+        values: Their samples.
+        intersample: See :func:`sampled`.
+        whole: Which of them miss no sample, at even times.
 
     Raises:
         InputError: Where that was said of samples that are missing or uneven.
     """
     acts = [channel.sensor in (FORCE, GROUND) for channel in channels]
-    whole = [even and not np.isnan(column).any() for column in values]
     if intersample == FIRST_ORDER_HOLD:
         for channel, here, complete in zip(channels, acts, whole, strict=True):
             if here and not complete:

@@ -28,6 +28,21 @@ def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     return np.fft.rfftfreq(len(x), step), np.abs(spectrum) ** 2 / np.sum(window**2)
 
 
+def group_starts(first: int, stop: int, resolution: float) -> list[int]:
+    """Beginnings of groups of neighbouring bins, the first one's and on to ``stop``, wider the higher they lie.
+
+    Args:
+        first: Bin that the first group begins with.
+        stop: Bin behind the last one's.
+        resolution: Width of a group over its place.
+    """
+    starts, at = [], first
+    while at < stop:
+        starts.append(at)
+        at += max(1, int(resolution * at))
+    return starts
+
+
 def signal_band(x: np.ndarray, step: float) -> float:
     """Frequency up to which keeping a channel's content removes more error than the noise that comes with it, Hz.
 
@@ -134,7 +149,7 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
     if len(above) < FEWEST_BINS:
         return None
     lower, upper = np.array_split(above, 2)
-    chance = 3.0 * np.sqrt(1.0 / len(lower) + 1.0 / len(upper))
+    chance = _by_chance(lower, upper)
     if upper.mean() <= 0 or abs(np.log(lower.mean() / upper.mean())) > np.log(1.25) + chance:
         return None
     if above.mean() > MOST_OF_POWER * power.mean():
@@ -153,8 +168,12 @@ def reaches_nyquist(x: np.ndarray, step: float) -> bool:
     )
     if min(len(lower), len(upper)) < FEWEST_BINS or not upper.any():
         return False
-    chance = 3.0 * np.sqrt(1.0 / len(lower) + 1.0 / len(upper))
-    return bool(np.log(lower.mean() / upper.mean()) > chance)
+    return bool(np.log(lower.mean() / upper.mean()) > _by_chance(lower, upper))
+
+
+def _by_chance(lower: np.ndarray, upper: np.ndarray) -> float:
+    """How far the logarithm of the ratio of the mean powers of two parts of one noise may lie from 0."""
+    return float(3.0 * np.sqrt(1.0 / len(lower) + 1.0 / len(upper)))
 
 
 def occupied_band(residual: np.ndarray, step: float, top: float) -> float:

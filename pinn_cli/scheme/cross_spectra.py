@@ -9,7 +9,7 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import LOWEST_BINS, lowest_level, record_band
+from pinn_cli.record.spectrum import LOWEST_BINS, group_starts, lowest_level, record_band
 from pinn_cli.scheme.lagged_products import Products
 from pinn_cli.system.quantities import FORCE
 
@@ -123,13 +123,8 @@ def _floor(x: np.ndarray, step: float) -> np.ndarray:
 
 
 def _group_starts(first: int, stop: int, most: int) -> list[int]:
-    """Beginnings of groups of bins that are wider the higher they lie."""
+    """See :func:`group_starts`: so many at most."""
     resolution = RELATIVE_RESOLUTION
-    while True:
-        starts, at = [], first
-        while at < stop:
-            starts.append(at)
-            at += max(1, int(resolution * at))
-        if len(starts) <= most:
-            return starts
+    while len(starts := group_starts(first, stop, resolution)) > most:
         resolution *= 1.5
+    return starts

@@ -65,12 +65,12 @@ def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int
     if not free or not seen.sensing.size or not seen.acting.size or not seen.low < seen.high:
         return []
     match = _Match(structure, free, seen)
+    ends = match.starts()
+    for off_axis in OFF_AXIS:
+        match.look(off_axis)
+        ends = [match.fitted(x) for x in ends]
     found: list[tuple[float, np.ndarray]] = []
-    for start in match.starts():
-        x = start
-        for off_axis in OFF_AXIS:
-            match.look(off_axis)
-            x = match.fitted(x)
+    for x in ends:
         apart = match.apart(x)
         known = [np.zeros(len(free)), *(other for _, other in found)]
         if apart < SAME_RESPONSE and all(np.abs(x - other).max() > SAME for other in known):

@@ -54,8 +54,6 @@ def time_unit_fault(structure: Structure, record: Record, excused: Sequence[str]
     """
     if not np.isfinite(record.force).all() or in_band(structure, record):
         return None
-    if worst_misfit(predicted(structure, record), excused) < FLOOR:
-        return None
     for seconds in UNITS:
         scaled = replace(record, time=record.time * seconds)
         if not in_band(structure, scaled) or (prediction := predicted(structure, scaled)) is None:
@@ -70,6 +68,11 @@ def unit_finding(seconds: float, left: float) -> Finding:
     """That the unit of the time axis is so many seconds long."""
     reason = f"the structure does what was measured if the time is in {UNITS[seconds]}"
     return Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed", left)
+
+
+def has_faults(structure: Structure, record: Record, excused: Sequence[str] = ()) -> bool:
+    """Whether there is anything to mend: a structure that does what was measured has the right masses and units."""
+    return worst_misfit(predicted(structure, record), excused) >= FLOOR
 
 
 def in_band(structure: Structure, record: Record) -> bool:
@@ -91,8 +94,6 @@ def mass_fault(structure: Structure, record: Record, excused: Sequence[str] = ()
     if not np.isfinite(record.force).all() or structure.shapes is not None:
         return None
     before = worst_misfit(predicted(structure, record), excused)
-    if before < FLOOR:
-        return None
     dofs = np.repeat(np.arange(structure.ndof), len(COARSE))
     factors = np.tile(COARSE, structure.ndof)
     score = _scores(structure, record, dofs, factors, PERIODS, excused)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.verdict.chain_faults import mass_fault, time_unit_fault
+from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.input_findings import input_findings
@@ -78,8 +78,9 @@ def _prediction(
 
 def _causes(problem: Problem, estimated: Structure, excused: Sequence[str]) -> list[Finding]:
     """The first cause that mends the prescribed chain's prediction or the estimated one's; nothing where none does."""
+    doubtful = [s for s in (problem.structure, estimated) if has_faults(s, problem.record, excused)]
     for test in (time_unit_fault, mass_fault):
-        for structure in (problem.structure, estimated):
+        for structure in doubtful:
             found = test(structure, problem.record, excused=excused)
             if found is not None:
                 return [found]

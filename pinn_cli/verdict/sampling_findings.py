@@ -11,6 +11,7 @@ from pinn_cli.record.channels import channels
 from pinn_cli.record.interpolation import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.spectrum import reaches_nyquist
 from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import is_linear, predicted
 
 if TYPE_CHECKING:
@@ -54,9 +55,7 @@ def _told_apart(structure: Structure, record: Record, other: Record, estimate: E
         return 0.0
     told = [0.0]
     for channel in channels(record):
-        noise = np.asarray(estimate.summary.get(f"sigma_{channel.quantity}", np.nan), dtype=float)
-        if noise.ndim != 1 or not 0 <= channel.dof < len(noise) or not noise[channel.dof] > 0:
-            continue
-        apart = [getattr(x.response, channel.quantity)[:, channel.dof] for x in (one, two)]
-        told.append(float(np.linalg.norm(apart[0] - apart[1]) / noise[channel.dof]))
+        noise = noise_found(estimate, channel)
+        if noise > 0:
+            told.append(float(np.linalg.norm(channel.of(one.response) - channel.of(two.response)) / noise))
     return max(told)

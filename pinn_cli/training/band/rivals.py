@@ -5,18 +5,18 @@ One search ends at one of them, whichever lies on its way, and standard deviatio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
-from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, MOTION
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.twins import Seen, twins
 from pinn_cli.training.band.discrepancy_search import Trained
@@ -93,10 +93,10 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     for record in records:
         sensing += [one[dof] for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         acting += [one[dof] for dof in np.flatnonzero(record.sensors(FORCE))]
-        for gauge in record.gauges:
+        for gauge in (gauge for gauge in record.gauges if gauge.dof is None):  # one of a single DOF has a column, too
             weights = np.zeros(structure.ndof)
             weights[list(gauge.weights)] = list(gauge.weights.values())
-            if gauge.quantity in MOTION:
+            if gauge.quantity in RESPONSE_QUANTITIES:
                 sensing.append(weights)
             elif gauge.quantity == FORCE:
                 acting.append(weights)
@@ -143,8 +143,7 @@ def _differ(evidence: Evidence | JointEvidence, a: Trained, b: Trained) -> bool:
 def _distance(evidence: Evidence | JointEvidence, trained: Trained) -> float:
     """Of the unknown masses and springs from where they started, as logarithms."""
     pairs = [(x, p.prescribed) for p, x in _values(evidence, trained).items() if p.unknown and p.kind in (MASS, "k")]
-    ratios = torch.tensor([x / start for x, start in pairs if x > 0 and start > 0])
-    return float(ratios.log().square().sum())
+    return sum(math.log(x / start) ** 2 for x, start in pairs if x > 0 and start > 0)
 
 
 def _rival(evidence: Evidence | JointEvidence, trained: Trained, log_odds: float) -> Rival:

@@ -9,7 +9,7 @@ from scipy.signal.windows import tukey
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import record_band, signal_edges
+from pinn_cli.record.spectrum import group_starts, record_band, signal_edges
 
 # Part of the record that the taper takes at both ends together: what resonances leak falls off steeply then.
 TAPERED = 0.1
@@ -59,7 +59,7 @@ class CrossSpectrum:
         last = int(np.searchsorted(frequency, BELOW_EDGE * record_band(record), side="right"))
         if not last - first >= FEWEST_BINS:
             return None
-        starts = _group_starts(first, last)
+        starts = group_starts(first, last, RELATIVE_RESOLUTION)
         size = np.diff([*starts, last])
 
         def averaged(values: np.ndarray) -> np.ndarray:
@@ -69,11 +69,3 @@ class CrossSpectrum:
         share = float(np.sum(taper**2) ** 2 / (len(taper) * np.sum(taper**4)))
         power = averaged(spectrum[:, :, None] * spectrum[:, None, :].conj())
         return cls(2.0 * np.pi * averaged(frequency), share * size, power, sensors, loads)
-
-
-def _group_starts(first: int, last: int) -> np.ndarray:
-    """Beginnings of groups of bins that are wider the higher they lie."""
-    starts = [first]
-    while starts[-1] < last:
-        starts.append(starts[-1] + max(1, int(RELATIVE_RESOLUTION * starts[-1])))
-    return np.array(starts[:-1])
