@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from scipy.special import kolmogorov
 
 from pinn_cli.record.channels import channels, clipped_percent, constant_percent
 from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
@@ -35,6 +36,7 @@ COLUMNS = (
     "band_share_percent", "free_run_nmse_percent", "clipped_percent", "constant_percent",
 )  # fmt: skip
 LAGS = 20  # of the autocorrelation
+MANY = 2000  # independent shares, from which on the limit of their distribution is right to a hundredth
 
 
 def nmse_percent(left: np.ndarray, signal: np.ndarray) -> float:
@@ -133,8 +135,21 @@ def cumulated_deviation(values: np.ndarray) -> float:
 
 def white_probability(values: np.ndarray) -> float:
     """The probability that white noise of as many samples deviates further than values (N,) do; NaN where constant."""
-    from scipy.stats import kstwo  # not above: it takes longer to import than many a training
-
     deviation = cumulated_deviation(values)
     shares = (len(values) + 1) // 2 - 2
-    return float(kstwo.sf(deviation, shares)) if np.isfinite(deviation) else np.nan
+    return exceeded(deviation, shares) if np.isfinite(deviation) else np.nan
+
+
+def exceeded(deviation: float, shares: int) -> float:
+    """The chance that so many independent shares deviate further: Kolmogorov's, two-sided.
+
+    From `MANY` on it is the limit with a correction of order 1/n (J. Vrbik, Small-sample corrections to
+    Kolmogorov-Smirnov test statistic, Pioneer Journal of Theoretical and Applied Statistics 15, 2018): within 1 % of
+    the exact one down to chances of 1e-5.
+    """
+    if shares >= MANY:
+        scaled = np.sqrt(shares) * deviation
+        return float(kolmogorov(scaled + 1.0 / (6.0 * np.sqrt(shares)) + (scaled - 1.0) / (4.0 * shares)))
+    from scipy.stats import kstwo  # not above: it takes longer to import than many a training
+
+    return float(kstwo.sf(deviation, shares))

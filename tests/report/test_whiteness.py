@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import kstwo
 
 from pinn_cli.report.residuals import (
+    MANY,
     autocorrelation,
     cumulated_deviation,
     cumulated_periodogram,
+    exceeded,
     white_probability,
 )
 
@@ -24,6 +27,12 @@ def test_of_white_noise_every_probability_is_as_likely_as_any_other(samples):
 def test_noise_with_a_memory_is_not_white(coefficient):
     noise = np.random.default_rng(0).normal(size=1001)
     assert white_probability(noise[1:] + coefficient * noise[:-1]) < 1e-6
+
+
+@pytest.mark.parametrize("chance", [0.9, 0.5, 0.05, 1e-3, 1e-5])
+@pytest.mark.parametrize("shares", [MANY, 20_000])
+def test_the_limit_for_many_shares_is_right_to_a_hundredth(chance, shares):
+    assert exceeded(kstwo.isf(chance, shares), shares) == pytest.approx(chance, rel=0.01)
 
 
 def test_an_offset_and_a_scale_are_neither_here_nor_there():

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal.windows import tukey
 
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
@@ -47,6 +46,8 @@ class CrossSpectrum:
     @classmethod
     def of(cls, record: Record) -> CrossSpectrum | None:
         """Over the record's own band; None where that holds too little."""
+        from scipy.signal.windows import tukey  # not above: few runs come here, and it takes 0.15 s to import
+
         sensors = tuple((q, int(dof)) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q)))
         loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors("force")))
         columns = [getattr(record, q)[:, dof] for q, dof in sensors] + [record.force[:, dof] for dof in loads]

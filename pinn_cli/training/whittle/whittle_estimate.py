@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.parameter_spread import updated_spread
@@ -224,7 +224,7 @@ class Whittle:
             if told < FEWEST_IN_PART:
                 continue
             left = np.einsum("g,gst->st", count[own], power[own]) / told - np.eye(size)
-            by_chance = chi2.sf(told * np.sum(np.abs(left) ** 2), size**2) * parts
+            by_chance = chdtrc(size**2, told * np.sum(np.abs(left) ** 2)) * parts
             if by_chance < IMPROBABLE:
                 worst = max(worst, float(np.linalg.norm(left, 2)))
         return worst
