@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 def draw(structure: Structure) -> str:
     """The chain from its fixed end, one connection and one mass a line.
 
+    >>> from pinn_cli.system.building import build_chain
+    >>> from pinn_cli.system.connection.duffing import Duffing
     >>> print(draw(build_chain(2, Duffing(), m=10.0, c=1.0, k=[15.0, 14.0], kappa=100.0)))
     ///
      |   c_1 = 1  k_1 = 15  kappa_1 = 100

@@ -1,0 +1,70 @@
+"""The commands of README.md and docs/, for the tests that pose them and those that run them."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import IntervalSweep
+
+ROOT = Path(__file__).parents[1]
+MY_STRUCTURE = ROOT / "docs" / "how-to" / "my-structure.md"
+OWN_RECORD = ROOT / "docs" / "how-to" / "own-record.md"
+TUTORIAL = ROOT / "docs" / "tutorial.md"
+# What extending.md shows runs in test_extending.py.
+PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "extending.md"})]
+FENCED = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)
+# Packages of extras that a command needs.
+EXTRAS = {"tracking=mlflow": "mlflow", "tracking=tensorboard": "tensorboard", "launcher=slurm": "submitit"}
+EXTRAS |= {"launcher=ray": "ray", "sweeper=search": "optuna", "experiment=search": "optuna", "search/": "optuna"}
+
+
+def commands(page: Path) -> Iterator[str]:
+    """Those in fenced blocks, continued lines put together."""
+    for block in FENCED.findall(page.read_text(encoding="utf-8")):
+        for line in block.replace("\\\n", " ").splitlines():
+            if line.startswith("pinn-run "):
+                yield line
+
+
+EVERY = sorted(
+    {" ".join(shlex.split(line, comments=True)[1:]): line for page in PAGES for line in commands(page)}.values()
+)
+RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run inspect", line)]
+LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
+
+
+def missing_package(line: str) -> str | None:
+    """The package of an extra that a command needs and that is not installed."""
+    needed = (package for mark, package in EXTRAS.items() if mark in line)
+    return next((package for package in needed if importlib.util.find_spec(package) is None), None)
+
+
+def first_job(arguments: list[str]) -> list[str]:
+    """The overrides of a sweep's first job; of any other run its own."""
+    out = []
+    for override in OverridesParser.create().parse_overrides(arguments):
+        text = override.input_line or ""
+        if override.is_sweep_override():
+            value = override.value()
+            first = value.start if isinstance(value, IntervalSweep) else next(override.sweep_string_iterator())
+            text = f"{override.get_key_element()}={first}"
+        # The command line has a map's keys added, and these tests have no GPU.
+        out.append(re.sub(r"^(?=[\w.]+=\{)", "++", text).replace("device=cuda", "device=cpu"))
+    return out
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Fenced blocks of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def write_configuration(folder: Path) -> None:
+    """my_configs/experiment/my_rig.yaml of own-record.md."""
+    (experiment,) = (block for block in blocks(OWN_RECORD, "yaml") if "case: my_rig" in block)
+    (folder / "my_configs" / "experiment").mkdir(parents=True)
+    (folder / "my_configs" / "experiment" / "my_rig.yaml").write_text(experiment)

@@ -1,0 +1,60 @@
+"""Every command of README.md and docs/ runs to its end; a sweep's first job in its place."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from calls import PinnRun
+from documented_commands import (
+    LOOKS,
+    MY_STRUCTURE,
+    RUNS,
+    TUTORIAL,
+    blocks,
+    first_job,
+    missing_package,
+    write_configuration,
+)
+
+# They take hours: test_documented_commands.py poses them.
+HOURS = re.compile(r"paper_training")
+# Where the jobs of a sweep go, and who chooses them: a job is a run like any other.
+OF_SWEEPS = re.compile(r"hydra/launcher|hydra/sweeper|hydra\.launcher\.|hydra\.sweeper\.")
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the records, matrices and configurations that the pages speak of, made by what they show."""
+    folder = tmp_path_factory.mktemp("measured")
+    scripts = [block for block in blocks(TUTORIAL, "python") if "rig.csv" in block] + blocks(MY_STRUCTURE, "python")
+    for script in scripts:
+        subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
+    shutil.copy(folder / "rig.csv", folder / "second.csv")
+    write_configuration(folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", [line for line in (*RUNS, *LOOKS) if not HOURS.search(line)])
+def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun) -> None:
+    if package := missing_package(line):
+        pytest.skip(f"{package} is not installed")
+    arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
+    options = arguments[:1] if arguments[:1] == ["inspect"] else []
+    if "--config-dir" in arguments:
+        place = arguments.index("--config-dir")
+        options += arguments[place : place + 2]
+        del arguments[place : place + 2]
+    overrides = [a for a in arguments if a != "inspect" and not OF_SWEEPS.search(a)]
+    # A search is of what its experiment runs.
+    overrides = [re.sub(r",search/\w+|^experiment=search/\w+$", "", override) for override in overrides]
+    shutil.copytree(measured, Path.cwd(), dirs_exist_ok=True)
+    outcome = pinn_run(*options, *first_job([override for override in overrides if override]))
+    assert outcome.status == 0, outcome.err
+    assert outcome.directory.is_dir()
