@@ -9,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpbtrf
 
+from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.triangular_bands import backward, forward
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
@@ -31,18 +32,17 @@ class BandFactor:
     scale: np.ndarray
 
     @classmethod
-    def of(cls, band: np.ndarray, damping: float = 0.0) -> BandFactor | None:
-        """The factor of a lower band (half_width + 1, size); None if A is not positive definite.
+    def of(cls, matrix: Diagonals, damping: float = 0.0) -> BandFactor | None:
+        """The factor of a band; None if it is not positive definite.
 
         Args:
-            band: Entry [i - j, j] is A[i, j].
+            matrix: A.
             damping: Added to the scaled diagonal.
         """
-        with np.errstate(invalid="ignore"):
-            scale = np.sqrt(band[0])
-        if not np.all(np.isfinite(scale)) or np.any(scale == 0):
+        scale = root_of(matrix.main)
+        if scale is None:
             return None
-        scaled = _scaled(band, 1.0 / scale)
+        scaled = _scaled(matrix, 1.0 / scale)
         scaled[0] += damping + ROUNDING_JITTER
         factor, failed = dpbtrf(scaled, lower=1, overwrite_ab=1)
         return None if failed else cls(factor, scale)
@@ -84,14 +84,22 @@ class BandFactor:
         return out
 
 
-def _scaled(band: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """A copy of a lower band in Fortran's order, its rows and columns multiplied by units (size,)."""
-    rows, size = band.shape
-    out = np.empty(band.shape, order="F")
+def root_of(diagonal: np.ndarray) -> np.ndarray | None:
+    """The square root of a diagonal (size,); None where a matrix that has it is not positive definite."""
+    with np.errstate(invalid="ignore"):
+        scale: np.ndarray = np.sqrt(diagonal)
+    return scale if np.all(np.isfinite(scale)) and np.all(scale > 0) else None
+
+
+def _scaled(matrix: Diagonals, unit: np.ndarray) -> np.ndarray:
+    """Lower band in Fortran's order, rows and columns multiplied by units (size,)."""
+    rows, size = matrix.half_width + 1, matrix.size
+    kept = slice(None) if len(matrix.offsets) == rows else matrix.offsets
+    out = np.zeros((rows, size), order="F")
     of_rows = sliding_window_view(np.concatenate((unit, np.zeros(rows - 1))), rows).T  # [i - j, j]: of row i
     for start in range(0, size, CHUNK):
         part = slice(start, min(start + CHUNK, size))
-        np.multiply(band[:, part] * unit[part], of_rows[:, part], out=out[:, part])
+        out[kept, part] = matrix.values[:, part] * unit[part] * of_rows[kept, part]
     return out
 
 

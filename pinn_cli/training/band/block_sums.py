@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.band.equation_rows import EquationRows
+from pinn_cli.training.band.diagonals import Diagonals
+from pinn_cli.training.band.equation_rows import EquationRows, RowPattern
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.band.time_major import TimeMajorSums
 
@@ -17,6 +18,16 @@ CHUNK = 64
 
 class BlockSums(TimeMajorSums):
     """The sums of :class:`TimeMajorSums`; rows that touch every function are multiplied as dense ones."""
+
+    def __init__(self, stride: int, features: int, count: int, pattern: RowPattern) -> None:
+        super().__init__(stride, features, count, pattern)
+        self._band = np.zeros((self.half_width + 1, self._length))
+        self._diagonals = dict(enumerate(self._band))
+
+    @property
+    def band(self) -> Diagonals:
+        """See :attr:`RowSums.band`."""
+        return Diagonals.of_band(self._band[:, self._inside])
 
     def add_rows(
         self,

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
+from scipy.sparse import csr_matrix
 
-from pinn_cli.training.band.band_factor import BandFactor
+from pinn_cli.training.band.band_elimination import BandElimination
+from pinn_cli.training.band.diagonals import Diagonals
+from pinn_cli.training.band.front_elimination import FrontElimination
+from pinn_cli.training.band.front_tree import FrontTree
+from pinn_cli.training.band.readout_factor import ReadoutFactor
 
 # Steps that a bounded solution may take per parameter; one or two is the rule.
 NNLS_STEPS = 100
@@ -17,21 +21,23 @@ NNLS_STEPS = 100
 
 @dataclass(frozen=True, eq=False)
 class BorderedSystem:
-    """Normal equations [[A, B], [B^T, C]] [w, x] = -[g, h], in float64 on the CPU, where LAPACK's band solvers are.
+    """Normal equations [[A, B], [B^T, C]] [w, x] = -[g, h], in float64 on the CPU, where LAPACK is.
 
     Attributes:
-        band: Lower band of A, (half_width + 1, size); entry [i - j, j] is A[i, j].
-        border: B, (size, p).
+        band: A.
+        border: B, (size, p), sparse or not.
         corner: C, (p, p).
         gradient: g, (size,).
         corner_gradient: h, (p,).
+        tree: The order in which the readout weights are eliminated; None: one after the other, within the band.
     """
 
-    band: np.ndarray
-    border: np.ndarray
+    band: Diagonals
+    border: np.ndarray | csr_matrix
     corner: np.ndarray
     gradient: np.ndarray
     corner_gradient: np.ndarray
+    tree: FrontTree | None = None
 
     def factor(self, damping: float = 0.0) -> BorderedFactor | None:
         """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
@@ -40,22 +46,30 @@ class BorderedSystem:
 
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
         """The readout weights eliminated, damped likewise; None if A is not positive definite."""
-        readout = BandFactor.of(self.band, damping)
+        readout = _eliminated(self.band, self.border, self.tree, damping)
         if readout is None:
             return None
-        half_solved = readout.forward(self.border)
-        schur = self.corner - half_solved.T @ half_solved
+        schur = self.corner - readout.border_gram
         schur[np.diag_indices_from(schur)] += damping * np.diag(self.corner)
-        return Eliminated(readout, half_solved, schur)
+        return Eliminated(readout, schur)
 
     def readout_step(self) -> np.ndarray | None:
         """W (size,) of the solution with the parameters held; None if A is not positive definite."""
-        readout = BandFactor.of(self.band)
-        return None if readout is None else -readout.backward(readout.forward(self.gradient))
+        tree, nothing = None if self.tree is None else self.tree.alone, csr_matrix((self.band.size, 0))
+        readout = _eliminated(self.band, nothing, tree)
+        return None if readout is None else -readout.solved(readout.half_solved(self.gradient)[0], np.zeros(0))
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
         return -float(self.gradient @ step[0] + self.corner_gradient @ step[1])
+
+
+def _eliminated(
+    band: Diagonals, border: np.ndarray | csr_matrix, tree: FrontTree | None, damping: float = 0.0
+) -> ReadoutFactor | None:
+    if tree is None:
+        return BandElimination.of(band, border, damping)
+    return FrontElimination.of(tree, band, csr_matrix(border), damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +77,11 @@ class Eliminated:
     """A :class:`BorderedSystem` without its readout weights.
 
     Attributes:
-        readout, half_solved: See :class:`BorderedFactor`.
+        readout: A, factored.
         complement: Schur complement C - B^T A^-1 B, (p, p), its corner damped.
     """
 
-    readout: BandFactor
-    half_solved: np.ndarray
+    readout: ReadoutFactor
     complement: np.ndarray
 
     def factor(self, complement: np.ndarray) -> BorderedFactor | None:
@@ -81,7 +94,7 @@ class Eliminated:
             schur = np.linalg.cholesky((complement + complement.T) / 2.0)
         except np.linalg.LinAlgError:
             return None
-        return BorderedFactor(self.readout, self.half_solved, schur)
+        return BorderedFactor(self.readout, schur)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,24 +102,17 @@ class BorderedFactor:
     """A factored :class:`BorderedSystem`.
 
     Attributes:
-        readout: Of A = R R^T.
-        half_solved: R^-1 B, (size, p).
+        readout: Of A.
         schur: Cholesky factor of C - B^T A^-1 B, (p, p).
     """
 
-    readout: BandFactor
-    half_solved: np.ndarray
+    readout: ReadoutFactor
     schur: np.ndarray
 
     @property
     def size(self) -> int:
         """Of all unknowns."""
-        return len(self.readout.scale) + len(self.schur)
-
-    @cached_property
-    def solved_border(self) -> np.ndarray:
-        """A^-1 B, (size, p)."""
-        return self.readout.backward(self.half_solved)
+        return self.readout.size + len(self.schur)
 
     def step(self, system: BorderedSystem, lower: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Solution (w, x) of the system: the least of its quadratic form, with x >= lower if that is given.
@@ -119,13 +125,13 @@ class BorderedFactor:
         return self.readout_step(half, x), x
 
     def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
-        """R^-1 g (size,), and the right-hand side (p,) of the parameters with the readout weights eliminated."""
-        half = self.readout.forward(system.gradient)
-        return half, self.half_solved.T @ half - system.corner_gradient
+        """Half solved gradient (size,), and the parameters' right-hand side (p,), the readout weights eliminated."""
+        half, right = self.readout.half_solved(system.gradient)
+        return half, right - system.corner_gradient
 
     def readout_step(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """W (size,) that goes with x (p,), from R^-1 g."""
-        return -self.readout.backward(half + self.half_solved @ x)
+        """W (size,) that goes with x (p,), from the half solved gradient."""
+        return -self.readout.solved(half, x)
 
     def of_parameters(self, right: np.ndarray, lower: np.ndarray | None = None) -> np.ndarray:
         """X (p,) of that right-hand side, with x >= lower if that is given."""
@@ -178,9 +184,9 @@ class BorderedFactor:
         Args:
             normals: (size + p, count), independent standard ones.
         """
-        size = len(self.readout.scale)
+        size = self.readout.size
         x = solve_triangular(self.schur, normals[size:], lower=True, trans="T")
-        return self.readout.backward(normals[:size] - self.half_solved @ x), x
+        return self.readout.solved(normals[:size], -x), x
 
     def deviations(self, rows: np.ndarray, by_parameter: np.ndarray) -> np.ndarray:
         """(q,), standard deviations of linear functions of weights and parameters, with the inverse as covariance.
@@ -189,11 +195,7 @@ class BorderedFactor:
             rows: (size, q), by the readout weights.
             by_parameter: (p, q).
         """
-        own = self.readout.forward(rows)
-        through = solve_triangular(self.schur, by_parameter - self.half_solved.T @ own, lower=True)
+        own, taken = self.readout.half_solved(rows)
+        through = solve_triangular(self.schur, by_parameter - taken, lower=True)
         deviation: np.ndarray = np.sqrt(np.sum(own**2, axis=0) + np.sum(through**2, axis=0))
         return deviation
-
-    def inverse_band(self) -> np.ndarray:
-        """See :meth:`BandFactor.inverse_band`."""
-        return self.readout.inverse_band()

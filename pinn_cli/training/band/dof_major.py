@@ -7,9 +7,11 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.equation_rows import CHUNK, EquationRows, RowPattern
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.row_sums import RowSums
@@ -92,22 +94,27 @@ class DofMajorSums(RowSums):
     def add_border(self, segments: Segments, moment: Tensor, function: int, place: int) -> None:
         """See :meth:`RowSums.add_border`."""
         position = self.layout.positions(segments.feature.cpu().numpy(), np.array(function))
-        np.add.at(self.border[:, place], position, moment.cpu().numpy())
+        np.add.at(self._border[:, place], position, moment.cpu().numpy())
 
     @property
-    def band(self) -> np.ndarray:
+    def band(self) -> Diagonals:
         """See :attr:`RowSums.band`."""
         band = self.layout.band(self.readout[..., : self.columns]).cpu().numpy()
-        return band if self._pairs is None else band + self._pairs
+        return Diagonals.of_band(band if self._pairs is None else band + self._pairs)
 
     @property
     def gradient(self) -> np.ndarray:
         """See :attr:`RowSums.gradient`."""
         return self.layout.vector(self.readout[..., -1:])[:, 0].cpu().numpy() + self._moments
 
-    @cached_property
-    def border(self) -> np.ndarray:
+    @property
+    def border(self) -> csr_matrix:
         """See :attr:`RowSums.border`."""
+        return csr_matrix(self._border)
+
+    @cached_property
+    def _border(self) -> np.ndarray:
+        """(size, places)."""
         border = self.readout.new_zeros((self.layout.size, self.pattern.count))
         for i, slots, place in self._used():
             columns = self.readout[:, i, :, self.columns : -1][..., slots]

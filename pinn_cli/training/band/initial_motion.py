@@ -9,6 +9,7 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
@@ -38,18 +39,18 @@ class InitialMotion:
         self.jacobian = rows / rows.new_tensor(deviation)[:, :, None]
         place = layout.positions(feature[None], np.arange(len(deviation))[:, None])  # (F, B)
         self.place = torch.as_tensor(place, device=rows.device)
-        row, column = self.place[:, :, None], self.place[:, None, :]
-        self.lower = (row >= column).expand(-1, *self.place.shape[1:], -1)
-        self.diagonal, self.column = (row - column)[self.lower], column.expand_as(self.lower)[self.lower]
+        row, column = np.broadcast_arrays(place[:, :, None], place[:, None, :])
+        self.lower = row >= column
+        self.row, self.column = row[self.lower], column[self.lower]
 
     def loss(self, unknowns: Tensor) -> float:
         """Sum of squares."""
         return float(self._residuals(unknowns).square().sum())
 
-    def add(self, band: Tensor, gradient: Tensor, unknowns: Tensor) -> None:
-        """Add their part to a normal matrix, whose lower band (half_width + 1, size) is given, and to its gradient."""
-        gram = self.jacobian.mT @ self.jacobian
-        band.index_put_((self.diagonal, self.column), gram[self.lower], accumulate=True)
+    def add(self, band: Diagonals, gradient: Tensor, unknowns: Tensor) -> None:
+        """Add their part to a normal matrix and to its gradient."""
+        gram = (self.jacobian.mT @ self.jacobian).cpu().numpy()
+        band.add(self.row, self.column, gram[self.lower])
         pull = torch.einsum("fr,frb->fb", self._residuals(unknowns), self.jacobian)
         gradient.index_add_(0, self.place.reshape(-1), pull.reshape(-1))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,13 +17,13 @@ class KnownBorderSystem(BorderedSystem):
         covariance: (p, p), of the parameters; the readout weights' own is that about the parameters and what these add.
     """
 
-    covariance: np.ndarray
+    covariance: np.ndarray = field(kw_only=True)
 
     def factor(self, damping: float = 0.0) -> BorderedFactor | None:
         """See :meth:`BorderedSystem.factor`."""
         eliminated = self.eliminated(damping)
         found = None if eliminated is None else eliminated.factor(np.linalg.inv(self.covariance))
-        return None if found is None else KnownBorderFactor(found.readout, found.half_solved, found.schur)
+        return None if found is None else KnownBorderFactor(found.readout, found.schur)
 
 
 @dataclass(frozen=True, eq=False)

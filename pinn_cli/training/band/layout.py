@@ -10,10 +10,12 @@ from torch import Tensor
 
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
+from pinn_cli.training.band.dissection import Dissection, Grid
 from pinn_cli.training.band.equation_rows import RowPattern
 
-# Held at the same time: the normal matrix, its scaled copy that becomes the factor, and the band of the inverse.
-BANDS = 3
+# Held at the same time. Within the band: the factor, a copy that is made, and the band of the inverse. By dissection:
+# the factor, and what the motion does with each parameter, in two units.
+BANDS, BORDERS = 3, 2
 
 
 class BandLayout:
@@ -29,6 +31,10 @@ class BandLayout:
         pattern: Which DOFs are coupled.
         feature_first: Which order; None: the narrower.
 
+    Attributes:
+        dissection: The order of elimination that takes fewer operations than one weight after the other; None where
+            that is the cheapest.
+
     Raises:
         InputError: This machine cannot hold the band, counted before it is made.
     """
@@ -41,12 +47,18 @@ class BandLayout:
         self.feature_first = by_feature <= by_dof if feature_first is None else feature_first
         self.half_width = by_feature if self.feature_first else by_dof
         self.count, self.ndof, self.size = count, ndof, count * ndof
+        grid = Grid(count, ndof, span, pattern.reach, pattern.count)
+        cheapest = Dissection(grid) if self.feature_first else None
+        self.dissection = cheapest if cheapest is not None and cheapest.best.cost < grid.band_cost else None
         self._check_memory()
         self.local = self.columns(feature)
         self.device = feature.device
 
     def _check_memory(self) -> None:
-        needed, memory = 8 * BANDS * (self.half_width + 1) * self.size, of_this_machine()
+        numbers = float(BANDS * (self.half_width + 1) * self.size)
+        if self.dissection is not None:
+            numbers = self.dissection.best.entries + BORDERS * self.size * self.pattern.count
+        needed, memory = 8 * numbers, of_this_machine()
         if needed > memory:
             allowed = f"such that a run fits into the memory of this machine, {memory / 2**30:.3g} GiB"
             rows = f"{self.count} features x {self.ndof} DOFs in a band of {self.half_width + 1}"

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.base import States
@@ -28,6 +29,7 @@ from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
+from pinn_cli.training.band.front_tree import FrontTree
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.initial_motion import initial_motion
 from pinn_cli.training.band.known_border import KnownBorderSystem
@@ -101,6 +103,7 @@ class NormalEquations(Bounded):
         self.gauge_rows = self._gauge_rows()
         self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
         self.ridge: float | np.ndarray | None = None
+        self._tree: FrontTree | None = None
         self._kept_point: Point | None = None
         self._kept_states: dict[int, States] = {}
 
@@ -357,17 +360,25 @@ class NormalEquations(Bounded):
     def _system(self, sums: RowSums, point: Point, precision: Tensor) -> BorderedSystem:
         pick, band = self.vector.column, sums.band
         if self.ridge is None:
-            self.ridge = ridge_of(band[0], self.dynamics, self.layout)
-        band[0] += self.ridge
+            self.ridge = ridge_of(band.main, self.dynamics, self.layout)
+        band.main[:] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         if self.begins is not None:
-            self.begins.add(torch.from_numpy(band), torch.from_numpy(gradient), point.unknowns.cpu())
+            self.begins.add(band, torch.from_numpy(gradient), point.unknowns.cpu())
         corner = sums.corner[np.ix_(pick, pick)] + np.diag(precision.cpu().numpy())
         slope = sums.slope[pick] + (precision * point.parameters).cpu().numpy()
-        border = sums.border
-        border = border if np.array_equal(pick, np.arange(border.shape[1])) else border[:, pick]
-        system = BorderedSystem(band, border, corner, gradient, slope)
+        border = sums.border[:, pick]
+        system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
         return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)
+
+    def _order_of_elimination(self, border: csr_matrix) -> FrontTree | None:
+        """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
+        dissection = self.layout.dissection
+        if dissection is None:
+            return None
+        if self._tree is None or not self._tree.suits(border):
+            self._tree = FrontTree(dissection.grid, dissection.tree(), border)
+        return self._tree
 
 
 def _part(weight: Tensor, groups: slice) -> Tensor:

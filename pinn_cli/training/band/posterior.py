@@ -24,8 +24,8 @@ class ReadoutPosterior:
 
     def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
         self.equations, self.point, self.factor = equations, point, factor
-        self.band = torch.as_tensor(factor.inverse_band())
-        self.solved = torch.as_tensor(factor.solved_border)
+        self.inverse = factor.readout.inverse()
+        self.solved = torch.as_tensor(factor.readout.solved_border)
         # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
         self.root = torch.linalg.cholesky(torch.as_tensor(factor.corner_covariance))
 
@@ -151,10 +151,9 @@ class ReadoutPosterior:
         return held - jacobian @ self.solved[position]
 
     def _window(self, position: Tensor) -> Tensor:
-        """Entries (I, C, C) of the inverse's band at the given positions (I, C)."""
-        row, column = position[:, :, None], position[:, None, :]
-        offset = (row - column).abs().clamp(max=len(self.band) - 1)
-        return self.band[offset, torch.minimum(row, column)]
+        """Entries (I, C, C) of the inverse at the given positions (I, C)."""
+        place = position.numpy()
+        return torch.as_tensor(self.inverse.at(place[:, :, None], place[:, None, :]))
 
 
 def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor) -> Tensor:
@@ -186,14 +185,19 @@ class LocalRows:
         self.averages = None if averages is None else averages.part(part)
         self.rows = equations.rows(segments, point, part=part)
         self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
+        self.own = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
 
     def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Positions (I, D B), rows by the weights there (I, S, D B), 0 in unused slots, and by parameter."""
+        """Positions (I, D B), rows by the weights there (I, S, D B), and by parameter.
+
+        Unused slots hold 0 for the weights of the row's own DOF.
+        """
         inside = self.local[:, dof] >= 0
+        own = self.own[:, dof].tile(1, len(self.equations.pattern.offsets))
         jacobian = (
             self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
         )
         held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
         if self.averages is not None:
             jacobian, held = self.averages(jacobian), self.averages(held)
-        return self.local[:, dof].clamp(min=0), jacobian, held
+        return torch.where(inside, self.local[:, dof], own), jacobian, held

@@ -6,9 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.equation_rows import EquationRows
 from pinn_cli.training.band.subdomains import Subdomains
 
@@ -78,8 +80,8 @@ class RowSums(ABC):
 
     @property
     @abstractmethod
-    def band(self) -> np.ndarray:
-        """(half_width + 1, size), lower band: [i - j, j] is entry [i, j]."""
+    def band(self) -> Diagonals:
+        """Of the readout weights against each other, (size, size)."""
 
     @property
     @abstractmethod
@@ -88,7 +90,7 @@ class RowSums(ABC):
 
     @property
     @abstractmethod
-    def border(self) -> np.ndarray:
+    def border(self) -> csr_matrix:
         """(size, places), of the readout weights against the parameters."""
 
     @property

@@ -13,9 +13,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.equation_rows import CHUNK, EquationRows, RowPattern
 from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.subdomains import Subdomains
@@ -39,7 +41,7 @@ class TimeMajorSums(RowSums):
         self.margin = max(abs(offset) for offset in pattern.offsets)
         length = self.size + 2 * self.margin
         self._inside = slice(self.margin, self.margin + self.size)
-        self._band = np.zeros((self.half_width + 1, length))
+        self._diagonals = {0: np.zeros(length)}  # those that something is added to
         self._gradient = np.zeros(length)
         self._length = length
         self._corner = np.zeros((pattern.count, pattern.count))
@@ -48,9 +50,17 @@ class TimeMajorSums(RowSums):
         self._touched = self._parameters_of_slots()
 
     @property
-    def band(self) -> np.ndarray:
+    def band(self) -> Diagonals:
         """See :attr:`RowSums.band`."""
-        return self._band[:, self._inside]
+        offsets = sorted(self._diagonals)
+        return Diagonals(np.array(offsets), np.stack([self._diagonals[offset][self._inside] for offset in offsets]))
+
+    def _diagonal(self, offset: int) -> np.ndarray:
+        """(size and margins), a line of the band."""
+        if offset not in self._diagonals:
+            assert 0 <= offset <= self.half_width, "functions that one row feels stand within the band"
+            self._diagonals[offset] = np.zeros(self._length)
+        return self._diagonals[offset]
 
     @property
     def gradient(self) -> np.ndarray:
@@ -58,18 +68,23 @@ class TimeMajorSums(RowSums):
         return self._gradient[self._inside]
 
     @property
-    def border(self) -> np.ndarray:
-        """See :attr:`RowSums.border`."""
-        border = np.zeros((self.size, self.pattern.count))
-        if "_dense_border" in self.__dict__:
-            border += self._dense_border[:, self._inside].T
+    def border(self) -> csr_matrix:
+        """See :attr:`RowSums.border`; it keeps entries that happen to be zero, so that its pattern stays."""
+        entries: list[tuple[np.ndarray, ...]] = []  # values, rows and columns
         if "_pull" in self.__dict__:
+            first = np.arange(0, self.size, self.n)[:, None]
             for lines, connections in zip(self._pull, self._touched, strict=True):
                 for of_end, slots in zip(lines, connections, strict=True):
-                    for line, offset, touched in zip(of_end, self.pattern.offsets, slots, strict=True):
-                        for i, parameter in touched:
-                            border[i + offset :: self.n, parameter] += line[self._inside][i :: self.n]
-        return border
+                    for line, offset, (i, parameter) in zip(of_end, self.pattern.offsets, slots, strict=True):
+                        values = line[self._inside].reshape(-1, self.n)[:, i]
+                        entries.append((values, first + i + offset, np.broadcast_to(parameter, values.shape)))
+        if "_dense_border" in self.__dict__:
+            column, row = np.nonzero(self._dense_border[:, self._inside])
+            entries.append((self._dense_border[column, row + self.margin], row, column))
+        if not entries:
+            return csr_matrix((self.size, self.pattern.count))
+        values, row, column = (np.concatenate([x.reshape(-1) for x in part]) for part in zip(*entries, strict=True))
+        return csr_matrix((values, (row, column)), shape=(self.size, self.pattern.count))
 
     @cached_property
     def _dense_border(self) -> np.ndarray:
@@ -125,7 +140,7 @@ class TimeMajorSums(RowSums):
             for a in range(self.features):
                 self._cells(self._gradient, place + a * self.n, stop - start)[...] += moments[start:stop, a] * scale
                 for b in range(a + 1):
-                    cells = self._cells(self._band[(a - b) * self.n], place + b * self.n, stop - start)
+                    cells = self._cells(self._diagonal((a - b) * self.n), place + b * self.n, stop - start)
                     cells += products[start:stop, a, b, None] * scale
 
     def add_pair(self, segments: Segments, products: Tensor, first: int, second: int) -> None:
@@ -137,9 +152,9 @@ class TimeMajorSums(RowSums):
                     above, below = a * self.n + int(rank[first]), b * self.n + int(rank[second])
                     part = values[group : group + length, a, b]
                     if above >= below:
-                        self._line(self._band[above - below], start + below, length)[...] += part
+                        self._line(self._diagonal(above - below), start + below, length)[...] += part
                     if first != second and above < below:
-                        self._line(self._band[below - above], start + above, length)[...] += part
+                        self._line(self._diagonal(below - above), start + above, length)[...] += part
 
     def add_moment(self, segments: Segments, moment: Tensor, function: int) -> None:
         """See :meth:`RowSums.add_moment`."""
@@ -193,16 +208,15 @@ class TimeMajorSums(RowSums):
         """Values (..., n) of the DOFs in the band's order."""
         return values if np.array_equal(self.pattern.order, np.arange(self.n)) else values[..., self.pattern.order]
 
-    def _parameters_of_slots(self) -> list[list[list[list[tuple[int, int]]]]]:
-        """By kind, connection and slot: the rows that have both, and the parameter's place."""
+    def _parameters_of_slots(self) -> list[list[list[tuple[np.ndarray, np.ndarray]]]]:
+        """By kind, connection and slot: the rows that have both, and the parameters' places."""
         coupled = self._in_order(self.pattern.coupled.T)
-        return [
-            [
-                [[(int(i), int(ends[i])) for i in np.flatnonzero((ends >= 0) & slot)] for slot in coupled]
-                for ends in connections
-            ]
-            for connections in self.places
-        ]
+
+        def both(ends: np.ndarray, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            rows = np.flatnonzero((ends >= 0) & slot)
+            return rows, ends[rows]
+
+        return [[[both(ends, slot) for slot in coupled] for ends in connections] for connections in self.places]
 
     def _offsets(self) -> list[int]:
         """Of every local weight of a row, from the weight of the row's own DOF and the first feature alive."""
@@ -235,7 +249,7 @@ class TimeMajorSums(RowSums):
                 rows = shared[b // self.features]
                 # Two columns at one offset, or further apart than the band is wide, are never in one row: one is zero.
                 if rows is not None and (0 < above - below <= self.half_width or a == b):
-                    cells = self._cells(self._band[above - below], place + below, groups)
+                    cells = self._cells(self._diagonal(above - below), place + below, groups)
                     cells[:, rows] += column[:, rows] * part[b][:, rows]
 
     def _add_parameters(self, part: np.ndarray, first: int) -> None:
@@ -258,7 +272,7 @@ class TimeMajorSums(RowSums):
             for kind in range(kinds):
                 for a, column in enumerate(part[: len(offsets)]):
                     slot, feature = divmod(a, self.features)
-                    if self._touched[kind][x][slot]:
+                    if len(self._touched[kind][x][slot][0]):
                         cells = self._cells(self._pull[kind, x, slot], place + feature * n, part.shape[1])
                         cells += own[kind, x] * column
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pinn_cli.training.band.bordered import BorderedSystem
+from pinn_cli.training.band.diagonals import Diagonals
 
 # Half-width, size, border: diagonal, narrow, size no multiple of the width, band as wide as the matrix.
 SHAPES = [(0, 7, 0), (0, 7, 2), (1, 9, 3), (2, 23, 0), (3, 24, 1), (5, 31, 4), (7, 8, 2), (4, 4, 0), (1, 1, 1)]
@@ -34,7 +35,7 @@ def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSyst
     for k in range(width + 1):
         band[k, : size - k] = np.diag(whole[:size, :size], -k)
     corner = whole[size:, size:]
-    return BorderedSystem(band, whole[:size, size:], corner, gradient[:size], gradient[size:]), whole
+    return BorderedSystem(Diagonals.of_band(band), whole[:size, size:], corner, gradient[:size], gradient[size:]), whole
 
 
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
@@ -55,7 +56,7 @@ def test_step_with_the_parameters_held(half_width, size, border):
 
 def test_there_is_no_step_of_an_indefinite_band():
     system, _ = random_system(2, 10, 2)
-    system.band[1] = 10.0 * np.sqrt(system.band[0])[0] * np.abs(system.band[1]).max()
+    system.band.values[1] = 10.0 * np.sqrt(system.band.main)[0] * np.abs(system.band.values[1]).max()
     assert system.readout_step() is None
 
 
@@ -85,12 +86,14 @@ def test_corner_covariance_is_the_inverse_of_the_whole(half_width, size, border)
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_inverse_band_is_the_inverse_of_the_band_alone(half_width, size, border):
     system, whole = random_system(half_width, size, border)
-    expected, given = np.linalg.inv(whole[:size, :size]), system.factor().inverse_band()
+    expected, given = np.linalg.inv(whole[:size, :size]), system.factor().readout.inverse()
     scale = np.sqrt(np.diag(expected))
-    assert given.shape == system.band.shape
-    for k in range(min(half_width + 1, size)):
-        off = scale[k:] * scale[: size - k]
-        np.testing.assert_allclose(given[k, : size - k] / off, np.diag(expected, -k) / off, atol=1e-8)
+    row, column = np.nonzero(np.abs(np.subtract.outer(np.arange(size), np.arange(size))) <= half_width)
+    off = scale[row] * scale[column]
+    np.testing.assert_allclose(given.at(row, column) / off, expected[row, column] / off, atol=1e-8)
+    if half_width + 1 < size:
+        with pytest.raises(IndexError):
+            given.at(np.array([half_width + 1]), np.array([0]))
 
 
 @pytest.mark.parametrize("damping", [1e-3, 10.0])
@@ -113,11 +116,11 @@ def test_damping_scales_the_diagonal():
 def test_what_is_not_positive_definite_has_no_factor(spoil):
     system, _ = random_system(2, 10, 2)
     if spoil == "indefinite band":
-        system.band[1] = 10.0 * np.sqrt(system.band[0])[0] * np.abs(system.band[1]).max()
+        system.band.values[1] = 10.0 * np.sqrt(system.band.main)[0] * np.abs(system.band.values[1]).max()
     elif spoil == "indefinite corner":
         system.corner[:] -= 10.0 * np.diag(np.diag(system.corner))
     else:
-        system.band[0, 3] = 0.0 if spoil == "zero" else np.nan
+        system.band.main[3] = 0.0 if spoil == "zero" else np.nan
     assert system.factor() is None
 
 
@@ -176,10 +179,8 @@ def test_a_bounded_step_is_the_least_within_its_bounds(seed, push):
     np.testing.assert_array_equal(x == lower, expected == lower)
     assert np.all(x >= lower)
     # The rest is where it is best, given the parameters.
-    band = system.band
-    lower_half = sum(np.diag(row[: len(row) - k], -k) for k, row in enumerate(band))
-    rest = np.linalg.solve(lower_half + np.tril(lower_half, -1).T, -system.gradient - system.border @ x)
-    np.testing.assert_allclose(w * np.sqrt(band[0]), rest * np.sqrt(band[0]), rtol=1e-6, atol=1e-9 * np.abs(w).max())
+    rest, root = np.linalg.solve(system.band.dense(), -system.gradient - system.border @ x), np.sqrt(system.band.main)
+    np.testing.assert_allclose(w * root, rest * root, rtol=1e-6, atol=1e-9 * np.abs(w).max())
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -164,9 +164,5 @@ def test_samples_that_may_have_felt_motion_outside_the_record_are_left_out():
 
 
 def dense(system) -> np.ndarray:
-    size = system.band.shape[1]
-    lower = np.zeros((size, size))
-    for k in range(min(len(system.band), size)):
-        lower += np.diag(system.band[k, : size - k], -k)
-    band = lower + np.tril(lower, -1).T
-    return np.block([[band, system.border], [system.border.T, system.corner]])
+    border = system.border.toarray()
+    return np.block([[system.band.dense(), border], [border.T, system.corner]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.known_border import KnownBorderSystem
 
 
@@ -14,7 +15,7 @@ def test_parameters_stay_and_their_covariance_counts():
     border, root = random.standard_normal((6, 2)), random.standard_normal((2, 2))
     covariance = root @ root.T + np.eye(2)
     gradient = random.standard_normal(6)
-    system = KnownBorderSystem(band, border, np.eye(2), gradient, np.ones(2), covariance)
+    system = KnownBorderSystem(Diagonals.of_band(band), border, np.eye(2), gradient, np.ones(2), covariance=covariance)
     factor = system.factor()
     weights, parameters = factor.step(system, np.full(2, -np.inf))
     assert np.array_equal(parameters, np.zeros(2))

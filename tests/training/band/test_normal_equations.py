@@ -17,9 +17,11 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
+from pinn_cli.training.band.dissection import Dissection, Grid
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.noise_model import NoiseModel
 
 SAMPLES = 21
@@ -88,12 +90,8 @@ def somewhere(equations: NormalEquations) -> Point:
 
 def dense(system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
     """Hessian and gradient."""
-    size = system.band.shape[1]
-    lower = np.zeros((size, size))
-    for k in range(min(len(system.band), size)):
-        lower += np.diag(system.band[k, : size - k], -k)
-    band = lower + np.tril(lower, -1).T
-    hessian = np.block([[band, system.border], [system.border.T, system.corner]])
+    border = system.border.toarray()
+    hessian = np.block([[system.band.dense(), border], [border.T, system.corner]])
     return hessian, np.concatenate((system.gradient, system.corner_gradient))
 
 
@@ -206,6 +204,31 @@ def test_functions_beside_the_motion(case, design):
     if inputs.loads:
         noise.response["force"], force = 0.5 + 0.1 * np.arange(4), np.full(dynamics.size, np.nan)
     assert_agrees(equations, replace(noise, force=force, innovation=driven))
+
+
+@pytest.mark.parametrize("structure", [small_chain(ndof=12), shuffled(12), braced(), hysteretic()])
+def test_the_order_of_elimination_changes_nothing(structure):
+    problem = of_structure(structure, Spline(intervals=20)).problem
+    inputs = Inputs(rate=4.0) if len(structure.memory) else Inputs()
+    problem = replace(problem, inputs=inputs)
+    network = Spline(intervals=20).build(problem.record, functions=problem.dynamics.size)
+    in_band, dissected = NormalEquations(network, problem), NormalEquations(network, problem)
+    grid = Grid(network.count, problem.dynamics.size, network.degree, dissected.pattern.reach, len(problem.uncertain))
+    assert in_band.layout.dissection is None
+    dissected.layout.dissection = Dissection(grid, largest=20)
+    noise, found = noise_of(problem.record), []
+    driven = np.pad(noise.force, (0, problem.dynamics.size - len(noise.force)), constant_values=0.5)
+    for equations in (in_band, dissected):
+        point = somewhere(equations)
+        system = equations.assemble(point, replace(noise, force=driven))
+        factor = system.factor()
+        posterior = ReadoutPosterior(equations, point, factor)
+        found.append((*factor.step(system), *posterior.functions(equations.observation), posterior.force_residual()))
+    assert system.tree is not None
+    assert len(system.tree.fronts) > 5
+    for pair in zip(*found, strict=True):
+        expected, given = (np.asarray(x) for x in pair)
+        np.testing.assert_allclose(given, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])

@@ -45,7 +45,7 @@ def told(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
     precision = equations.precision(trained.noise).cpu().numpy()
     if eliminated is None:
         return np.zeros((len(precision),) * 2), np.zeros(len(precision))
-    right = BorderedFactor(eliminated.readout, eliminated.half_solved, np.empty((0, 0))).reduced(system)[1]
+    right = BorderedFactor(eliminated.readout, np.empty((0, 0))).reduced(system)[1]
     pull = right + precision * point.parameters.cpu().numpy()
     return eliminated.complement - np.diag(precision), pull
 

@@ -129,7 +129,7 @@ class Member:
         """Of readout and parameters, where other records tell of the parameters too."""
         found = self.eliminated(key)
         assert found is not None
-        return BorderedFactor(found.readout, found.half_solved, schur)
+        return BorderedFactor(found.readout, schur)
 
     def part(self, key: PartKey) -> Trained:
         """The record's own part of a solution."""

@@ -71,10 +71,12 @@ def dense(evidence: JointEvidence, point: Point, noise: NoiseModel) -> tuple[np.
     for i, (own, level) in enumerate(zip(evidence.records, noise.by_record, strict=True)):
         at = equations.split(point)[i]
         system, columns = own.equations.assemble(at, level), equations.columns[i]
-        lower = sum(np.diag(row[: len(row) - k], -k) for k, row in enumerate(system.band))
         rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns
-        hessian[np.ix_(rows, rows)] = lower + np.tril(lower, -1).T
-        hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = system.border, system.border.T
+        hessian[np.ix_(rows, rows)] = system.band.dense()
+        hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = (
+            system.border.toarray(),
+            system.border.toarray().T,
+        )
         hessian[np.ix_(border, border)] += system.corner - np.diag(precision[columns])
         gradient[rows] = system.gradient
         gradient[border] += system.corner_gradient - precision[columns] * at.parameters.numpy()

@@ -1,0 +1,200 @@
+"""In which order the weights of local features are eliminated: along time, along the structure, or by dissection.
+
+The weights are a grid of features by functions (in the band's order). Two of them are in one row of a residual where
+their features are at most ``span`` and their functions at most ``reach`` apart. A part of the grid is eliminated slab
+by slab along the features, or it is cut in two, across either axis, by a separator as wide as that, which is eliminated
+after both halves (nested dissection; George 1973). Which of these is cheapest is counted, part by part.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+# Of a dense front with k rows that are eliminated and m that are left: cost of an operation in its Cholesky factor
+# (k^3 / 3), in the triangular solutions (k^2 m) and in the products (k m^2); of an entry that is filled and added; of
+# the front itself. Measured in products.
+CHOLESKY, SOLUTION, ENTRY, FRONT = 2.5, 2.5, 60.0, 4e6
+# The same of a band of w diagonals with a border of p columns, over size w^2, size w p and size p^2.
+BAND, HALF_SOLUTION, GRAM = 2.5, 4.8, 1.0
+# Weights of a slab, and of a part that is not cut any further, at most.
+LARGEST = 400
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The weights, and which of them meet in a row.
+
+    Attributes:
+        features: Of one function.
+        functions: In the band's order.
+        span: The furthest that two features of one row are apart.
+        reach: The furthest that two functions of one row are apart.
+        parameters: In the border, of all functions together.
+    """
+
+    features: int
+    functions: int
+    span: int
+    reach: int
+    parameters: int
+
+    @property
+    def band_cost(self) -> float:
+        """Of eliminating one weight after the other within their band, in operations of a matrix product."""
+        width, p, size = self.span * self.functions + self.reach, self.parameters, self.features * self.functions
+        return size * (BAND * width**2 + HALF_SOLUTION * width * p + GRAM * p**2)
+
+
+class Part(NamedTuple):
+    """A rectangle of the grid, and at which of its sides there is more of it.
+
+    Attributes:
+        features: How many.
+        functions: How many.
+        before, after: Whether other features border on it.
+        below, above: Whether other functions do.
+    """
+
+    features: int
+    functions: int
+    before: bool
+    after: bool
+    below: bool
+    above: bool
+
+
+@dataclass(frozen=True)
+class Separated:
+    """Weights that are eliminated together, once all others that stand before them in the tree are.
+
+    Attributes:
+        weights: Their places in the band, in the order of elimination.
+        children: What is eliminated before.
+    """
+
+    weights: np.ndarray
+    children: tuple[Separated, ...]
+
+
+class Choice(NamedTuple):
+    """How a part is eliminated.
+
+    Attributes:
+        cost: In operations of a matrix product.
+        entries: Of its factor.
+        how: ``leaf``, ``slabs``, or cut along ``features`` or ``functions``.
+        length: Features of a slab.
+    """
+
+    cost: float
+    entries: float
+    how: str
+    length: int
+
+
+def fronts(count: int, eliminated: float, left: float) -> tuple[float, float]:
+    """Cost and entries of the factor, of so many fronts with so many rows that are eliminated and that are left."""
+    k, m = eliminated, left
+    cost = CHOLESKY * k**3 / 3 + SOLUTION * k**2 * m + k * m**2 + ENTRY * (k + m) ** 2 + FRONT
+    return count * cost, count * k * (k + m)
+
+
+class Dissection:
+    """The cheapest order of elimination of a grid.
+
+    Args:
+        grid: Of the weights.
+        largest: Weights of a slab, and of a part that is not cut any further, at most.
+    """
+
+    def __init__(self, grid: Grid, largest: int = LARGEST) -> None:
+        self.grid, self.largest = grid, largest
+        self._best = lru_cache(None)(self._cheapest)
+        self._whole = Part(grid.features, grid.functions, False, False, False, False)
+
+    @property
+    def best(self) -> Choice:
+        """Of all weights."""
+        return self._best(self._whole)
+
+    def tree(self) -> Separated:
+        """The order."""
+        return self._tree(self._whole, 0, 0)
+
+    def _left(self, part: Part, features: float | None = None) -> float:
+        """Weights and parameters around a part, of which some first features are eliminated."""
+        grid, length = self.grid, part.features if features is None else features
+        beside = part.below + part.above
+        along = grid.span * (part.before + part.after)
+        parameters = grid.parameters * min(1.0, (part.functions + 2 * grid.reach) / grid.functions)
+        return along * (part.functions + grid.reach * beside) + grid.reach * length * beside + parameters
+
+    def _cheapest(self, part: Part) -> Choice:
+        grid, size = self.grid, part.features * part.functions
+        options = [*self._slabs(part)]
+        if size <= self.largest or not options:
+            options.append(Choice(*fronts(1, size, self._left(part)), "leaf", 0))
+        for axis, length, thick in (("features", part.features, grid.span), ("functions", part.functions, grid.reach)):
+            if thick > 0 and length >= 3 * thick + 2 and size > self.largest:
+                cost, entries = fronts(1, thick * size / length, self._left(part))
+                halves = [self._best(half) for half in self._halves(part, axis)]
+                cost, entries = cost + sum(x.cost for x in halves), entries + sum(x.entries for x in halves)
+                options.append(Choice(cost, entries, axis, 0))
+        return min(options)
+
+    def _slabs(self, part: Part) -> Iterator[Choice]:
+        """Slab after slab of features, of several lengths."""
+        length = 1
+        while length <= part.features and length * part.functions <= max(self.largest, part.functions):
+            count = math.ceil(part.features / length)
+            # Half of the slabs, on average, have been eliminated; the next features are left as well.
+            left = self._left(
+                part._replace(after=True), features=min(part.features, part.features / 2 + self.grid.span)
+            )
+            yield Choice(*fronts(count, length * part.functions, left), "slabs", length)
+            length *= 2
+
+    def _halves(self, part: Part, axis: str) -> tuple[Part, Part]:
+        if axis == "features":
+            first = (part.features - self.grid.span) // 2
+            rest = part.features - self.grid.span - first
+            return part._replace(features=first, after=True), part._replace(features=rest, before=True)
+        first = (part.functions - self.grid.reach) // 2
+        rest = part.functions - self.grid.reach - first
+        return part._replace(functions=first, above=True), part._replace(functions=rest, below=True)
+
+    def _tree(self, part: Part, feature: int, function: int) -> Separated:
+        """The order in a part whose first feature and function are given."""
+        _, _, how, length = self._best(part)
+        if how == "leaf":
+            return Separated(self._weights(part, feature, function, by_feature=True), ())
+        if how == "slabs":
+            tree: Separated | None = None
+            for start in range(0, part.features, length):
+                slab = part._replace(features=min(length, part.features - start))
+                weights = self._weights(slab, feature + start, function, by_feature=True)
+                tree = Separated(weights, () if tree is None else (tree,))
+            assert tree is not None
+            return tree
+        first, second = self._halves(part, how)
+        if how == "features":
+            middle = part._replace(features=self.grid.span)
+            between = self._weights(middle, feature + first.features, function, by_feature=False)
+            after = feature + first.features + self.grid.span, function
+        else:
+            middle = part._replace(functions=self.grid.reach)
+            between = self._weights(middle, feature, function + first.functions, by_feature=True)
+            after = feature, function + first.functions + self.grid.reach
+        return Separated(between, (self._tree(first, feature, function), self._tree(second, *after)))
+
+    def _weights(self, part: Part, feature: int, function: int, by_feature: bool) -> np.ndarray:
+        """Places in the band of a part's weights, its longer side outermost, so that halves are contiguous."""
+        at = np.arange(feature, feature + part.features)[:, None] * self.grid.functions
+        places = at + np.arange(function, function + part.functions)
+        return (places if by_feature else places.T).reshape(-1)

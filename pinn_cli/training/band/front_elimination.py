@@ -1,0 +1,174 @@
+"""The readout weights eliminated front by front."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.sparse import csr_matrix
+
+from pinn_cli.training.band.band_factor import ROUNDING_JITTER, root_of
+from pinn_cli.training.band.diagonals import Diagonals
+from pinn_cli.training.band.front_tree import Front, FrontTree, Runs
+from pinn_cli.training.band.readout_factor import ReadoutFactor
+
+
+@dataclass(frozen=True, eq=False)
+class FrontElimination(ReadoutFactor):
+    """See :class:`ReadoutFactor`; A = S P^T L L^T P S, with the order P of a tree and S the root of A's diagonal.
+
+    Attributes:
+        tree: Of the fronts.
+        scale: (size,), the diagonal of S, in the band's order.
+        pivots: Of every front, L among the weights that are eliminated, (k, k); above its diagonal anything.
+        below: Of every front, the part of L below those, and of the half solved border: (m + q, k).
+        border_gram: See :attr:`ReadoutFactor.border_gram`.
+    """
+
+    tree: FrontTree
+    scale: np.ndarray
+    pivots: list[np.ndarray]
+    below: list[np.ndarray]
+    gram: np.ndarray
+
+    @classmethod
+    def of(cls, tree: FrontTree, band: Diagonals, border: csr_matrix, damping: float = 0.0) -> FrontElimination | None:
+        """Of a matrix, its scaled diagonal damped, and its border (size, p); None if it is not positive definite."""
+        scale = root_of(band.main)
+        if scale is None:
+            return None
+        unit = 1.0 / scale
+        values = _scaled(tree, band, unit)
+        values[: tree.size] += damping + ROUNDING_JITTER
+        of_border = border.data * np.repeat(unit, np.diff(border.indptr))
+        pivots, below, gram = [], [], np.zeros((border.shape[1],) * 2)
+        waiting: dict[int, np.ndarray] = {}
+        for number, front in enumerate(tree.fronts):
+            k, rows = front.eliminated, front.rows
+            entries = np.zeros(rows * rows)
+            entries[front.band_target] = values[front.band_source]
+            entries[front.border_target] = of_border[front.border_source]
+            matrix = entries.reshape(rows, rows).T  # Fortran's order
+            for child in front.children:
+                _add(matrix, waiting.pop(child), tree.fronts[child].runs)
+            pivot, failed = dpotrf(matrix[:k, :k], lower=1, clean=0)
+            if failed:
+                return None
+            under = dtrsm(1.0, pivot, matrix[k:, :k], side=1, lower=1, trans_a=1)
+            pivots.append(pivot)
+            below.append(under)
+            if rows > k:
+                waiting[number] = dsyrk(-1.0, under, beta=1.0, c=matrix[k:, k:], lower=1)
+        for number, left in waiting.items():  # of the roots: parameters alone
+            own = tree.fronts[number].parameters
+            gram[np.ix_(own, own)] -= left
+        return cls(tree, scale, pivots, below, np.tril(gram) + np.tril(gram, -1).T)
+
+    @property
+    def size(self) -> int:
+        """See :attr:`ReadoutFactor.size`."""
+        return self.tree.size
+
+    @property
+    def log_determinant(self) -> float:
+        """See :attr:`ReadoutFactor.log_determinant`."""
+        of_fronts = sum(float(np.log(np.diagonal(pivot)).sum()) for pivot in self.pivots)
+        return 2.0 * (of_fronts + float(np.log(self.scale).sum()))
+
+    @property
+    def border_gram(self) -> np.ndarray:
+        """See :attr:`ReadoutFactor.border_gram`."""
+        return self.gram
+
+    def half_solved(self, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :meth:`ReadoutFactor.half_solved`."""
+        columns = right.reshape(len(right), -1)
+        half = np.ascontiguousarray((columns / self.scale[:, None])[self.tree.order])
+        taken = np.zeros((len(self.gram), columns.shape[1]))
+        for front, pivot, under in zip(self.tree.fronts, self.pivots, self.below, strict=True):
+            own, m = half[front.start : front.stop], len(front.left)
+            dtrsm(1.0, pivot, own.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+            moved = under @ own
+            half[front.left] -= moved[:m]
+            taken[front.parameters] += moved[m:]
+        return half.reshape(right.shape), taken.reshape(len(taken), *right.shape[1:])
+
+    def solved(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """See :meth:`ReadoutFactor.solved`."""
+        columns = np.array(half.reshape(len(half), -1), order="C")
+        by = x.reshape(len(x), columns.shape[1])
+        for front, pivot, under in self._backward():
+            own, m = columns[front.start : front.stop], len(front.left)
+            own -= under[:m].T @ columns[front.left]
+            own += under[m:].T @ by[front.parameters]
+            dtrsm(1.0, pivot, own.T, side=1, lower=1, overwrite_b=1)
+        out = np.empty_like(columns)
+        out[self.tree.order] = columns
+        return (out / self.scale[:, None]).reshape(half.shape)
+
+    def inverse(self) -> Diagonals:
+        """See :meth:`ReadoutFactor.inverse`.
+
+        From the last front to the first, by Takahashi et al. (1973) front by front: with S_ll of the weights that are
+        left, S_lo = -S_ll G' and S_oo = (L L')^-1 + G S_ll G', where G = L^-T U' and U is what stands below L.
+        """
+        out = np.zeros((len(self.tree.offsets), self.tree.size))
+        flat = out.reshape(-1)
+        known: dict[int, np.ndarray] = {}
+        for number in reversed(range(len(self.tree.fronts))):
+            front, pivot = self.tree.fronts[number], self.pivots[number]
+            k, m = front.eliminated, len(front.left)
+            whole = np.zeros((k + m, k + m), order="F")
+            own = dpotri(pivot, lower=1)[0]
+            own = np.tril(own) + np.tril(own, -1).T
+            if m:
+                left = known.pop(number)
+                gain = dtrsm(1.0, pivot, self.below[number][:m], side=1, lower=1)  # (m, k), G'
+                across = -left @ gain
+                own -= gain.T @ across
+                whole[k:, k:], whole[k:, :k], whole[:k, k:] = left, across, across.T
+            whole[:k, :k] = own
+            column, row = np.divmod(front.band_target, front.rows)
+            flat[front.band_source] = whole[row, column]
+            for child in front.children:
+                known[child] = _taken(whole, self.tree.fronts[child])
+        for line, offset in zip(out, self.tree.offsets.tolist(), strict=True):
+            size = self.tree.size - offset
+            line[:size] /= self.scale[:size] * self.scale[offset:]
+        return Diagonals(self.tree.offsets, out)
+
+    def _backward(self) -> zip[tuple[Front, np.ndarray, np.ndarray]]:
+        return zip(reversed(self.tree.fronts), reversed(self.pivots), reversed(self.below), strict=True)
+
+
+def _scaled(tree: FrontTree, band: Diagonals, unit: np.ndarray) -> np.ndarray:
+    """(K size,), the values of a tree's diagonals, rows and columns multiplied by units (size,).
+
+    Raises:
+        IndexError: The band has another diagonal.
+    """
+    size = tree.size
+    out = np.zeros((len(tree.offsets), size))
+    places = np.searchsorted(tree.offsets, band.offsets)
+    if places[-1] >= len(tree.offsets) or not np.array_equal(tree.offsets[places], band.offsets):
+        raise IndexError("functions that one row feels stand further apart than the structure's coupling says")
+    for place, offset, line in zip(places, band.offsets.tolist(), band.values, strict=True):
+        out[place, : size - offset] = line[: size - offset] * unit[: size - offset] * unit[offset:]
+    return out.reshape(-1)
+
+
+def _add(matrix: np.ndarray, left: np.ndarray, runs: Runs) -> None:
+    """Add the lower half of what is left of a front to the front that it belongs to."""
+    for i, (row, above, rows) in enumerate(runs):
+        for column, there, columns in runs[: i + 1]:
+            matrix[above : above + rows, there : there + columns] += left[row : row + rows, column : column + columns]
+
+
+def _taken(whole: np.ndarray, child: Front) -> np.ndarray:
+    """(m, m), the entries of a front that stand in what is left of another one, without parameters."""
+    m = len(child.left)
+    index = np.concatenate([np.arange(there, there + n) for _, there, n in child.runs])[:m]
+    taken: np.ndarray = whole[np.ix_(index, index)]
+    return taken

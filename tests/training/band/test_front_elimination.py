@@ -1,0 +1,174 @@
+"""Elimination by fronts, in orders that are chosen by counting, against dense linear algebra."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+from pinn_cli.training.band.band_elimination import BandElimination
+from pinn_cli.training.band.bordered import BorderedSystem
+from pinn_cli.training.band.diagonals import Diagonals
+from pinn_cli.training.band.dissection import Dissection, Grid
+from pinn_cli.training.band.front_elimination import FrontElimination
+from pinn_cli.training.band.front_tree import FrontTree
+
+# Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs;
+# functions that are coupled further, no parameters, one function, all in one front.
+OWN = 2
+GRIDS = {
+    "functions": Grid(12, 40, 3, 2, 80),
+    "features": Grid(60, 12, 3, 2, 24),
+    "slabs": Grid(50, 3, 3, 1, 6),
+    "far": Grid(20, 15, 2, 4, 30),
+    "none": Grid(30, 10, 3, 2, 0),
+    "one": Grid(90, 1, 4, 0, 2),
+    "leaf": Grid(4, 5, 3, 2, 10),
+}
+
+
+def matrices(grid: Grid) -> tuple[Diagonals, csr_matrix]:
+    """A positive definite matrix of rows on the grid, its diagonal over eight decades, and a border."""
+    rng, size = np.random.default_rng(grid.features), grid.features * grid.functions
+    feature, function = np.divmod(np.arange(size), grid.functions)
+    near = (np.abs(np.subtract.outer(feature, feature)) <= grid.span) & (
+        np.abs(np.subtract.outer(function, function)) <= grid.reach
+    )
+    matrix = np.where(near, rng.normal(size=(size, size)), 0.0)
+    matrix = np.tril(matrix, -1) + np.tril(matrix, -1).T
+    matrix += np.diag(np.abs(matrix).sum(axis=1) * rng.uniform(1.01, 2.0, size))
+    scale = 10.0 ** rng.uniform(-2.0, 2.0, size)
+    matrix *= scale[:, None] * scale
+    offsets = np.unique(np.abs(np.subtract(*np.nonzero(near))))
+    values = np.zeros((len(offsets), size))
+    for line, offset in zip(values, offsets, strict=True):
+        line[: size - offset] = np.diag(matrix, -offset)
+    touched = np.minimum(function[:, None] + np.arange(2), grid.functions - 1)[:, :, None] * OWN + np.arange(OWN)
+    border = np.zeros((size, grid.functions * OWN))
+    border[np.arange(size)[:, None], touched.reshape(size, -1)] = rng.normal(size=(size, 2 * OWN)) * scale[:, None]
+    return Diagonals(offsets, values), csr_matrix(border[:, : grid.parameters])
+
+
+def eliminated(grid: Grid, damping: float = 0.0) -> tuple[FrontElimination, np.ndarray, np.ndarray]:
+    """With the same as dense matrices."""
+    band, border = matrices(grid)
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    found = FrontElimination.of(tree, band, border, damping)
+    assert found is not None
+    dense = band.dense()
+    return found, dense + damping * np.diag(np.diag(dense)), border.toarray()
+
+
+def test_the_grids_are_eliminated_in_the_orders_that_they_stand_for():
+    how = {name: Dissection(grid, largest=40).best.how for name, grid in GRIDS.items()}
+    assert {name: how[name] for name in ("functions", "features", "slabs", "leaf")} == {
+        name: name for name in ("functions", "features", "slabs", "leaf")
+    }
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_every_weight_is_eliminated_once(name):
+    found, _, _ = eliminated(GRIDS[name])
+    np.testing.assert_array_equal(np.sort(found.tree.order), np.arange(found.size))
+    assert len(found.tree.fronts) > (name != "leaf")
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_log_determinant_and_what_the_border_leaves(name):
+    found, dense, border = eliminated(GRIDS[name])
+    assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
+    expected = border.T @ np.linalg.solve(dense, border)
+    np.testing.assert_allclose(found.border_gram, expected, atol=1e-10 * np.abs(expected).max(initial=0.0))
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_solution_leaves_no_residual(name, damping):
+    found, dense, border = eliminated(GRIDS[name], damping)
+    rng, root = np.random.default_rng(0), np.sqrt(np.diag(dense))
+    right, x = rng.normal(size=(found.size, 3)) * root[:, None], rng.normal(size=(border.shape[1], 3))
+    half, taken = found.half_solved(right)
+    solution = found.solved(half, x)
+    np.testing.assert_allclose((dense @ solution - right - border @ x) / root[:, None], 0.0, atol=1e-10)
+    np.testing.assert_allclose(taken, border.T @ np.linalg.solve(dense, right), atol=1e-9)
+    np.testing.assert_allclose(np.sum(half**2), np.sum(right * np.linalg.solve(dense, right)), rtol=1e-9)
+    one = found.half_solved(right[:, 0])
+    assert [part.shape for part in one] == [(found.size,), (border.shape[1],)]
+    np.testing.assert_allclose(found.solved(one[0], x[:, 0]), solution[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(found.solved_border, np.linalg.solve(dense, border), atol=1e-9 / root.min())
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_the_inverse_wherever_two_weights_meet(name):
+    found, dense, _ = eliminated(GRIDS[name])
+    row, column = np.nonzero(dense)
+    expected = np.linalg.inv(dense)
+    scale = np.sqrt(np.diag(expected))
+    given = found.inverse().at(row, column)
+    np.testing.assert_allclose(
+        given / scale[row] / scale[column], (expected / scale / scale[:, None])[row, column], atol=1e-10
+    )
+
+
+def test_a_system_gives_the_same_step_in_both_orders():
+    grid = GRIDS["functions"]
+    band, border = matrices(grid)
+    rng, p = np.random.default_rng(1), border.shape[1]
+    corner = 2.0 * np.eye(p) + border.T @ np.linalg.solve(band.dense(), border.toarray())
+    gradient = rng.normal(size=band.size) * np.sqrt(band.main)
+    plain = BorderedSystem(band, border, corner, gradient, rng.normal(size=p))
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    dissected = replace(plain, tree=tree)
+    for damping in (0.0, 0.1):
+        expected, given = (system.factor(damping).step(system) for system in (plain, dissected))
+        np.testing.assert_allclose(given[0] * np.sqrt(band.main), expected[0] * np.sqrt(band.main), atol=1e-9)
+        np.testing.assert_allclose(given[1], expected[1], atol=1e-10)
+    np.testing.assert_allclose(dissected.readout_step(), plain.readout_step(), rtol=1e-8)
+    assert dissected.factor().log_determinant == pytest.approx(plain.factor().log_determinant, rel=1e-12)
+
+
+def test_the_same_tree_serves_another_border_at_the_same_places():
+    grid = GRIDS["features"]
+    band, border = matrices(grid)
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    zeros = border.copy()
+    zeros.data[::3] = 0.0
+    assert tree.suits(2.0 * border)
+    assert tree.suits(zeros)
+    assert not tree.suits(border[:, :3])
+    found, plain = FrontElimination.of(tree, band, zeros), BandElimination.of(band, zeros)
+    np.testing.assert_allclose(found.border_gram, plain.border_gram, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("spoil", ["indefinite", "zero", "nan"])
+def test_what_is_not_positive_definite_has_no_factor(spoil):
+    grid = GRIDS["features"]
+    band, border = matrices(grid)
+    if spoil == "indefinite":
+        band.values[1] *= 100.0
+    else:
+        band.main[7] = 0.0 if spoil == "zero" else np.nan
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    assert FrontElimination.of(tree, band, border) is None
+
+
+def test_rows_that_reach_further_than_the_coupling_says_are_refused():
+    band, border = matrices(Grid(60, 12, 3, 3, 24))
+    grid = GRIDS["features"]
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    with pytest.raises(IndexError, match="further apart than the structure's coupling"):
+        FrontElimination.of(tree, band, border)
+
+
+@pytest.mark.parametrize(("functions", "dissected"), [(6, False), (20, False), (100, True), (400, True)])
+def test_operations_decide_between_the_band_and_dissection(functions, dissected):
+    grid = Grid(462, functions, 4, 2, 3 * functions)
+    assert (Dissection(grid).best.cost < grid.band_cost) == dissected
+
+
+def test_operations_grow_as_they_do_for_a_plane_grid():
+    """Nested dissection of a square grid of N weights takes N^1.5; a band takes N^2."""
+    few, many = (Dissection(Grid(2 * n, n, 4, 2, 3 * n)).best.cost for n in (200, 800))
+    assert np.log(many / few) / np.log(4.0) < 3.2
