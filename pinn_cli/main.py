@@ -20,6 +20,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.records import check_records
+from pinn_cli.cli.terminal import Silence, Terminal
 from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.memory import collect_rarely, keep_imported
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from pinn_cli.validation.base import Setup
 
 
-def run(composed: DictConfig, began: float | None = None) -> float | None:
+def run(composed: DictConfig, began: float | None = None, terminal: Terminal | None = None) -> float | None:
     """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
 
     Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
@@ -44,12 +45,14 @@ def run(composed: DictConfig, began: float | None = None) -> float | None:
     Args:
         composed: Its configuration.
         began: When the process of a single run did, by `time.perf_counter`; None: it is counted from now.
+        terminal: Where a single run tells what it has found; None: standard output.
 
     Returns:
         Its validation score, for a sweeper that looks for the least; None without one.
     """
     runtime = HydraConfig.get().runtime
     in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
+    terminal = Silence() if in_sweep else terminal or Terminal()
     directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages(None if in_sweep else began)
     collect_rarely()
     with stages("config"):
@@ -59,12 +62,12 @@ def run(composed: DictConfig, began: float | None = None) -> float | None:
         lock_directory()
     if config is None or _is_done(resuming, composed, directory, base):  # by the process that was in there
         leave_directory()
-        return _judged(composed, directory, "finished before, nothing to do", in_sweep)
+        return _judged(composed, directory, "finished before, nothing to do", terminal)
     finished = resuming and is_finished(directory, composed, base)
     with nullcontext() if in_sweep else signs_of_life(stages):
         prepared = None if finished else _prepare(config, directory, stages, in_sweep)
-        text = _tracked(config, composed, stages, resuming, prepared)
-    return _judged(composed, directory, text, in_sweep)
+        text = _tracked(config, composed, stages, resuming, prepared, terminal)
+    return _judged(composed, directory, text, terminal)
 
 
 def inspect(composed: DictConfig) -> None:
@@ -90,7 +93,14 @@ def inspect(composed: DictConfig) -> None:
     print(f"{text}\n{directory}")
 
 
-def _tracked(config: RunConfig, composed: DictConfig, stages: Stages, resuming: bool, prepared: Prepared | None) -> str:
+def _tracked(
+    config: RunConfig,
+    composed: DictConfig,
+    stages: Stages,
+    resuming: bool,
+    prepared: Prepared | None,
+    terminal: Terminal,
+) -> str:
     """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
     directory = Path(HydraConfig.get().runtime.output_dir)
     with stages("imports"):  # after the configuration has limited the threads, and not for --help
@@ -102,7 +112,7 @@ def _tracked(config: RunConfig, composed: DictConfig, stages: Stages, resuming: 
         take_directory([] if prepared is None else _outdated(prepared))
         text = f"finished before; tracking={config.tracking.name} has it now" if prepared is None else ""
         if prepared is not None:
-            _carry_out(config, directory, stages, prepared, tracked.row)
+            _carry_out(config, directory, stages, prepared, tracked.row, terminal)
         with stages("tracking"):
             tracked.results()
     return text
@@ -113,10 +123,9 @@ def _is_done(resuming: bool, composed: DictConfig, directory: Path, base: Path) 
     return resuming and is_finished(directory, composed, base) and is_tracked(directory, composed)
 
 
-def _judged(composed: DictConfig, directory: Path, text: str, in_sweep: bool) -> float | None:
+def _judged(composed: DictConfig, directory: Path, text: str, terminal: Terminal) -> float | None:
     """Tell how it ended; the score of a finished run, whose verdict must be sound with ``strict=true``."""
-    if not in_sweep:
-        print(f"{text}\n{directory}" if text else directory)
+    terminal.say(f"{text}\n{directory}" if text else str(directory))
     if composed.get("strict") is True:
         check_sound(directory)
     return stored_score(directory)
@@ -169,7 +178,9 @@ def _outdated(prepared: Prepared) -> list[str]:
     return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
 
 
-def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Prepared, watch: Watch) -> None:
+def _carry_out(
+    config: RunConfig, directory: Path, stages: Stages, prepared: Prepared, watch: Watch, terminal: Terminal
+) -> None:
     """From the problem to the report, whose text is printed before its files are written."""
     with stages("imports"):
         from pinn_cli.baseline.comparison import baseline_estimate
@@ -209,17 +220,18 @@ def _carry_out(config: RunConfig, directory: Path, stages: Stages, prepared: Pre
     report = RunReport(replace(results, further=further), directory, stages, config.exports)
     with (
         report.drawing() if drawn else nullcontext(),
-        nullcontext() if prepared.in_sweep else _shown(report.text(), stages),
+        nullcontext() if isinstance(terminal, Silence) else _shown(report.text(), stages, terminal),
     ):
         report.write()
 
 
 @contextmanager
-def _shown(text: str, stages: Stages) -> Iterator[None]:
+def _shown(text: str, stages: Stages, terminal: Terminal) -> Iterator[None]:
     """Print before the block; a reader that has left is told of after it, so that the block's files are written."""
     refused = None
     try:
-        print(text, flush=True)
+        terminal.say(text)
+        sys.stdout.flush()
     except OSError as error:
         refused = error
     stages.reached("table_at")
