@@ -1,6 +1,51 @@
-"""Response, parameters and their uncertainty of structural chains, by physics-informed neural networks."""
+"""Response, parameters and their uncertainty of vibrating structures, by physics-informed neural networks.
+
+`run` does what the command `pinn-run` does, `load` opens what it left behind.
+"""
+
+from __future__ import annotations
 
 import time
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 # When the process reached this package, by `time.perf_counter`: Python has run for some 0.05 s by then.
 LOADED = time.perf_counter()
+
+if TYPE_CHECKING:
+    from pinn_cli.api.loading import load
+    from pinn_cli.api.record import Record
+    from pinn_cli.api.result import Result
+    from pinn_cli.api.run import run
+    from pinn_cli.api.structure import Structure
+    from pinn_cli.api.sweep import SweepResult
+    from pinn_cli.runs.writing import WriteError
+    from pinn_cli.settings.errors import DivergenceError, InputError, NotSoundError
+
+__all__ = [
+    "DivergenceError", "InputError", "NotSoundError", "Record", "Result", "Structure", "SweepResult", "WriteError",
+    "load", "run",
+]  # fmt: skip
+
+# Imported when they are asked for (PEP 562): the command and its every worker import this package.
+_PLACES = {
+    "load": "api.loading",
+    "run": "api.run",
+    "Record": "api.record",
+    "Result": "api.result",
+    "Structure": "api.structure",
+    "SweepResult": "api.sweep",
+    "WriteError": "runs.writing",
+    **dict.fromkeys(("DivergenceError", "InputError", "NotSoundError"), "settings.errors"),
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = globals()[name] = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -24,6 +24,7 @@ from pinn_cli.cli.terminal import Silence, Terminal
 from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.memory import collect_rarely, keep_imported
+from pinn_cli.runs.process import is_borrowed
 from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
 from pinn_cli.runs.signs_of_life import signs_of_life
 from pinn_cli.runs.stages import Stages
@@ -54,7 +55,8 @@ def run(composed: DictConfig, began: float | None = None, terminal: Terminal | N
     in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
     terminal = Silence() if in_sweep else terminal or Terminal()
     directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages(None if in_sweep else began)
-    collect_rarely()
+    if not is_borrowed():
+        collect_rarely()
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
         config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base)
@@ -188,7 +190,8 @@ def _carry_out(
         from pinn_cli.report.results import Results, further_results
         from pinn_cli.report.run_report import RunReport
         from pinn_cli.training.calibrated_record import as_calibrated
-    keep_imported()
+    if not is_borrowed():
+        keep_imported()
     problem, context = prepared.problem.problem, prepared.context
     with stages("estimate"):
         estimate = config.estimator.solve(problem, replace(context, watch=watch))

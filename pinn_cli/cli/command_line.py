@@ -212,6 +212,7 @@ def _collect(jobs: Jobs, cut_off: bool = False) -> None:
 
 def _run_hydra(jobs: Jobs) -> None:
     check_what_is_composed()
+    sys.argv += jobs.of_hydra
     given = os.environ.get("HYDRA_FULL_ERROR")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises, rather than prints and exits with status 1
     try:

@@ -6,7 +6,6 @@ Nothing slow is imported above: `pinn-run --help` reads this module too.
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pinn_cli.cli.dof_names import numbered
 from pinn_cli.cli.source import Source, read_source, read_structure
 from pinn_cli.runs.identity import Identity
-from pinn_cli.runs.memory import keep_freed_memory, leave_without_collecting
+from pinn_cli.runs.process import prepare_process
 from pinn_cli.runs.resume import ALLOWED, NEVER
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes, construct
@@ -61,9 +60,6 @@ CHECKPOINT_EVERY_S = 30.0
 
 # More than any machine has cores; libraries set memory aside for each.
 MOST_THREADS = 1024
-
-# Read by the linear algebra libraries when they are first loaded, which is after this module.
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -130,9 +126,7 @@ class RunConfig:
         check_classes(config)
         identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
         case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
-        keep_freed_memory()
-        leave_without_collecting()
-        _limit_threads(threads)
+        prepare_process(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
         structure = read_structure(config, base)
@@ -256,13 +250,6 @@ def _checkpoint_every_s(config: DictConfig) -> float | None:
     """Taken out of the training's settings: it is the run that keeps checkpoints, whatever the training."""
     given = config.training.pop("checkpoint_every_s", CHECKPOINT_EVERY_S)
     return None if given is None else positive_number("training.checkpoint_every_s", given)
-
-
-def _limit_threads(threads: int) -> None:
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(threads)))
-    import torch
-
-    torch.set_num_threads(threads)
 
 
 def _check_available(device: str) -> None:

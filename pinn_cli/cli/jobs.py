@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -27,6 +27,7 @@ Task = Callable[[DictConfig], float | None]
 
 # Errors that a user can mend, or must know of: one line each.
 Reported = InputError | DivergenceError | WriteError | NotSoundError
+REPORTED = (InputError, DivergenceError, WriteError, NotSoundError)
 
 
 class Jobs:
@@ -40,6 +41,7 @@ class Jobs:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
         terminal: Who is told.
         full_error: Whether tracebacks are printed too.
+        of_hydra: Overrides of Hydra's own settings, put after those of the user.
 
     Attributes:
         error: Of the run, one that its user can mend; None where there is none.
@@ -48,8 +50,8 @@ class Jobs:
         directory: Of the last run, or of the sweep that has ended.
     """
 
-    def __init__(self, task: Task, terminal: Terminal, full_error: bool = False) -> None:
-        self.task, self.terminal, self.full_error = task, terminal, full_error
+    def __init__(self, task: Task, terminal: Terminal, full_error: bool = False, of_hydra: Sequence[str] = ()) -> None:
+        self.task, self.terminal, self.full_error, self.of_hydra = task, terminal, full_error, of_hydra
         self.started = False
         self.status = 0
         self.error: Reported | None = None

@@ -24,6 +24,7 @@ PATIENCE_S, GRACE_S = 2.5, 4.5
 _deferring = 0
 _asked: int | None = None
 _warned = False
+_ends_at_second = True
 
 
 class Interruption(KeyboardInterrupt):
@@ -39,25 +40,26 @@ class Interruption(KeyboardInterrupt):
 
 
 @contextmanager
-def watched(signals: Sequence[int] = SIGNALS, in_time: bool = False) -> Iterator[None]:
-    """Have these signals raise `Interruption` in the block; a second Ctrl-C ends the process at once.
+def watched(signals: Sequence[int] = SIGNALS, in_time: bool = False, ends: bool = True) -> Iterator[None]:
+    """Have these signals raise `Interruption` in the block; a second Ctrl-C ends the process at once, if it ``ends``.
 
     With ``in_time`` nothing holds them up for longer than `GRACE_S` seconds.
 
     A signal that the process was started to ignore, as under `nohup`, stays ignored. Elsewhere than in the main thread
     Python has no signals and the block runs as it is.
     """
-    global _asked  # noqa: PLW0603
+    global _asked, _ends_at_second  # noqa: PLW0603
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     heeded = [number for number in signals if signal.getsignal(number) != signal.SIG_IGN]
     before = {number: signal.signal(number, _receive) for number in heeded}
+    _ends_at_second = ends
     try:
         with _ended_in_time(heeded) if in_time else nullcontext():
             yield
     finally:
-        _asked = None
+        _asked, _ends_at_second = None, True
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -164,7 +166,7 @@ def _note(number: int, frame: FrameType | None) -> None:
 
 def _receive(number: int, frame: FrameType | None) -> None:
     global _asked
-    if number == signal.SIGINT:  # the second one is the system's, which waits for no computation
+    if number == signal.SIGINT and _ends_at_second:  # the second one is the system's, which waits for no computation
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     repeated, _asked = _asked is not None, number if _asked is None else _asked
     # Schedulers send SIGTERM more than once; what the first one set off is let finish.

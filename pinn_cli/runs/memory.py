@@ -13,6 +13,7 @@ from functools import cache
 # memory at the end of the heap is kept.
 _M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD = -3, -1
 _LARGEST_BLOCK, _KEPT = 32 * 2**20, 2**31 - 1
+_USUAL_THRESHOLD = 128 * 2**10  # of both
 # New objects after which Python looks for garbage: as it comes, and while libraries are imported.
 _USUAL, _NEW_OBJECTS = gc.get_threshold()[0], 50_000
 # Where the system does not tell, bytes.
@@ -46,6 +47,20 @@ def keep_freed_memory() -> None:
         return
     mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK)
     mallopt(_M_TRIM_THRESHOLD, _KEPT)
+
+
+def give_freed_memory_back() -> None:
+    """Have the system get freed blocks again, those of :func:`keep_freed_memory` included, as glibc does by default."""
+    if not sys.platform.startswith("linux"):
+        return
+    try:
+        library = ctypes.CDLL(None)
+        mallopt, trim = library.mallopt, library.malloc_trim
+    except (OSError, AttributeError):
+        return
+    mallopt(_M_MMAP_THRESHOLD, _USUAL_THRESHOLD)
+    mallopt(_M_TRIM_THRESHOLD, _USUAL_THRESHOLD)
+    trim(0)
 
 
 @cache  # once in a process, however many jobs it runs: the first imports what there is to import

@@ -32,6 +32,14 @@ class InputError(ValueError):
         text = f"{setting}={_shortened(value)}: must be {allowed}" + (f"; {_shortened(hint)}" if hint else "")
         super().__init__(" ".join(text.split()))
 
+    @classmethod
+    def read(cls, text: str) -> InputError:
+        """The error that says a text, as one in another process did."""
+        setting, _, rest = text.partition("=")
+        value, _, rest = rest.partition(": must be ")
+        allowed, _, hint = rest.partition("; ")
+        return cls(setting, value, allowed, hint)
+
     def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:
         # Exceptions cross process borders in sweeps; the default pickling would call __init__ with the finished text
         # only.

@@ -1,0 +1,128 @@
+"""What `run` is given as data, as settings: what each column is, by its name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.override_syntax import quoted, setting_of
+
+if TYPE_CHECKING:
+    from pinn_cli.record.files.table import Table
+
+# As `pinn_cli.system.quantities` has them; not from there, so that errors about words come at once.
+_OF_DOFS = ("force", "displacement", "velocity", "acceleration")
+_GROUND = "ground_acceleration"
+# What says itself which column is what; names then say nothing.
+_CHANNELS = tuple(f"data.{name}" for name in (*_OF_DOFS, _GROUND, "channels", "records"))
+_CLOCKS = ("data.time", "data.sampling_rate")
+# force.1, acceleration_3, velocity 2; a DOF's name after a point only: acceleration.roof.
+_CHANNEL = re.compile(rf"({'|'.join(_OF_DOFS)})(?:[._ ]?(\d+)|\.(\w+))")
+
+
+@contextmanager
+def settings_of(data: Any, overrides: Sequence[str]) -> Iterator[list[str]]:
+    """The settings that have a run read some data, which is there for it within the block.
+
+    Args:
+        data: See :func:`pinn_cli.run`; None: there is none.
+        overrides: Given beside it.
+
+    Raises:
+        InputError: Naming `data`: it is no data, no column says what it is, or a setting says that it lies in a file.
+    """
+    if data is None:
+        yield []
+        return
+    from pinn_cli.record.files.frame import held, table_of
+
+    several = isinstance(data, list | tuple)
+    given = list(data) if several else [data]
+    if not given:
+        raise InputError("data", "[]", "a frame, or a list of frames, one for each record")
+    _check_not_a_file(overrides)
+    with ExitStack() as stack:
+        entries = []
+        for number, one in enumerate(given, start=1):
+            columns, own, acting = _columns_of(one)
+            table = table_of(columns, f"data[{number}]" if several else "data")
+            stack.enter_context(held(table))
+            entries.append(_settings(table, own, acting, overrides))
+        if _goes_on(overrides):  # with the settings that it has
+            yield []
+        elif several:
+            yield ["data=frame", f"data.records=[{', '.join(map(_written, entries))}]"]
+        else:
+            yield ["data=frame", *(f"data.{name}={value}" for name, value in entries[0].items())]
+
+
+def _columns_of(data: Any) -> tuple[Any, dict[str, str], list[str]]:
+    """Columns; of a record settings of `data` that come with them, and DOFs whose force nobody measured."""
+    from pinn_cli.record.record import Record
+
+    if not isinstance(data, Record):
+        return data, {}, []
+    from pinn_cli.api.record import columns_of, unmeasured_forces
+
+    return *columns_of(data), unmeasured_forces(data)
+
+
+def _check_not_a_file(overrides: Sequence[str]) -> None:
+    for override in overrides:
+        name = setting_of(override)
+        if name in ("data", "data.path", "data.format", "data.kind"):
+            hint = "the record is in memory"
+            raise InputError(name, override.partition("=")[2], "left out with data=..., the argument", hint)
+
+
+def _goes_on(overrides: Sequence[str]) -> bool:
+    given = [o.partition("=")[2].strip("'\"") for o in overrides if setting_of(o) == "resume"]
+    return bool(given) and given[-1] not in ("", "null", "auto", "never")
+
+
+def _settings(table: Table, own: dict[str, str], acting: Sequence[str], overrides: Sequence[str]) -> dict[str, str]:
+    """Name within `data` to value, as an override writes it."""
+    from pinn_cli.record.files.frame import TIMES, bare
+
+    said = {setting_of(override) for override in overrides}
+    found = {"path": quoted(table.path.name), **own}
+    times = [name for name in table.columns if bare(name) in TIMES]
+    if times and not said & set(_CLOCKS):
+        found["time"] = quoted(times[0])
+    if not any(f"{name}.".startswith(f"{channel}.") for name in said for channel in _CHANNELS):
+        found |= _named_channels(table, acting)
+    return found
+
+
+def _written(settings: dict[str, str]) -> str:
+    """A map as an override writes it."""
+    return f"{{{', '.join(f'{name}: {value}' for name, value in settings.items())}}}"
+
+
+def _named_channels(table: Table, acting: Sequence[str]) -> dict[str, str]:
+    """Channels by the names of the columns."""
+    from pinn_cli.record.files.frame import bare
+    from pinn_cli.record.files.table import listed
+
+    maps: dict[str, dict[str, str]] = {}
+    ground = [name for name in table.columns if bare(name) == _GROUND]
+    for name in table.columns:
+        match = _CHANNEL.fullmatch(bare(name))
+        if match is None:
+            continue
+        quantity, dof = match[1], match[2] or match[3]
+        dof = str(int(dof)) if dof.isdecimal() else dof
+        if dof in maps.setdefault(quantity, {}):
+            hint = "a DOF with two sensors of a kind takes data.channels"
+            raise InputError("data", repr(name), f"the only column of data.{quantity}.{dof}", hint)
+        maps[quantity][dof] = quoted(name)
+    if not maps and not ground:
+        hint = "or say what is what: \"data.acceleration={1: 'a1'}\""
+        raise InputError("data", listed(table.columns), "columns such as force.1, acceleration.3", hint)
+    if acting:
+        maps.setdefault("force", {}).update(dict.fromkeys(acting, "null"))
+    written = {quantity: _written(columns) for quantity, columns in maps.items()}
+    return written | ({_GROUND: quoted(ground[0])} if ground else {})

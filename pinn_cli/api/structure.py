@@ -1,0 +1,198 @@
+"""Structures that are built and simulated in Python, without the command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pinn_cli.api.record import Record
+from pinn_cli.record.resimulation import force_spline
+from pinn_cli.record.simulation import simulate
+from pinn_cli.record.steps import substeps_needed
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import is_whole_number
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system import structure
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.laws import law_called, law_settings
+from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.topology import build_structure
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    import pandas as pd
+
+# Steps of Runge-Kutta per sample, at least: laws that are not smooth have harmonics of the structure's frequencies.
+_LEAST_SUBSTEPS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Structure(structure.Structure):
+    """Masses that connections hold together; see :class:`pinn_cli.system.structure.Structure`.
+
+    Example:
+        >>> from pinn_cli import Structure
+        >>> frame = Structure.chain(ndof=2, m=2000.0, c=4500.0, k=[1.5e6, 1.4e6])
+        >>> frame.modes()["frequency"].round(3).tolist()
+        [2.621, 7.047]
+    """
+
+    @classmethod
+    def chain(
+        cls,
+        law: str = "linear",
+        *,
+        ndof: int | None = None,
+        m: float | Sequence[float],
+        c: float | Sequence[float],
+        k: float | Sequence[float],
+        **parameters: Any,
+    ) -> Structure:
+        """A chain: connection i joins DOF i-1 to DOF i, the first one the ground to DOF 1.
+
+        Args:
+            law: Of every connection: ``linear``, ``duffing``, ``van_der_pol``, ``power_damping``, ``polynomial``,
+                ``friction``, ``bouc_wen``, or one of an installed plug-in.
+            ndof: Number of DOFs; None: as many as the longest list has entries.
+            m: Masses, kg; a number for all, or a list from the fixed end.
+            c: Damping, N s/m.
+            k: Stiffness, N/m.
+            **parameters: Of the law, such as ``kappa`` (N/m^3); and its settings.
+
+        Raises:
+            InputError: Naming ``system.<parameter>``.
+        """
+        settings = {name: parameters.pop(name) for name in law_settings(law, "law") if name in parameters}
+        given = {"m": m, "c": c, "k": k, **parameters}
+        longest = max(map(np.size, given.values()))
+        count = longest if ndof is None else ndof
+        return cls._of(build_chain(count, law_called(law, settings, "system"), **given))
+
+    @classmethod
+    def connected(
+        cls,
+        dofs: Sequence[str],
+        mass: float | Mapping[str, float],
+        connections: Mapping[str, Mapping[str, Any]],
+    ) -> Structure:
+        """Named coordinates and connections, as ``system=structure`` has them.
+
+        Args:
+            dofs: Names of the coordinates.
+            mass: Of each, kg; or one number for all.
+            connections: Name to ``{"between": [a, b], "law": "linear", "c": 10.0, "k": 5e4}``; an end may be
+                ``ground``.
+
+        Raises:
+            InputError: Naming ``system.<setting>``.
+        """
+        return cls._of(build_structure(dofs, mass, connections))
+
+    @classmethod
+    def _of(cls, found: structure.Structure) -> Structure:
+        return cls(**{field.name: getattr(found, field.name) for field in fields(structure.Structure)})
+
+    def modes(self) -> pd.DataFrame:
+        """Natural ``frequency`` (Hz), ``damping_ratio`` and shape (``shape_1`` and so on) of every mode, about rest."""
+        import pandas as pd
+
+        found = NaturalModes.of(self)
+        assert found is not None  # every parameter is given
+        table = pd.DataFrame({"mode": np.arange(1, len(found.squares) + 1), "frequency": found.frequencies})
+        table["damping_ratio"] = found.damping_ratios
+        for dof in range(self.ndof):
+            table[f"shape_{self.dof_name(dof)}"] = found.shapes[dof]
+        return table
+
+    def simulate(
+        self,
+        time: npt.ArrayLike,
+        force: npt.ArrayLike | Mapping[int | str, npt.ArrayLike] | Callable[[np.ndarray], np.ndarray] | None = None,
+        *,
+        ground_acceleration: npt.ArrayLike | None = None,
+        initial: npt.ArrayLike | None = None,
+        hold: str = "exact",
+        frame: str = "absolute",
+        method: str = "rk4",
+    ) -> Record:
+        """The response to a force or to a motion of the ground, as sensors without noise would record it.
+
+        Args:
+            time: (N,), s, even; from rest at the first one, unless ``initial`` says otherwise.
+            force: DOF (from 1, or its name) to (N,) N, DOFs that are left out carrying none; or (N, ndof); or a
+                function from times (M,) to (M, ndof), which may be asked for any time; None: no force.
+            ground_acceleration: (N,), m/s^2; None: the ground is at rest.
+            initial: Displacement (m) and velocity (m/s) at the first time, (2, ndof), where the coordinates are the
+                DOFs.
+            hold: What samples of a force do in between: ``exact``, band-limited; ``zero_order``, each holds until the
+                next.
+            frame: Of the accelerations where the ground moves: ``absolute``, or ``relative`` to it.
+            method: ``rk4``, or ``dop853``, adaptive with tight tolerances.
+
+        Returns:
+            Every quantity of every DOF: :meth:`pinn_cli.Record.keep` leaves some, and
+            :meth:`pinn_cli.Record.with_noise` adds noise.
+
+        Raises:
+            InputError: Times that are not even, a force of another shape, a DOF that does not exist; or the response
+                overflows.
+        """
+        times = _even(time)
+        acting, forced = self._acting(force, times)
+        ground = None
+        if ground_acceleration is not None:
+            ground = force_spline(times, _shaped("ground_acceleration", ground_acceleration, times.shape))
+        substeps = max(substeps_needed(self, times[1] - times[0]), _LEAST_SUBSTEPS)
+        found = simulate(
+            self, acting, times, hold, method, substeps, initial=initial, ground=ground, frame=frame  # type: ignore[arg-type]
+        )  # fmt: skip
+        between = "zero_order_hold" if hold == "zero_order" else "band_limited"
+        return Record(
+            **found.measurable, unforced=~forced, intersample=between, frame=frame, dofs=self.labels.dofs  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    def _acting(self, force: Any, time: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+        """The force at any time, and which DOFs (ndof,) carry one."""
+        if callable(force):
+            sampled = _shaped("force", force(time), (len(time), self.ndof))
+            return force, (sampled != 0.0).any(axis=0)
+        if force is None:
+            force = {}
+        if isinstance(force, Mapping):
+            samples, forced = np.zeros((len(time), self.ndof)), np.zeros(self.ndof, dtype=bool)
+            for dof, values in force.items():
+                place = self._place(dof)
+                samples[:, place], forced[place] = _shaped(f"force[{dof!r}]", values, time.shape), True
+        else:
+            samples = _shaped("force", force, (len(time), self.ndof))
+            forced = (samples != 0.0).any(axis=0)
+        return force_spline(time, samples), forced
+
+    def _place(self, dof: int | str) -> int:
+        names = self.labels.dofs
+        if isinstance(dof, str) and dof in names:
+            return names.index(dof)
+        if is_whole_number(dof) and 1 <= int(dof) <= self.ndof:
+            return int(dof) - 1
+        allowed = f"a DOF from 1 to {self.ndof}" + (f", or one of {', '.join(names)}" if names else "")
+        raise InputError("force", dof, allowed, suggestion(str(dof), names))
+
+
+def _even(time: npt.ArrayLike) -> np.ndarray:
+    times = np.asarray(time, dtype=np.float64)
+    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
+        raise InputError("time", f"an array of shape {times.shape}", "a vector of two finite times or more")
+    step = (times[-1] - times[0]) / (len(times) - 1)
+    if step <= 0 or np.abs(np.diff(times) - step).max() > 1e-6 * step:
+        raise InputError("time", f"{times[0]:g}, {times[1]:g}, ...", "times that grow by one step")
+    return times
+
+
+def _shaped(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InputError(name, f"an array of shape {array.shape}", f"finite numbers of shape {shape}")
+    return array

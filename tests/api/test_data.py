@@ -1,0 +1,199 @@
+"""Data in memory are read as a file with the same columns: the same checks, units, identity and numbers."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pint
+import pytest
+
+from pinn_cli import InputError, Record, Structure, load, run
+from pinn_cli.api.data import settings_of
+from pinn_cli.cli.config import RunConfig
+from pinn_cli.cli.prepare import compose_config
+from pinn_cli.record import record
+from pinn_cli.record.files.frame import FrameFormat, held, table_of
+
+STEP, SAMPLES = 0.02, 400
+CHAIN = (
+    "system=linear", "system.ndof=2", "system.m=10", "system.c=[5,5]", "system.k=[4e3,3e3]", "figures=false",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Record:
+    structure = Structure.chain(m=10.0, c=5.0, k=[4e3, 3e3])
+    time = STEP * np.arange(SAMPLES)
+    force = sum(np.sin(2.0 * np.pi * f * time + f) for f in (0.7, 1.9, 3.1, 4.7))
+    return structure.simulate(time, {2: 20.0 * np.asarray(force)}).keep({"acceleration": [1, 2]}).with_noise(40.0, 3)
+
+
+@pytest.fixture(scope="module")
+def frame(simulated: Record) -> pd.DataFrame:
+    return simulated.to_frame()
+
+
+def settings(data: object, *overrides: str) -> list[str]:
+    with settings_of(data, overrides) as found:
+        return found
+
+
+def measured(data: object) -> record.Record:
+    """What the estimator would be given."""
+    with settings_of(data, ()) as found:
+        maps = [re.sub(r"^(?=[\w.]+=\{)", "++", override) for override in found]
+        config = RunConfig.read(compose_config([*CHAIN, *maps]))
+        return config.source.measurements(config.structure)[0].record
+
+
+def test_a_frame_and_a_file_are_one_run(frame: pd.DataFrame) -> None:
+    frame.rename(columns={"acceleration.1": "a1"}).to_csv("rig.csv", index=False, float_format="%.17g")
+    columns = ("data.acceleration={1: a1, 2: acceleration.2}", "data.force={2: force.2}")
+    of_file = run(*CHAIN, "data=csv", "data.path=rig.csv", *columns, "data.intersample=band_limited", keep=False)
+    of_frame = run(*CHAIN, "data.intersample=band_limited", data=frame, keep=False)
+    np.testing.assert_array_equal(of_frame.response["displacement"], of_file.response["displacement"])
+    pd.testing.assert_frame_equal(of_frame.residuals, of_file.residuals)
+
+
+def test_a_frame_a_record_and_arrays_are_one_record(simulated: Record, frame: pd.DataFrame) -> None:
+    expected = measured(frame)
+    for data in (simulated, {name: frame[name].to_numpy() for name in frame}):
+        found = measured(data)
+        for name in ("time", "acceleration", "force", "unforced"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_a_run_goes_on_with_the_same_frame_alone(frame: pd.DataFrame) -> None:
+    done = run(*CHAIN, data=frame, directory="done")
+    (done.directory / "run.json").unlink()
+    other = frame.assign(**{"acceleration.1": 2.0 * frame["acceleration.1"]})
+    for data in (None, other):
+        with pytest.raises(InputError, match=r"data.path=frame-\w+: must be a frame that this process holds"):
+            run("resume=done", data=data)
+    again = run("resume=done", data=frame.copy())
+    assert again.parameters.equals(load("done").parameters)
+
+
+def test_columns_are_named_by_what_they_measure(frame: pd.DataFrame) -> None:
+    table = table_of(frame)
+    found = settings(frame)
+    assert found[:2] == ["data=frame", f"data.path='{table.path.name}'"]
+    assert set(found[2:]) == {
+        "data.time='t'", "data.force={2: 'force.2'}", "data.acceleration={1: 'acceleration.1', 2: 'acceleration.2'}",
+    }  # fmt: skip
+    names = {"time (s)": [0.0], "velocity_3 [mm/s]": [0.0], "force roof": [0.0], "displacement.roof": [1.0], "u": [0.0]}
+    found = settings(names)
+    assert "data.time='time (s)'" in found
+    assert "data.velocity={3: 'velocity_3 [mm/s]'}" in found
+    assert "data.displacement={roof: 'displacement.roof'}" in found
+    assert not any("force" in setting for setting in found)
+    assert "data.ground_acceleration='ground_acceleration'" in settings({"ground_acceleration": [0.0]})
+
+
+def test_overrides_that_name_columns_are_alone(frame: pd.DataFrame) -> None:
+    found = settings(frame, "data.acceleration={1: acceleration.2}", "data.sampling_rate=50")
+    assert len(found) == 2
+    assert not any("data.time" in setting or "data.force" in setting for setting in found)
+
+
+def test_several_frames_are_several_records(frame: pd.DataFrame) -> None:
+    shorter = frame.iloc[:300].drop(columns="acceleration.1")
+    result = run(*CHAIN, data=[frame, shorter], keep=False)
+    assert result.table("records")["samples"].tolist() == [400, 300]
+
+
+def test_a_force_that_nobody_measured_is_known_to_act(simulated: Record) -> None:
+    found = settings(simulated.without_load_cells())
+    assert "data.force={2: null}" in found
+
+
+def test_times_may_be_the_index() -> None:
+    for index in (
+        pd.Index([0.0, 0.5, 1.0]),
+        pd.to_timedelta([0, 500, 1000], unit="ms"),
+        pd.date_range("2026-01-01", periods=3, freq="500ms"),
+    ):
+        table = table_of(pd.DataFrame({"a": [1, 2, 3]}, index=index))
+        np.testing.assert_allclose(table.columns["t"], [0.0, 0.5, 1.0])
+    assert "t" not in table_of(pd.DataFrame({"a": [1, 2, 3]})).columns
+
+
+def test_units_are_kept(frame: pd.DataFrame) -> None:
+    g = 9.80665
+    in_g = (frame[["acceleration.1", "acceleration.2"]] / g).add_suffix(" (g)")
+    named = pd.concat([frame[["t", "force.2"]], in_g], axis="columns")
+    told = frame.assign(**{f"acceleration.{i}": frame[f"acceleration.{i}"] / g for i in (1, 2)})
+    told.attrs["units"] = {"acceleration.1": "g", "acceleration.2": "g"}
+    unit = pint.UnitRegistry().Unit("g_0")
+    quantities = {name: frame[name].to_numpy() for name in ("t", "force.2")}
+    quantities |= {f"acceleration.{i}": told[f"acceleration.{i}"].to_numpy() * unit for i in (1, 2)}
+    expected = measured(frame)
+    for data in (named, told, quantities):
+        found = measured(data)
+        np.testing.assert_allclose(found.acceleration, expected.acceleration, rtol=1e-12)
+        np.testing.assert_array_equal(found.force, expected.force)
+
+
+def test_matrices_and_columns_of_several_levels() -> None:
+    table = table_of({"acceleration": np.arange(6.0).reshape(3, 2)})
+    np.testing.assert_array_equal(table.columns["acceleration.2"], [1.0, 3.0, 5.0])
+    frame = pd.DataFrame({("force", 1): [1.0], ("force", 2): [2.0]})
+    assert list(table_of(frame).columns) == ["force.1", "force.2"]
+
+
+def test_what_cells_are_no_numbers_is_told_as_of_a_file() -> None:
+    table = table_of(pd.DataFrame({"a": ["1.5", "off", None, True]}))
+    np.testing.assert_array_equal(table.columns["a"], [1.5, np.nan, np.nan, np.nan])
+    assert table.odd_cells["a"] == {1: "off", 3: "True"}
+    with pytest.raises(InputError, match=r"column 'a', sample 2=.*off"):
+        table.numbers("a")
+
+
+def test_the_name_says_the_content(frame: pd.DataFrame) -> None:
+    changed = [
+        frame.assign(t=frame["t"] + 1.0),
+        frame.rename(columns={"force.2": "force.1"}),
+        frame.rename(columns={"force.2": "force.2 (kN)"}),
+        frame.iloc[:-1],
+    ]
+    names = {str(table_of(one).path) for one in (frame, frame.copy(), *changed)}
+    assert len(names) == 1 + len(changed)
+
+
+def test_a_frame_is_held_for_the_run_alone(frame: pd.DataFrame) -> None:
+    table = table_of(frame)
+    with held(table):
+        assert FrameFormat().read(table.path) is table
+    with pytest.raises(InputError, match="a frame that this process holds"):
+        FrameFormat().read(table.path)
+
+
+@pytest.mark.parametrize(
+    ("data", "overrides", "told"),
+    [
+        (3, (), r"data=<int>: must be a pandas DataFrame"),
+        ({}, (), "it has no columns"),
+        ([], (), "a list of frames"),
+        ({"t": [0, 1], "force.1": [1]}, (), "arrays of one length"),
+        ({"a1": [0, 1]}, (), r"data='a1': must be columns such as force.1"),
+        ({"force.1": [0], "force_1": [0]}, (), r"the only column of data.force.1"),
+        ({"a": np.zeros((2, 2, 2))}, (), r"an array of shape \(2, 2, 2\)"),
+        (pd.DataFrame([[1, 2]], columns=["a", "a"]), (), "different names"),
+        ({"force.1": [0]}, ("data.path=rig.csv",), "left out with data=..., the argument"),
+        ({"force.1": [0]}, ("data=csv",), "the record is in memory"),
+        ({"t": [0.0, 0.1], "acceleration.2": [0.0, 1.0]}, CHAIN, "must be a window of at least 16 samples"),
+        ({"acceleration.1": np.arange(20.0)}, CHAIN, r"data.time='t': must be a column of frame-\w+, which has"),
+    ],
+)
+def test_data_that_no_run_can_use(data: object, overrides: tuple[str, ...], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        run(*overrides, data=data)
+    assert not list(Path().iterdir())

@@ -1,0 +1,228 @@
+"""`run` computes what the command computes, gives the process back as it was, and raises what the command prints."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import random
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from calls import SMALL
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+
+import pinn_cli
+from pinn_cli import DivergenceError, InputError, NotSoundError, Result, load, run
+
+QUICK = (*SMALL, "figures=false")
+FILES = ("fitness.csv", "parameters.csv", "response.nc", "residuals.csv", "modes.csv", "drift.csv")
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def refused(*overrides: str, **given: object) -> str:
+    """The one line of an error, after which nothing is left."""
+    before = set(Path().rglob("*"))
+    with pytest.raises(InputError) as caught:
+        run(*overrides, **given)  # type: ignore[call-overload]
+    assert set(Path().rglob("*")) == before
+    return str(caught.value)
+
+
+def test_the_package_imports_nothing_slow() -> None:
+    code = "import sys, pinn_cli; dir(pinn_cli); print([m for m in ('numpy', 'torch', 'hydra') if m in sys.modules])"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "[]\n"
+
+
+def test_every_name_is_there() -> None:
+    assert all(getattr(pinn_cli, name) is not None and name in dir(pinn_cli) for name in pinn_cli.__all__)
+    with pytest.raises(AttributeError, match="sweeep"):
+        pinn_cli.sweeep  # noqa: B018
+
+
+def test_the_same_seed_gives_the_command_s_results_bit_for_bit(tmp_path: Path) -> None:
+    # In a process that has loaded the linear algebra with as many threads as it likes, as a notebook has.
+    code = f"import scipy.linalg\nfrom pinn_cli import run\nprint(run(*{QUICK!r}, directory='python').directory)"
+    many = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
+    for command in (["-c", code], ["-m", "pinn_cli.main", *QUICK, "hydra.run.dir=shell"]):
+        done = subprocess.run([sys.executable, *command], env=many, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    for name in FILES:
+        assert (tmp_path / "python" / name).read_bytes() == (tmp_path / "shell" / name).read_bytes(), name
+    records = [json.loads((tmp_path / place / "run.json").read_text()) for place in ("python", "shell")]
+    assert records[0]["configuration"] == records[1]["configuration"]
+    assert records[0]["training"] == records[1]["training"]
+
+
+def state() -> dict[str, object]:
+    """What belongs to the process."""
+    root, package = logging.getLogger(), logging.getLogger("pinn_cli")
+    return {
+        "arguments": list(sys.argv),
+        "folder": os.getcwd(),
+        "environment": dict(os.environ),
+        "handlers": [(handler, list(handler.filters), handler.level) for handler in root.handlers],
+        "levels": (root.level, package.level, list(package.handlers), package.propagate),
+        "signals": [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)],
+        "threads": torch.get_num_threads(),
+        "torch": torch.get_rng_state().tolist(),
+        "numpy": str(np.random.get_state()),  # noqa: NPY002
+        "python": random.getstate(),
+        "hydra": GlobalHydra.instance(),
+        "frozen": __import__("gc").get_freeze_count(),
+        "collected": __import__("gc").get_threshold(),
+    }
+
+
+def test_a_process_is_given_back_as_it_was_and_runs_again(tmp_path: Path) -> None:
+    torch.set_num_threads(2)
+    torch.manual_seed(5)
+    own = logging.FileHandler(tmp_path / "own.log", mode="w")
+    logging.getLogger().addHandler(own)
+    logging.getLogger().setLevel(logging.WARNING)
+    before = state()
+    first = run(*QUICK, directory="first")
+    assert state() == before
+    second = run(*QUICK, directory="second")
+    assert state() == before
+    assert refused("system.ndof=-1") == "system.ndof=-1: must be a whole number >= 1"
+    assert state() == before
+    assert (first.directory / "parameters.csv").read_bytes() == (second.directory / "parameters.csv").read_bytes()
+    logging.getLogger("mine").warning("heard")
+    assert (tmp_path / "own.log").read_text() == "heard\n"  # the file is open, and has nothing of ours
+    assert "estimate:" in (first.directory / "pinn-run.log").read_text()
+
+
+def test_within_hydra_of_one_s_own() -> None:
+    with initialize_config_module("pinn_cli.conf", version_base="1.2"):
+        run(*QUICK, keep=False)
+        assert compose("config").seed == 0
+
+
+def test_from_a_running_event_loop_and_from_other_threads() -> None:
+    async def cell() -> Result:
+        return run(*QUICK, keep=False)
+
+    here = asyncio.run(cell())
+    with ThreadPoolExecutor(2) as threads:
+        there = list(threads.map(lambda _: run(*QUICK, keep=False), range(2)))
+    for result in there:
+        assert result.parameters.equals(here.parameters)
+
+
+def test_results_that_are_not_kept_go_with_their_object() -> None:
+    result = run(*QUICK, keep=False)
+    place = result.directory
+    assert place.is_dir()
+    assert not Path("outputs").exists()
+    del result
+    assert not place.parent.exists()
+
+
+def test_results_lie_where_the_command_puts_them_and_go_on_from_there() -> None:
+    result = run(*QUICK, "case=small")
+    assert result.directory.parts[-3:-1] == ("outputs", "small")
+    again = run(f"resume={result.directory}")
+    assert again.directory == result.directory
+
+
+def test_a_sweep_returns_its_runs(capfd: pytest.CaptureFixture[str]) -> None:
+    sweep = run(*SMALL, "noise.snr_db=40,-2000", multirun=True)
+    assert len(sweep) == 1
+    assert list(sweep.jobs["status"]) == ["finished", "failed"]
+    assert sweep[0].verdict is not None
+    assert sweep.parameters["noise.snr_db"].unique().tolist() == [40]
+    assert "-2000" in sweep.jobs["reason"][1]
+    assert load(sweep.directory).fitness.equals(sweep.fitness)
+    assert capfd.readouterr().out == ""
+    assert "noise.snr_db=-2000: must be" in refused(*SMALL, "noise.snr_db=-2000,-3000", multirun=True)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "given", "told"),
+    [
+        (("system.ndfo=3",), {}, "system.ndfo"),
+        (("system.ndof=[1",), {}, "system.ndof=[1"),
+        (("nonsense",), {}, "of the form setting=value"),
+        (("--multirun", "seed=0,1"), {}, "multirun=True"),
+        (("seed=0,1",), {}, "seed"),
+        (("collect=outputs",), {}, "pinn_cli.load"),
+        (("hydra.run.dir=here",), {}, "directory=..."),
+        ((), {"directory": "here", "keep": False}, "keep=False"),
+        (("resume=nowhere",), {}, "there is no such directory"),
+        ((3,), {}, "a string"),
+    ],
+)
+def test_errors_are_the_command_s_one_line(overrides: tuple[str, ...], given: dict[str, object], told: str) -> None:
+    assert told in refused(*overrides, **given)
+
+
+def test_an_error_has_a_short_traceback() -> None:
+    with pytest.raises(InputError) as caught:
+        run("system.ndof=-1")
+    assert len(caught.traceback) < 8
+    assert caught.value.__cause__ is None
+
+
+def test_other_ends_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pinn_cli.api import run as api
+
+    def ending(error: Exception) -> Callable[..., None]:
+        def job(*_: object, **__: object) -> None:
+            raise error
+
+        return job
+
+    for error in (DivergenceError("far away"), NotSoundError("doubtful"), ZeroDivisionError("a defect")):
+        monkeypatch.setattr(api, "run_job", ending(error))
+        with pytest.raises(type(error), match=str(error)):
+            run(*QUICK)
+
+
+INTERRUPTED = """
+import os, pathlib, signal, threading, time
+from pinn_cli import run
+
+def interrupt():
+    while not pathlib.Path("kept/checkpoint.pt").is_file():
+        time.sleep(0.05)
+    pathlib.Path("kept/checkpoint.pt").unlink()
+    for _ in range(2):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+threading.Thread(target=interrupt, daemon=True).start()
+try:
+    run(*SETTINGS, directory="kept")
+except KeyboardInterrupt:
+    print("goes on")
+assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+"""
+
+
+def test_an_interruption_keeps_the_process_and_a_second_one_too() -> None:
+    settings = (
+        "training=adam",
+        "training.iterations=100000",
+        "network=mlp",
+        "figures=false",
+        "training.checkpoint_every_s=2",
+        *SMALL,
+    )
+    code = INTERRUPTED.replace("SETTINGS", repr(settings))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "goes on\n"), done.stderr
+    assert Path("kept/checkpoint.pt").is_file()
