@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class Record(record.Record):
         ['t', 'acceleration.1', 'force.2']
     """
 
-    def with_noise(self, snr_db: float, seed: int = 0) -> Record:
+    def with_noise(self, snr_db: float, seed: int = 0) -> Self:
         """The same with white Gaussian noise on every channel.
 
         Args:

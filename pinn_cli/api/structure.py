@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class Structure(structure.Structure):
         >>> from pinn_cli import Structure
         >>> frame = Structure.chain(ndof=2, m=2000.0, c=4500.0, k=[1.5e6, 1.4e6])
         >>> frame.modes()["frequency"].round(3).tolist()
-        [2.621, 7.047]
+        [2.667, 6.881]
     """
 
     @classmethod
@@ -50,7 +50,7 @@ class Structure(structure.Structure):
         c: float | Sequence[float],
         k: float | Sequence[float],
         **parameters: Any,
-    ) -> Structure:
+    ) -> Self:
         """A chain: connection i joins DOF i-1 to DOF i, the first one the ground to DOF 1.
 
         Args:
@@ -77,7 +77,7 @@ class Structure(structure.Structure):
         dofs: Sequence[str],
         mass: float | Mapping[str, float],
         connections: Mapping[str, Mapping[str, Any]],
-    ) -> Structure:
+    ) -> Self:
         """Named coordinates and connections, as ``system=structure`` has them.
 
         Args:
@@ -92,7 +92,7 @@ class Structure(structure.Structure):
         return cls._of(build_structure(dofs, mass, connections))
 
     @classmethod
-    def _of(cls, found: structure.Structure) -> Structure:
+    def _of(cls, found: structure.Structure) -> Self:
         return cls(**{field.name: getattr(found, field.name) for field in fields(structure.Structure)})
 
     def modes(self) -> pd.DataFrame:
