@@ -199,7 +199,6 @@ from pinn_cli import run
 def interrupt():
     while not pathlib.Path("kept/checkpoint.pt").is_file():
         time.sleep(0.05)
-    pathlib.Path("kept/checkpoint.pt").unlink()
     for _ in range(2):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)
