@@ -23,6 +23,7 @@ from hydra.core.global_hydra import GlobalHydra
 
 import pinn_cli
 from pinn_cli import DivergenceError, InputError, NotSoundError, Result, load, run
+from pinn_cli.runs.interruption import asked, deferred
 
 QUICK = (*SMALL, "figures=false")
 FILES = ("fitness.csv", "parameters.csv", "response.nc", "residuals.csv", "modes.csv", "drift.csv")
@@ -192,36 +193,23 @@ def test_other_ends_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
             run(*QUICK)
 
 
-INTERRUPTED = """
-import os, pathlib, signal, threading, time
-from pinn_cli import run
+def test_an_interruption_ends_the_run_and_a_second_one_not_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pinn_cli.api import run as api
 
-def interrupt():
-    while not pathlib.Path("kept/checkpoint.pt").is_file():
-        time.sleep(0.05)
-    for _ in range(2):
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.01)
+    def job(*_: object, **__: object) -> None:
+        with deferred():  # as in a step of a training
+            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGINT)
+            steps.append(asked())
+        steps.append("not reached")
 
-threading.Thread(target=interrupt, daemon=True).start()
-try:
-    run(*SETTINGS, directory="kept")
-except KeyboardInterrupt:
-    print("goes on")
-assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-"""
-
-
-def test_an_interruption_keeps_the_process_and_a_second_one_too() -> None:
-    settings = (
-        "training=adam",
-        "training.iterations=100000",
-        "network=mlp",
-        "figures=false",
-        "training.checkpoint_every_s=2",
-        *SMALL,
-    )
-    code = INTERRUPTED.replace("SETTINGS", repr(settings))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "goes on\n"), done.stderr
-    assert Path("kept/checkpoint.pt").is_file()
+    steps: list[object] = []
+    monkeypatch.setattr(api, "run_job", job)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run(*QUICK)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert steps == [True]
