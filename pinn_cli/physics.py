@@ -78,6 +78,11 @@ class Targets:
         response = {quantity: gather(values) for quantity, values in self.response.items()}
         return replace(self, response=response, observer_force=gather(self.observer_force))
 
+    def of_groups(self, part: slice) -> Targets:
+        """Grouped observations of some of the groups alone."""
+        response = {quantity: values[part] for quantity, values in self.response.items()}
+        return replace(self, response=response, observer_force=self.observer_force[part])
+
     def grouped_collocation(self, gather: Callable[[Tensor], Tensor]) -> Targets:
         """The same with the force at its collocation points rearranged, (P, n) to (..., n)."""
         between = None if self.force_between is None else gather(self.force_between)

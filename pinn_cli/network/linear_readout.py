@@ -51,10 +51,14 @@ class Segments:
 
     def scatter(self, grouped: Tensor) -> Tensor:
         """(I, S, ...) back to (N, ...)."""
-        alive = self.mask.reshape(-1) > 0
         out = grouped.new_zeros((self.samples, *grouped.shape[2:]))
-        out[self.sample.reshape(-1)[alive]] = grouped.reshape(-1, *grouped.shape[2:])[alive]
+        self.place(grouped, out)
         return out
+
+    def place(self, grouped: Tensor, out: Tensor) -> None:
+        """Write (I, S, ...) where it belongs in (N, ...)."""
+        alive = self.mask.reshape(-1) > 0
+        out[self.sample.reshape(-1)[alive]] = grouped.reshape(-1, *grouped.shape[2:])[alive]
 
 
 class LinearReadout(Network):

@@ -77,6 +77,18 @@ def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
 
 
 def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
-    """A band-limited history at any time, from its samples (N, ...) at times (N,): the spline of `SPLINE_DEGREE`."""
-    spline: Force = make_interp_spline(time, force, k=SPLINE_DEGREE)
-    return spline
+    """A band-limited history at any time, from its samples (N, ...) at times (N,): the spline of `SPLINE_DEGREE`.
+
+    Most columns of a force are zero as a rule, and stay so.
+    """
+    columns = force.reshape(len(force), -1)
+    acting = np.flatnonzero(columns.any(axis=0))
+    spline = make_interp_spline(time, columns[:, acting], k=SPLINE_DEGREE) if acting.size else None
+
+    def history(at: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(at), columns.shape[1]))
+        if spline is not None:
+            out[:, acting] = spline(at)
+        return out.reshape(len(at), *force.shape[1:])
+
+    return history

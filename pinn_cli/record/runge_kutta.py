@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pinn_cli.record.corners import Corners
-from pinn_cli.record.multiple_shooting import MANY_STEPS, MOST_COORDINATES, shot
+from pinn_cli.record.multiple_shooting import MANY_STEPS, shot
 from pinn_cli.record.runge_kutta_step import Slope, runge_kutta_step
 
 Force = Callable[[np.ndarray], np.ndarray]
@@ -43,7 +43,7 @@ def runge_kutta(
         left, middle, right = left[:-1], force(starts[:-1] + 0.5 * h), left[1:]
     else:
         left = middle = right = np.repeat(sampled[:-1], substeps, axis=0)
-    if corners is None and steps >= MANY_STEPS and start.ndim == 2 == left.ndim and start.shape[1] <= MOST_COORDINATES:
+    if corners is None and steps >= MANY_STEPS and start.ndim == 2 == left.ndim:
         found = shot(slope, start, (left, middle, right), h)
         if found is not None:
             return found[::substeps]

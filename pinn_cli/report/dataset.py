@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
-from pinn_cli.runs.writing import write_bytes
+from pinn_cli.runs.reserved_file import replacing_by_reserved
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from pinn_cli.report.connection_forces import ConnectionForces
     from pinn_cli.report.drift import Drifts
     from pinn_cli.training.estimate import Estimate
+
+# Bytes at most of names, attributes and HDF5's own tables.
+AROUND_DATA = 2**20
 
 
 def response_dataset(
@@ -115,9 +118,10 @@ def _of_the_connections(drifts: Drifts | None) -> dict[str, tuple[tuple[str, ...
 
 
 def write_dataset(dataset: xr.Dataset, path: Path | str) -> Path:
-    """Write ``dataset`` as netCDF 4 through h5netcdf."""
-    # HDF5 ends the process where its disk is full; in memory it has no disk.
-    return write_bytes(dataset.to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
+    """Write ``dataset`` as netCDF 4 through h5netcdf, variable by variable."""
+    with replacing_by_reserved(path, dataset.nbytes + AROUND_DATA) as file:
+        dataset.to_netcdf(file, engine="h5netcdf", format="NETCDF4")
+    return Path(path)
 
 
 def netcdf_attributes(given: Mapping[str, object]) -> dict[str, object]:

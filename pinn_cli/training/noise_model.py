@@ -172,19 +172,34 @@ class FeatureProjection:
         array[0] += 1e-15 * array[0].max()
         self.factor = cholesky_banded(array, lower=True)
 
-    def _moments(self, values: Tensor) -> np.ndarray:
-        local = self.features.mT @ values.cpu()
-        out = torch.zeros(self.segments.count, values.shape[-1], dtype=values.dtype)
-        return out.index_add_(0, self.index.reshape(-1), local.reshape(-1, values.shape[-1])).numpy()
+    def no_moments(self, channels: int) -> Tensor:
+        """(count, channels) zeros, for :meth:`add_moments`."""
+        return torch.zeros(self.segments.count, channels, dtype=self.features.dtype)
+
+    def add_moments(self, moments: Tensor, values: Tensor, part: slice = slice(None)) -> None:
+        """Add the products of the features with histories (I, S, channels) of some groups."""
+        local = self.features[part].mT @ values.cpu()
+        moments.index_add_(0, self.index[part].reshape(-1), local.reshape(-1, values.shape[-1]))
+
+    def seen(self, moments: Tensor) -> np.ndarray:
+        """(channels,), squared norm of the projection of histories, from the moments of all groups."""
+        products = moments.numpy()
+        return np.einsum("ki,ki->i", products, cho_solve_banded((self.factor, True), products))
+
+    def _moments(self, values: Tensor) -> Tensor:
+        moments = self.no_moments(values.shape[-1])
+        self.add_moments(moments, values)
+        return moments
 
     def sum_of_squares(self, values: Tensor) -> np.ndarray:
         """Squared norm of the projection of each DOF's grouped history (I, S, n): what the features can see of it."""
-        moments = self._moments(values)
-        return np.einsum("ki,ki->i", moments, cho_solve_banded((self.factor, True), moments))
+        return self.seen(self._moments(values))
 
     def coefficients(self, values: Tensor) -> Tensor:
         """Of the features in the projection of a history (N, n): (count, n)."""
-        return torch.as_tensor(cho_solve_banded((self.factor, True), self._moments(self.segments.gather(values))))
+        return torch.as_tensor(
+            cho_solve_banded((self.factor, True), self._moments(self.segments.gather(values)).numpy())
+        )
 
     def residual(self, values: Tensor) -> np.ndarray:
         """(N, n) minus its projection: what the features cannot follow."""

@@ -205,7 +205,8 @@ def _half_steps(record: Record, samples: int, substeps: int, with_ground: np.nda
         return np.stack((force, np.zeros_like(force)), axis=1)
     times = record.time[0] + 0.5 * record.step / substeps * np.arange(2 * samples * substeps + 1)
     times = np.minimum(times, record.time[-1])
-    force, carried = between_samples(record, record.force)(times), np.zeros((len(times), record.ndof))
+    part = min(samples + 1, len(record.time))
+    force, carried = between_samples(record, record.force, part)(times), np.zeros((len(times), record.ndof))
     if record.ground_acceleration is not None:
-        carried += between_samples(record, record.ground_acceleration)(times)[:, None] * with_ground
+        carried += between_samples(record, record.ground_acceleration, part)(times)[:, None] * with_ground
     return np.stack((force, carried), axis=1)

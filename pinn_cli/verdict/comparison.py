@@ -13,7 +13,6 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
 from pinn_cli.record.channels import Channel, channels
-from pinn_cli.verdict.linear_response import decays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,7 +160,7 @@ def compare(channel: Channel, prediction: Prediction, as_dof: int | None = None)
     record = prediction.record
     place = Channel(channel.quantity, channel.dof if as_dof is None else as_dof, channel.measured)
     measured = channel.measured[: len(record.time)]
-    basis = decays(prediction.modes, place, record)
+    basis = prediction.decays(place)
     columns = np.column_stack((measured, place.of(prediction.response), np.ones(len(measured))))
     columns = columns - basis @ (basis.T @ columns)
     power = max(float(np.var(measured)), np.finfo(float).tiny)

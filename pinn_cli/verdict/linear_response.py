@@ -10,6 +10,8 @@ from scipy.fft import irfft, rfft, rfftfreq
 from pinn_cli.record.response import Response
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
     from pinn_cli.system.modes import Modes
@@ -51,17 +53,27 @@ def linear_response(modes: Modes, record: Record) -> Response:
     return Response(record.time, u, v, a, record.force, record.ground_acceleration)
 
 
+def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:
+    """Numbers of the modes, one of every pair, that move where a channel's sensor is."""
+    upper = np.flatnonzero(modes.poles.imag >= 0)
+    shape = modes.shapes[channel.dof, upper]
+    return tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))].tolist())
+
+
 def decays(modes: Modes, channel: Channel, record: Record) -> np.ndarray:
     """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel.
 
     Whatever the structure did before the record began, and what the repeated force of :func:`linear_response` leaves
     over from the end, lies in their span.
     """
-    upper = modes.poles.imag >= 0
-    poles, shape = modes.poles[upper], modes.shapes[channel.dof, upper]
-    moving = np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))
+    return decays_of_modes(modes, felt_modes(modes, channel), record)
+
+
+def decays_of_modes(modes: Modes, felt: Sequence[int], record: Record) -> np.ndarray:
+    """The same of a channel that feels the given modes."""
+    poles = modes.poles[list(felt)]
     time = record.time - record.time[0]
-    waves = np.exp(np.minimum(poles[moving].real, 0.0) * time[:, None] + 1j * poles[moving].imag * time[:, None])
+    waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])
     basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
     size = np.abs(np.diag(triangle))
     return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]

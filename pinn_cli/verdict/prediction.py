@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +13,12 @@ from pinn_cli.record.simulation import OverflowsError, simulate
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
-from pinn_cli.verdict.linear_response import linear_response
+from pinn_cli.verdict.linear_response import decays_of_modes, felt_modes, linear_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
     from pinn_cli.record.runge_kutta import Force
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 MOST_STEPS = 40_000
 # A spline through samples this many times as dense follows a history up to the Nyquist frequency to 1e-3.
 DENSER, SPLINE_DEGREE = 4, 5
+# Dense samples behind a part of a history that its spline goes through as well: none further on reaches into the part
+# (each counts 0.43 times as much as the one before it).
+BEYOND_PART = 64
 LINEAR = ("m", "c", "k")
 
 
@@ -43,6 +47,14 @@ class Prediction:
     response: Response
     record: Record
     modes: Modes
+    _decays: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict)
+
+    def decays(self, channel: Channel) -> np.ndarray:
+        """See :func:`pinn_cli.verdict.linear_response.decays`; channels that feel the same modes share theirs."""
+        seen = felt_modes(self.modes, channel)
+        if seen not in self._decays:
+            self._decays[seen] = decays_of_modes(self.modes, seen, self.record)
+        return self._decays[seen]
 
 
 def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
@@ -71,8 +83,9 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
         return None
     part = record.until(samples)
     hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
-    ground = None if record.ground_acceleration is None else between_samples(record, record.ground_acceleration)
-    force = force_between_samples(record, hold)
+    moved = record.ground_acceleration
+    ground = None if moved is None else between_samples(record, moved, samples)
+    force = force_between_samples(record, hold, samples)
     try:
         response = simulate(
             structure, force, part.time, hold, substeps=substeps, initial=start, ground=ground, frame=record.frame
@@ -87,22 +100,44 @@ def is_linear(structure: Structure) -> bool:
     return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
 
 
-def force_between_samples(record: Record, hold: str) -> Force:
+def force_between_samples(record: Record, hold: str, samples: int | None = None) -> Force:
     """The force at any time of the record, see :func:`between_samples`."""
     if hold == "zero_order":
         return lambda time: record.force[: len(time)]
-    return between_samples(record, record.force)
+    return between_samples(record, record.force, samples)
 
 
-def between_samples(record: Record, values: np.ndarray) -> Force:
-    """A band-limited history at any time of the record, from its samples (N, ...).
+def between_samples(record: Record, values: np.ndarray, samples: int | None = None) -> Force:
+    """A band-limited history at any time of the record, from its samples (N,) or (N, n).
 
     Between samples taken barely fast enough a spline loses a good part of it, so it goes through the samples of
     the same sinusoids taken `DENSER` times as often. The record is mirrored at its end to make it periodic.
+
+    Args:
+        record: For its times.
+        values: Of a force most columns are zero as a rule, and stay so.
+        samples: The first ones, up to which alone the history is asked for; None: all.
     """
+    columns = values.reshape(len(values), -1)
+    acting = np.flatnonzero(columns.any(axis=0))
+    last = len(record.time) - 1
+    end = DENSER * last if samples is None else min(DENSER * last, DENSER * (samples - 1) + BEYOND_PART)
+    times = np.linspace(record.time[0], record.time[-1], DENSER * last + 1)[: end + 1]
+    splines = [make_interp_spline(times, _denser(columns[:, i])[: end + 1], k=SPLINE_DEGREE) for i in acting]
+
+    def history(time: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(time), columns.shape[1]))
+        for column, spline in zip(acting, splines, strict=True):
+            out[:, column] = spline(time)
+        return out.reshape(len(time), *values.shape[1:])
+
+    return history
+
+
+def _denser(values: np.ndarray) -> np.ndarray:
+    """The sinusoids of samples (N,), mirrored at their end, taken `DENSER` times as often."""
     mirrored = np.concatenate((values, values[-2:0:-1]))
-    spectrum, count = rfft(mirrored, axis=0), len(mirrored)
+    spectrum = rfft(mirrored)
     spectrum[-1] *= 0.5  # the Nyquist line of an even number of samples stands for two once there are more samples
-    dense = DENSER * irfft(spectrum, DENSER * count, axis=0)[: DENSER * (len(record.time) - 1) + 1]
-    spline: Force = make_interp_spline(np.linspace(record.time[0], record.time[-1], len(dense)), dense, k=SPLINE_DEGREE)
-    return spline
+    dense: np.ndarray = DENSER * irfft(spectrum, DENSER * len(mirrored))
+    return dense

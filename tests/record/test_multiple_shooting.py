@@ -30,7 +30,9 @@ def stepped(slope, start, parts) -> np.ndarray:
     return np.array(states)
 
 
-@pytest.mark.parametrize(("kind", "n", "size"), [("duffing", 1, 0.3), ("van_der_pol", 2, 0.3), ("linear", 2, 1.0)])
+@pytest.mark.parametrize(
+    ("kind", "n", "size"), [("duffing", 1, 0.3), ("van_der_pol", 2, 0.3), ("linear", 2, 1.0), ("duffing", 6, 0.3)]
+)
 def test_all_states_are_those_of_single_steps(kind, n, size):
     slope, start = StateEquation(small_chain(kind, n), False).slope, 0.01 * np.ones((2, n))
     expected = stepped(slope, start, loads(n, size))
@@ -38,6 +40,11 @@ def test_all_states_are_those_of_single_steps(kind, n, size):
     assert found is not None
     np.testing.assert_array_equal(found[0], start)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_many_coordinates_that_move_fast_are_left_to_single_steps():
+    slope = StateEquation(small_chain("duffing", 24), False).slope
+    assert shot(slope, np.zeros((2, 24)), loads(24, 0.3), STEP) is None
 
 
 def test_pieces_that_cannot_be_joined_are_left_to_single_steps():

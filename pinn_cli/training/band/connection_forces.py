@@ -13,17 +13,28 @@ from pinn_cli.training.band.posterior import ReadoutPosterior
 
 def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarray]:
     """R = c de + k e + r_n(e, de) + z of `Structure.added` at the samples, and its deviation, each (N, C), N."""
-    equations, point = posterior.equations, posterior.point
-    segments, dynamics = equations.observation, equations.dynamics
-    jet, parameters = equations.jet(segments, point), equations.parameters(point)
+    equations = posterior.equations
+    segments, connections = equations.observation, equations.dynamics.structure.added
+    forces, deviations = (segments.mask.new_zeros((segments.samples, len(connections))) for _ in range(2))
+    for part in equations.windows(segments):
+        group = segments.part(part)
+        force, std = _of_groups(posterior, group, part)
+        group.place(force, forces)
+        group.place(std.to(deviations.device), deviations)
+    return forces.cpu().numpy(), deviations.cpu().numpy()
+
+
+def _of_groups(posterior: ReadoutPosterior, segments: Segments, part: slice) -> tuple[Tensor, Tensor]:
+    """The forces and their deviations in some groups of the samples, each (I, S, C)."""
+    equations, dynamics = posterior.equations, posterior.equations.dynamics
+    jet = equations.jet(equations.observation, posterior.point, part)
+    parameters = equations.parameters(posterior.point)
     slope, structure = dynamics.linearise(jet, parameters), dynamics.structure
     u, v = (x[..., : dynamics.ndof] for x in (jet.value, jet.rate))
     z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)
-    force = force[..., torch.as_tensor(structure.added, device=force.device)]
     deviations = [_deviation(posterior, segments, slope, c) for c in structure.added.tolist()]
-    std = torch.stack(deviations, -1).to(segments.mask.device)
-    return segments.scatter(force).cpu().numpy(), segments.scatter(std).cpu().numpy()
+    return force[..., torch.as_tensor(structure.added, device=force.device)], torch.stack(deviations, -1)
 
 
 def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisation, connection: int) -> Tensor:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
 
@@ -17,32 +20,87 @@ def dissipated_energy(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
     An integral over the record takes all of the motion and all parameters at once, so its deviation needs the whole
     inverse and not its band: one solution of the band for every connection.
     """
-    point = posterior.point
-    leaves = Point(*(x.detach().clone().requires_grad_() for x in (point.unknowns, point.parameters)))
-    with torch.enable_grad():
-        energy = _energy(posterior, leaves)
-        slopes = [
-            torch.autograd.grad(each, (leaves.unknowns, leaves.parameters), retain_graph=True, allow_unused=True)
-            for each in energy
-        ]
-    by_weight = torch.stack([weight for weight, _ in slopes], -1).cpu().numpy()
-    none = torch.zeros_like(leaves.parameters)
-    by_parameter = torch.stack([none if x is None else x for _, x in slopes], -1).cpu().numpy()
-    return energy.detach().cpu().numpy(), posterior.factor.deviations(by_weight, by_parameter)
+    equations, segments = posterior.equations, posterior.equations.observation
+    connections = equations.dynamics.structure.added
+    energy, by_weight = np.zeros(len(connections)), np.zeros((equations.layout.size, len(connections)))
+    by_kind: dict[str, Tensor] = {}
+    for part in equations.windows(segments):
+        own = _Energy.of(equations, posterior.point, part)
+        energy += own.each.cpu().numpy()
+        own.add_by_weight(by_weight, equations, part)
+        for kind, slope in own.by_kind.items():
+            by_kind[kind] = by_kind[kind] + slope if kind in by_kind else slope
+    return energy, posterior.factor.deviations(by_weight, _by_parameter(equations, by_kind))
 
 
-def _energy(posterior: ReadoutPosterior, point: Point) -> Tensor:
-    """(C,), J, differentiable in the point."""
-    equations = posterior.equations
-    segments, dynamics, structure = equations.observation, equations.dynamics, equations.dynamics.structure
-    jet, parameters = equations.jet(segments, point), equations.parameters(point)
-    e, de = (structure.elongation(x[..., : dynamics.ndof]) for x in (jet.value, jet.rate))
-    z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
-    time = equations.problem.record.time
-    weight = segments.gather(torch.as_tensor(trapezoids(time)).to(e))
-    energy = (weight[..., None] * dissipated_power(structure, e, de, parameters, z)).sum((0, 1))
-    if z is not None:
-        stored = stored_by_memory(structure, segments.scatter(z)[[0, -1]], parameters)
-        places = torch.as_tensor(structure.memory, device=energy.device)
-        energy = energy.index_add(0, places, stored[0] - stored[1])
-    return energy[torch.as_tensor(structure.added, device=energy.device)]
+def _by_parameter(equations: NormalEquations, by_kind: dict[str, Tensor]) -> np.ndarray:
+    """(p, C), J per prior standard deviation, from the slopes of every kind's members: each has one connection."""
+    structure, scale = equations.dynamics.structure, equations.scale.cpu().numpy()
+    out = np.zeros((len(equations.problem.uncertain), len(structure.added)))
+    for row, parameter in enumerate(equations.problem.uncertain):
+        if parameter.kind in by_kind:
+            own = structure.added == structure.members[parameter.kind][parameter.index]
+            out[row, own] = scale[row] * float(by_kind[parameter.kind][parameter.index])
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Energy:
+    """What connections dissipate in some groups of samples, and how it changes.
+
+    Attributes:
+        each: (C,), J.
+        by_value, by_rate: (I, S, C), by their elongations and the rates of these.
+        by_hidden: (I, S, h), by the hidden forces.
+        by_kind: Kind of parameter to (members,), by every member.
+    """
+
+    each: Tensor
+    by_value: Tensor
+    by_rate: Tensor
+    by_hidden: Tensor | None
+    by_kind: dict[str, Tensor]
+
+    @classmethod
+    def of(cls, equations: NormalEquations, point: Point, part: slice) -> _Energy:
+        """Every connection has its own power, so one reverse pass through their sum gives every derivative."""
+        dynamics, structure = equations.dynamics, equations.dynamics.structure
+        segments, jet = equations.observation.part(part), equations.jet(equations.observation, point, part)
+        e, de = (structure.elongation(x[..., : dynamics.ndof]).detach().requires_grad_() for x in jet[:2])
+        z = jet.value[..., dynamics.hidden].detach().requires_grad_() if len(structure.memory) else None
+        given = {k: v.detach().clone().requires_grad_() for k, v in equations.parameters(point).items()}
+        inner = {kind: given[kind] for kind in structure.carriers}
+        time = equations.problem.record.time
+        weight, ends = trapezoids(time), np.zeros(len(time))
+        ends[0], ends[-1] = 1.0, -1.0
+        with torch.enable_grad():
+            power = dissipated_power(structure, e, de, given, z)
+            each = (segments.gather(torch.as_tensor(weight).to(e))[..., None] * power).sum((0, 1))
+            if z is not None:
+                stored = stored_by_memory(structure, z, given)
+                released = (segments.gather(torch.as_tensor(ends).to(e))[..., None] * stored).sum((0, 1))
+                each = each.index_add(0, torch.as_tensor(structure.memory, device=e.device), released)
+            each = each[torch.as_tensor(structure.added, device=e.device)]
+            leaves = [e, de, *([] if z is None else [z]), *inner.values()]
+            slopes = torch.autograd.grad(each.sum(), leaves, allow_unused=True)
+        filled = [torch.zeros_like(x) if slope is None else slope for x, slope in zip(leaves, slopes, strict=True)]
+        motion, rest = filled[: 2 if z is None else 3], filled[2 if z is None else 3 :]
+        by_kind = dict(zip(inner, rest, strict=True))
+        return cls(each.detach(), motion[0], motion[1], None if z is None else motion[2], by_kind)
+
+    def add_by_weight(self, out: np.ndarray, equations: NormalEquations, part: slice) -> None:
+        """Add the derivatives (size, C) by the readout weights that are alive in these groups."""
+        dynamics, structure = equations.dynamics, equations.dynamics.structure
+        segments = equations.observation.part(part)
+        local = equations.layout.columns(segments.feature, coupled=False)  # (I, functions, B)
+        moment = (segments.displacement.mT @ self.by_value + segments.velocity.mT @ self.by_rate).cpu().numpy()
+        for column, connection in enumerate(structure.added.tolist()):
+            stretch = structure.incidence.matrix[connection]
+            for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
+                np.add.at(out[:, column], local[:, function], weight * moment[..., connection])
+        if self.by_hidden is None:
+            return
+        hidden = (segments.displacement.mT @ self.by_hidden).cpu().numpy()
+        for number, connection in enumerate(structure.memory.tolist()):
+            column = int(np.searchsorted(structure.added, connection))
+            np.add.at(out[:, column], local[:, dynamics.hidden.start + number], hidden[..., number])

@@ -147,10 +147,11 @@ def _told(evidence: Evidence, trained: Trained) -> Told | None:
         drive = averages.by_interval(residual)[:, forces].cpu().numpy()
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
-    found = power(equations.residuals(point)["physics"])
-    rows, scatter = equations.rows(equations.physics, point), np.zeros_like(found)
-    for drawn in trained.drawn(DRAWS):
-        scatter += power(equations.moved_force(rows, drawn)) / DRAWS
+    found = power(equations.physics_residual(point))
+    moved = [forces for _, forces in equations.moved_forces(point, trained.drawn(DRAWS))]
+    scatter = np.zeros_like(found)
+    for of_draw in zip(*moved, strict=True):
+        scatter += power(torch.cat(of_draw)) / DRAWS
     told = len(inputs.forces) - scatter / float(innovation[forces][0]) ** 2
     frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))
     inside = (frequency > 0.0) & (frequency <= inputs.edge / (2.0 * np.pi))

@@ -111,22 +111,26 @@ class Evidence(DiscrepancySearch):
         """What the physics residual holds in the features' sight and beyond it."""
         equations = self.equations
         enforced = equations.target.equation.cpu().numpy()
-        residuals, weight = equations.residuals(point), equations.weights(noise)
+        physics, weight = equations.physics_residual(point), equations.weights(noise)
         observer = None
-        if "observer" in residuals:
-            seen_there = self.observer_projection.sum_of_squares(residuals["observer"])
+        if "observer" in weight:
+            seen_there = self.observer_projection.sum_of_squares(equations.residuals(point)["observer"])
             observer = seen_there, weight["observer"].cpu().numpy()
         left_open, unseen = np.zeros(len(enforced)), np.zeros(len(enforced))
         # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
         beyond = len(equations.problem.record.time) - equations.network.count if equations.refinement == 1 else 0
         if beyond > 0:
-            forces = equations.force_residual(point)
-            unseen = forces.square().sum((0, 1)).cpu().numpy() - self.projection.sum_of_squares(forces)
+            moments = self.projection.no_moments(len(enforced))
+            for part in equations.windows(equations.physics):
+                forces = equations.force_residual(point, part)
+                unseen += forces.square().sum((0, 1)).cpu().numpy()
+                self.projection.add_moments(moments, forces, part)
+            unseen -= self.projection.seen(moments)
         if equations.averages is None:
-            seen, count = self.projection.sum_of_squares(residuals["physics"]), equations.network.count
+            seen, count = self.projection.sum_of_squares(physics), equations.network.count
         else:  # averages between the samples count as far as the samples tell what acts there
             trust = weight["physics"] * torch.as_tensor(noise.physics_variance).to(weight["physics"])
-            seen = (residuals["physics"].square() * trust).sum((0, 1)).cpu().numpy()
+            seen = (physics.square() * trust).sum((0, 1)).cpu().numpy()
             count = equations.averages.count
             if trust.ndim > 1:
                 left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).cpu().numpy()
@@ -166,7 +170,7 @@ def occupied_share(evidence: Evidence, trained: Trained) -> float:
     equations = evidence.equations
     unforced = equations.target.unforced & equations.dynamics.has_mass.to(equations.target.unforced.device)
     enforced = unforced if bool(unforced.any()) else equations.target.equation
-    residual, step = equations.residuals(trained.solution.point)["physics"], 1.0 / equations.network.free_intervals
+    residual, step = equations.physics_residual(trained.solution.point), 1.0 / equations.network.free_intervals
     if equations.averages is None:
         residual, step = equations.physics.scatter(residual), equations.problem.record.step
     else:

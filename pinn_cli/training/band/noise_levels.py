@@ -94,22 +94,24 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
     add up to what they must; a few draws tell each to some per cent.
     """
     equations, noise, point = evidence.equations, trained.noise, trained.solution.point
-    rows = equations.rows(equations.physics, point)
     physics = equations.weights(noise)["physics"]
     response = {quantity: np.zeros(len(sigma)) for quantity, sigma in noise.response.items()}
     enforced = np.zeros(equations.dynamics.size)
-    for drawn in trained.drawn(DRAWS, of_mean_length=True):
-        seen = equations.jet(equations.observation, drawn)
-        for quantity in response:
-            if quantity == GAUGE:
-                continue
-            values = equations.dynamics.sensed(quantity, seen)
-            response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+    draws = trained.drawn(DRAWS, of_mean_length=True)
+    for drawn in draws:
+        for part in equations.windows(equations.observation):
+            seen = equations.jet(equations.observation, drawn, part)
+            for quantity in response:
+                if quantity != GAUGE:
+                    values = equations.dynamics.sensed(quantity, seen)
+                    response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
         moved = equations.moved_gauges(point, drawn)
         if moved:
             response[GAUGE] += np.array([float(values.square().sum()) for values in moved]) / DRAWS
-        force = equations.moved_force(rows, drawn)
-        enforced += (force.square() * physics).sum((0, 1)).cpu().numpy() / DRAWS
+    for part, forces in equations.moved_forces(point, draws):
+        weight = physics if physics.ndim == 1 else physics[part]
+        for force in forces:
+            enforced += (force.square() * weight).sum((0, 1)).cpu().numpy() / DRAWS
     return Taken({q: square / noise.response[q] ** 2 for q, square in response.items()}, enforced)
 
 
@@ -123,13 +125,13 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         noise = replace(noise, innovation=_limited(innovation, noise.innovation))
     if equations.problem.record.repeats is not None:
         return noise.with_discrepancy(discrepancy)
-    residuals, samples = equations.residuals(trained.solution.point), len(equations.problem.record.time)
+    squares, samples = equations.squares(trained.solution.point), len(equations.problem.record.time)
     response = dict(noise.response)
     kinship = KINSHIP_UNDER_FORCES if equations.problem.inputs.forces else KINSHIP
     for name, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
         if name == "observer":  # its residual holds the force's noise as well
             continue
-        there, square = mask.cpu().numpy(), residuals[name].square().sum((0, 1)).cpu().numpy()
+        there, square = mask.cpu().numpy(), squares[name].cpu().numpy()
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
         weight, usual = kinship * samples, _usual_level(equations.problem.record, name, noise.response[name])
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)

@@ -76,8 +76,11 @@ def parameter_force(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, i
     equations = evidence.equations
     if not equations.vector.kinds:
         return np.zeros(0), 0
-    per_std = equations.physics.scatter(equations.own_by_parameter(equations.physics, trained.solution.point))
-    force = per_std.square().mean(0).sqrt().cpu().numpy()[equations.vector.column]
+    segments, total = equations.physics, np.zeros(equations.vector.places)
+    for part in equations.windows(segments):
+        per_std = equations.own_by_parameter(segments, trained.solution.point, part)
+        total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
+    force = np.sqrt(total / segments.samples)[equations.vector.column]
     misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
     return force / max(misfit, LEAST_MISFIT), equations.network.count
 

@@ -78,6 +78,14 @@ class ReadoutPosterior:
             segments: Of the times.
             sensing: Orders of derivatives, and weights (channels, functions).
         """
+        out = segments.mask.new_zeros((segments.samples, sensing[0][1].shape[0]))
+        for part in self.equations.windows(segments):
+            group = segments.part(part)
+            group.place(self._combined(group, sensing).to(out.device), out)
+        return out.cpu()
+
+    def _combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
+        """The same in some groups, (I, S, channels)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         every = []
@@ -91,10 +99,19 @@ class ReadoutPosterior:
             rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
             by_parameter = rows @ self.solved[position] @ self.root
             every.append(_deviation(rows, self._window(position), by_parameter))
-        return segments.scatter(torch.stack(every, -1).to(segments.mask.device)).cpu()
+        return torch.stack(every, -1)
 
     def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
         """Standard deviation of every function and its two derivatives at the segments' times, each (N, functions)."""
+        u, v, a = (segments.mask.new_zeros((segments.samples, self.equations.layout.ndof)) for _ in range(3))
+        for part in self.equations.windows(segments):
+            group = segments.part(part)
+            for out, values in zip((u, v, a), self._functions(group), strict=True):
+                group.place(values.to(out.device), out)
+        return u.cpu(), v.cpu(), a.cpu()
+
+    def _functions(self, segments: Segments) -> list[Tensor]:
+        """The same in some groups, each (I, S, functions)."""
         local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
@@ -104,9 +121,7 @@ class ReadoutPosterior:
             shift = self.solved[position] @ self.root  # (I, B, p)
             for result, phi in zip(results, kinds, strict=True):
                 result.append(_deviation(phi, covariance, phi @ shift))
-        grouped = [torch.stack(result, -1).to(segments.mask.device) for result in results]
-        displacement, velocity, acceleration = (segments.scatter(std).cpu() for std in grouped)
-        return displacement, velocity, acceleration
+        return [torch.stack(result, -1) for result in results]
 
     def force(self, segments: Segments) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""

@@ -37,24 +37,27 @@ class SensorRows:
         self.features = {order: getattr(segments, MOTION[order]) for order in orders}
         self.grams = {(a, b): self.features[a].mT @ self.features[b] for a in orders for b in orders}
 
-    def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor) -> None:
+    def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = slice(None)) -> None:
         """Add their weighted products.
 
         Args:
             sums: What they are added to.
             residual: (I, S, channels).
             weight: (channels,).
+            part: Which groups the residual is of.
         """
         scaled = self.weights * weight.cpu().numpy()[self.channels, None]
         products, pull = scaled.T @ self.weights, torch.as_tensor(scaled).to(residual)
         moments = {
-            order: features.mT @ (residual[..., self.channels] @ pull) for order, features in self.features.items()
+            order: features[part].mT @ (residual[..., self.channels] @ pull)
+            for order, features in self.features.items()
         }
+        segments = self.segments.part(part)
         for i, (function, order) in enumerate(self.felt):
-            sums.add_moment(self.segments, moments[order][..., i], function)
+            sums.add_moment(segments, moments[order][..., i], function)
             for j, (other, other_order) in enumerate(self.felt[: i + 1]):
                 if products[i, j]:
-                    pair = self.grams[order, other_order] * products[i, j]
+                    pair = self.grams[order, other_order][part] * products[i, j]
                     if function == other and order != other_order:  # two derivatives of one function
                         pair = pair + pair.mT
-                    sums.add_pair(self.segments, pair, function, other)
+                    sums.add_pair(segments, pair, function, other)

@@ -1,0 +1,87 @@
+"""Residuals in windows of time: a record that takes many is solved as one that takes a single one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_problems import measured, small_chain
+from structures import braced, hysteretic
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.functions import Inputs
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.band import residuals
+from pinn_cli.training.band.connection_forces import connection_forces
+from pinn_cli.training.band.dissipated_energy import dissipated_energy
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.noise_model import NoiseModel
+
+
+def posed(structure: Structure, samples: int = 49) -> tuple[NormalEquations, NoiseModel]:
+    record = measured(
+        small_chain(ndof=structure.ndof), snr_db=40.0, duration=6.0, samples=samples
+    ).record  # any will do
+    uncertain = tuple(replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter())
+    inputs = Inputs(rate=4.0) if len(structure.memory) else Inputs()
+    problem = Problem(structure, record, uncertain, inputs=inputs)
+    level, forces = np.full(structure.ndof, 0.01), np.full(problem.dynamics.size, np.nan)
+    forces[: structure.ndof] = np.where(record.sensors("force"), 0.02, np.nan)
+    noise = NoiseModel(dict.fromkeys(("displacement", "velocity", "acceleration"), level), forces, 0.03, 1.0)
+    network = Spline(intervals=12).build(record, functions=problem.dynamics.size)
+    return NormalEquations(network, problem), noise
+
+
+def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.ndarray]:
+    """All that is summed or written window by window."""
+    start, rng = equations.start(), np.random.default_rng(2)
+    away = Point(*(torch.as_tensor(rng.normal(0.0, 0.1, x.shape)) for x in (start.unknowns, start.parameters)))
+    point = start.moved((away.unknowns, away.parameters))
+    system = equations.assemble(point, noise)
+    factor = system.factor()
+    assert factor is not None
+    posterior, segments = ReadoutPosterior(equations, point, factor), equations.observation
+    stretch = equations.dynamics.branches.matrix[: equations.dynamics.structure.incidence.shape[0]]
+    moved = [
+        torch.cat(each) for each in zip(*(f for _, f in equations.moved_forces(point, [away, start])), strict=True)
+    ]
+    found = {
+        "losses": list(equations.losses(point, noise).values()),
+        "log determinant": factor.log_determinant,
+        "step": np.concatenate(factor.step(system)),
+        "moved": torch.stack(moved),
+        "motion": torch.stack(equations.flat_states(segments, point)[:3]),
+        "functions": torch.stack(posterior.functions(segments)),
+        "combined": posterior.combined(segments, [(0, stretch), (1, stretch)]),
+        "forces": np.stack(connection_forces(posterior)),
+        "energy": np.stack(dissipated_energy(posterior)),
+    }
+    return {name: np.asarray(value) for name, value in found.items()} | {
+        name: each.numpy() for name, each in equations.residuals(point).items()
+    }
+
+
+@pytest.mark.parametrize("structure", [small_chain("duffing", 3), braced(), hysteretic()], ids=["chain", "braced", "z"])
+def test_windows_change_nothing(structure: Structure, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = everything(*posed(structure))
+    monkeypatch.setattr(residuals, "ROWS_AT_ONCE", 600)
+    monkeypatch.setattr(residuals, "KEPT", 0)
+    equations, noise = posed(structure)
+    assert len(equations.windows(equations.physics)) > 3
+    pieces = everything(equations, noise)
+    for name, values in whole.items():
+        np.testing.assert_allclose(pieces[name], values, rtol=1e-7, atol=1e-9 * np.abs(values).max(), err_msg=name)
+
+
+def test_no_more_than_a_window_of_a_long_motion_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(residuals, "ROWS_AT_ONCE", 600)
+    monkeypatch.setattr(residuals, "KEPT", 0)
+    equations, noise = posed(small_chain("duffing", 3))
+    equations.assemble(equations.start(), noise)
+    (states,) = equations._kept_states.values()
+    assert len(states.displacement) < equations.averages.count / 2
