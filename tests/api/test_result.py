@@ -1,0 +1,82 @@
+"""Results read from the directory of a run: tables, response, posterior and figures, in Python and in a notebook."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from calls import SMALL
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from pinn_cli import InputError, Result, load, run
+from pinn_cli.report.figures.style import save
+
+UNKNOWN = ("scheme=state_parameter", "scheme.unobserved=[2]", "scheme.unknown=[k_2]", "system=linear")
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return run(*SMALL, *UNKNOWN, "case=small", directory=tmp_path_factory.mktemp("result") / "run")
+
+
+def test_tables_are_those_of_the_files(result: Result) -> None:
+    for name in ("fitness", "parameters", "modes", "residuals", "free_run", "history"):
+        pd.testing.assert_frame_equal(getattr(result, name), pd.read_csv(result.directory / f"{name}.csv"))
+    assert result.validation is None
+    assert result.posterior is None
+    assert result.verdict == result.record["verdict"]
+    assert result.settings["system"]["ndof"] == 3
+    with pytest.raises(InputError, match=r"table=drfit: must be one of .*drift"):
+        result.table("drfit")
+
+
+def test_the_response_is_labelled(result: Result) -> None:
+    of_dof = result.response.sel(dof=2)
+    assert np.isnan(of_dof["acceleration_observed"]).all()
+    error = np.abs(of_dof["displacement"] - of_dof["displacement_true"]).max()
+    assert error < 0.1 * np.abs(of_dof["displacement_true"]).max()
+
+
+def test_figures_are_those_that_the_run_drew(result: Result, tmp_path: Path) -> None:
+    drawn = {file.stem for file in (result.directory / "figures").glob("*.png")}
+    assert set(result.plot.names) == drawn
+    for name in drawn:
+        figure = getattr(result.plot, name)()
+        assert isinstance(figure, Figure)
+        save(figure, tmp_path, name)
+        again, first = imread(tmp_path / f"{name}.png"), imread(result.directory / "figures" / f"{name}.png")
+        assert again.shape == first.shape
+        assert np.abs(again - first).mean() < 1e-5, name  # tables have ten digits: a pixel may fall to its neighbour
+    with pytest.raises(InputError, match=r"plot.hysteresis=\(\): must be one of response"):
+        result.plot.hysteresis()
+
+
+def test_a_notebook_shows_them(result: Result) -> None:
+    shown = result._repr_html_()
+    assert "k_2" in shown
+    assert str(result.directory) in shown
+    assert result.plot.history()._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+    assert "small" in repr(result)
+
+
+def test_a_directory_that_is_none(result: Result, tmp_path: Path) -> None:
+    assert repr(load(result.directory)) == repr(result)
+    for place, told in ((tmp_path, "no run.json"), (tmp_path / "none", "there is no such directory")):
+        with pytest.raises(InputError, match=told):
+            load(place)
+    (tmp_path / ".hydra").mkdir()
+    with pytest.raises(InputError, match=r"run\('resume="):
+        load(tmp_path)
+
+
+def test_draws_of_a_posterior() -> None:
+    settings = ("scheme=bayesian", "posterior=laplace", "noise.repeats=2", "figures=false", "system.ndof=2")
+    result = run(*SMALL, *settings, keep=False)
+    assert result.posterior is not None
+    draws = result.posterior["posterior"]["k_1"]
+    row = result.parameters.set_index("parameter").loc["k_1"]
+    assert float(draws.mean()) == pytest.approx(row["estimate"], rel=1e-6)
+    assert isinstance(result.plot.posterior(), Figure)
