@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import get_args
 
 import torch
@@ -116,8 +116,8 @@ class MlpNetwork(Network):
     def make_nearly_linear(self) -> float:
         """Of an embedded network at its start, for a training that solves for all weights.
 
-        Rows of the readout become orthogonal, so that no motion is more probable than another for the numbers that
-        were drawn.
+        The outputs' slopes by what the first layer gives become orthogonal, so that no motion is more probable than
+        another for the numbers that were drawn.
 
         Returns:
             How many times larger the readout is now; 1, having done nothing, where there is no embedding.
@@ -125,18 +125,49 @@ class MlpNetwork(Network):
         readout = self.weights[-1]
         if self.inputs.count == 1:
             return 1.0
+        self.weights[0].div_(LINEAR_GAIN)
         if readout.shape[0] <= readout.shape[1]:
             orthogonal, _ = torch.linalg.qr(readout.T)
             readout.copy_(EMBEDDED_READOUT * orthogonal.T)
+            slopes = self.mean_slopes(self._times())[0][0]
+            half, failed = torch.linalg.cholesky_ex(slopes @ slopes.T)
+            if not int(failed):
+                # As large as they were in the mean, so that weights are as probable as they were.
+                size = slopes.square().sum(1).mean().sqrt()
+                readout.copy_(size * torch.linalg.solve_triangular(half, readout, upper=False))
         readout.mul_(LINEAR_GAIN)
-        self.weights[0].div_(LINEAR_GAIN)
         self._begin_around_zero()
         return LINEAR_GAIN
 
     def _begin_around_zero(self) -> None:
         self.biases[-1].zero_()
-        middle = self.start + self.span * torch.linspace(0.0, 1.0, 64, dtype=torch.float64).to(self.amplitude)
-        self.biases[-1].sub_(self.jet(middle, 0)[0].mean(0) / self.amplitude)
+        self.biases[-1].sub_(self.jet(self._times(), 0)[0].mean(0) / self.amplitude)
+
+    def _times(self) -> Tensor:
+        """(64,), s, over the record."""
+        return self.start + self.span * torch.linspace(0.0, 1.0, 64, dtype=torch.float64).to(self.amplitude)
+
+    @torch.no_grad()
+    def mean_slopes(self, time: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """How the outputs depend on each layer as long as the slopes of its activation stay at their means.
+
+        Args:
+            time: (P,), s, over which means are taken.
+
+        Returns:
+            By layer, (outputs, width), the outputs' derivative by what it gives before its activation, in units of
+            ``amplitude``; and (fan in,), the mean of what it gets.
+        """
+        activation, value = ACTIVATIONS[self.activation], self.input_jet(time, 0)[0]
+        means, rates = [], []
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            means.append(value.mean(0))
+            value, rate = islice(activation(functional.linear(value, weight, bias)), 2)
+            rates.append(rate.mean(0))
+        slopes = [torch.eye(len(self.weights[-1])).to(value)]
+        for weight, rate in zip(list(self.weights)[:0:-1], rates[-2::-1], strict=True):
+            slopes.append((slopes[-1] @ weight) * rate)
+        return slopes[::-1], means
 
     def input_jet(self, time: Tensor, order: int) -> tuple[Tensor, ...]:
         """What the first layer gets at times (N,), s, and its derivatives by time over ``span``, (N, inputs) each."""

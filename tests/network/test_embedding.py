@@ -69,13 +69,15 @@ def test_points_tell_features_beyond_the_band_apart(record):
 
 
 def test_a_network_made_nearly_linear_is_linear_in_its_weights(record):
-    """Half a step of its weights makes half the change, to a thousandth."""
+    """Half a step of its weights makes half the change, to a few thousandths."""
     network = Mlp(1, 20, "sine", "exact", "fourier").build(record)
     gain = network.make_nearly_linear()
-    readout = network.weights[-1]
-    gram = readout @ readout.T
-    torch.testing.assert_close(gram, float(gram[0, 0]) * torch.eye(len(gram)).to(gram))
     time = torch.tensor(record.time)
+    slopes = network.mean_slopes(time)[0][0]
+    gram = slopes @ slopes.T
+    torch.testing.assert_close(
+        gram, float(gram[0, 0]) * torch.eye(len(gram)).to(gram), rtol=1e-3, atol=1e-3 * float(gram[0, 0])
+    )
     motions = []
     with torch.no_grad():
         direction = torch.randn(network.weights[0].shape, generator=torch.Generator().manual_seed(0)).double() / gain
@@ -83,8 +85,28 @@ def test_a_network_made_nearly_linear_is_linear_in_its_weights(record):
             network.weights[0].add_((0.5 if share else 0.0) * 0.1 * direction)
             motions.append(network(time).displacement)
     whole, half = motions[2] - motions[0], motions[1] - motions[0]
-    assert float((whole - 2.0 * half).abs().max()) < 2e-3 * float(whole.abs().max())
+    assert float((whole - 2.0 * half).abs().max()) < 3e-3 * float(whole.abs().max())
     assert float((motions[0] / network.amplitude).mean(0).abs().max()) < 0.1
+
+
+@pytest.mark.parametrize(("depth", "activation"), [(1, "sine"), (2, "silu"), (3, "tanh")])
+def test_mean_slopes_are_what_a_nearly_linear_network_does_with_its_weights(record, depth, activation):
+    network = Mlp(depth, 14, activation, "exact", "fourier").build(record)
+    network.make_nearly_linear()
+    time = torch.tensor(record.time)[::5]
+    slopes, means = network.mean_slopes(time)
+    for layer in range(depth + 1):
+        weight = network.weights[layer]
+        generator = torch.Generator().manual_seed(layer)
+        change = 1e-6 * torch.randn(weight.shape, generator=generator, dtype=torch.float64)
+        with torch.no_grad():
+            before = network.jet(time, 0)[0] / network.amplitude
+            weight.add_(change)
+            after = network.jet(time, 0)[0] / network.amplitude
+            weight.sub_(change)
+        expected = slopes[layer] @ change @ means[layer]
+        difference = (after - before).mean(0)
+        torch.testing.assert_close(difference, expected, rtol=0.02, atol=0.02 * float(expected.abs().max()))
 
 
 def test_a_network_of_the_time_alone_is_left_as_it_is(record):

@@ -1,8 +1,8 @@
 """The record at as many points as it has independent values, low-passed first, so that no point is wasted.
 
-A Gauss-Newton step in function space costs the cube of the number of residuals. A record that is sampled far beyond its
-band says no more in all its samples than their least-squares projection onto a spline of that band does at as many
-points as the spline has features; sensor noise shrinks by what the projection takes out.
+A Gauss-Newton step in function space costs up to the cube of the number of residuals. A record that is sampled far
+beyond its band says no more in all its samples than their least-squares projection onto a spline of that band does at
+as many points as the spline has features; sensor noise shrinks by what the projection takes out.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ class Collocation:
         return NoiseModel(self.response, self.force, discrepancy, continuity)
 
 
-def collocate(problem: Problem, every: Targets, points: int | None, most_rows: int) -> Collocation:
+def collocate(problem: Problem, every: Targets, points: int | None, most_rows: int | None) -> Collocation:
     """The record at ``points`` uniform samples, low-passed to what a spline of its band can follow.
 
     Args:
         problem: Structure and record.
         every: The record's targets at all its samples.
         points: P; None: as many as the spline has features, but no more than ``most_rows`` residuals in all.
-        most_rows: See ``points``.
+        most_rows: See ``points``; None: any number.
 
     Raises:
         InputError: Too few points for the record's band, or the most rows allow no more.
@@ -74,13 +74,14 @@ def collocate(problem: Problem, every: Targets, points: int | None, most_rows: i
     return Collocation(target.at(samples), response, force, target.force.cpu().numpy())
 
 
-def _points(problem: Problem, points: int | None, most_rows: int, features: int) -> int:
+def _points(problem: Problem, points: int | None, most_rows: int | None, features: int) -> int:
     record = problem.record
     available, band = len(record.time), record_band(record)
     least = min(available, math.ceil(FEWEST_PER_PERIOD * band * record.duration))
     channels = sum(int(record.sensors(quantity).sum()) for quantity in RESPONSE_QUANTITIES) + record.ndof
     if points is None:
-        points = min(features, available, max(least, most_rows // channels))
+        points = min(features, available)
+        points = points if most_rows is None else min(points, max(least, most_rows // channels))
     points = min(points, available)
     if points < least:
         hint = f"the record goes up to {band:.3g} Hz and lasts {record.duration:.4g} s"

@@ -18,9 +18,7 @@ from pinn_cli.physics import physics_residual
 from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.spectrum import occupied_band
-from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.function_space.factor import cholesky
-from pinn_cli.training.function_space.kernel import Block, cross_kernel, linearised, prior_variance
+from pinn_cli.training.function_space.kernel import Block, linearised
 from pinn_cli.training.function_space.linearisation import Linearisation
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
 
@@ -50,16 +48,16 @@ class FunctionSpacePosterior:
         self.unit = search.parameters.prior_deviation(search.noise.spread)
         self.noise = search.noise.widened(self._occupied())
         self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
-        system = self.linear.kernel / self.precision
-        system.diagonal().add_(1.0)
-        factor = cholesky(system)
-        if factor is None:
-            raise DivergenceError("gauss_newton diverged: the normal matrix of its solution is singular")
-        self.factor = factor
-        by_parameter = self.linear.by_parameter
-        solved = torch.cholesky_solve(by_parameter, self.factor)
-        covariance = torch.linalg.inv(torch.eye(solved.shape[1]).to(solved) + by_parameter.T @ solved)
-        self.covariance = covariance + self._coherent_misfit().square().diag()
+        self.system = search.solution.for_bands(self.linear, self.precision, [self._acting()])
+        self.covariance = self.system.parameter_covariance + self._coherent_misfit().square().diag()
+
+    def _acting(self) -> Block:
+        """The force that the motion takes, on all DOFs, at the points where physics is enforced."""
+        return linearised(self.search.network, self.linear.time, self._force)[0]
+
+    def _force(self, states: States) -> Tensor:
+        structure = self.search.rows.structure
+        return structure.external_force(states.displacement, states.velocity, states.acceleration, self._values()).T
 
     @torch.no_grad()
     def _occupied(self) -> float:
@@ -91,18 +89,14 @@ class FunctionSpacePosterior:
             time: (N,), the record's.
         """
         samples = evenly_spaced(len(time), min(TIMES, len(time)))
-        structure, parameters = self.search.rows.structure, self._values()
 
         def motion(states: States) -> Tensor:
             return torch.cat((states.displacement.T, states.velocity.T, states.acceleration.T))
 
-        def force(states: States) -> Tensor:
-            return structure.external_force(states.displacement, states.velocity, states.acceleration, parameters).T
-
         network = self.search.network
         moved, _, _ = linearised(network, observation_time[samples], motion)
-        acting, _, states = linearised(network, physics_time[samples], force)
-        by_parameter = self.search.rows.force_by_parameter(self.columns, states, parameters) * self.unit
+        acting, _, states = linearised(network, physics_time[samples], self._force)
+        by_parameter = self.search.rows.force_by_parameter(self.columns, states, self._values()) * self.unit
         of_motion = self._variance(moved, torch.zeros(moved.size, len(self.columns)).to(by_parameter))
         of_force = self._variance(acting, by_parameter.transpose(0, 1).flatten(0, 1))
         rows = torch.cat((of_motion, of_force)).clamp(min=0.0).sqrt().cpu().numpy()
@@ -111,11 +105,8 @@ class FunctionSpacePosterior:
 
     def _variance(self, block: Block, by_parameter: Tensor) -> Tensor:
         """(R, P): with the parameters known, and what not knowing them adds."""
-        across = torch.cat([cross_kernel(block, known) for known in self.linear.blocks], 1) / self.precision
-        half = torch.linalg.solve_triangular(self.factor, across.T, upper=False)
-        known = prior_variance(block).flatten() / self.precision - half.square().sum(0)
-        explained = torch.linalg.solve_triangular(self.factor, self.linear.by_parameter, upper=False)
-        sensitivity = by_parameter - half.T @ explained
+        known, following = self.system.explained(block)
+        sensitivity = by_parameter - following
         unknown = ((sensitivity @ self.covariance) * sensitivity).sum(1)
         return (known + unknown).view(block.rows, -1)
 

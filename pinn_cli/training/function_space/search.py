@@ -11,9 +11,12 @@ from torch import Tensor
 
 from pinn_cli.network.mlp import MlpNetwork
 from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY
+from pinn_cli.training.function_space.feature_system import NotNearlyLinearError
 from pinn_cli.training.function_space.kernel import Layers, layers
 from pinn_cli.training.function_space.linearisation import Linearisation, Step
 from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.function_space.solution import Solution
+from pinn_cli.training.function_space.system import System
 from pinn_cli.training.history import History, noise_weights
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.noise_model import NoiseModel
@@ -69,6 +72,7 @@ class FunctionSpaceSearch(Stepwise):
         tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
         learn_spread: Whether the believed parameters' common spread follows them.
         history: Takes a row per iteration.
+        solution: How steps are solved.
     """
 
     long_steps = True
@@ -85,9 +89,10 @@ class FunctionSpaceSearch(Stepwise):
         tolerance: float,
         learn_spread: bool,
         history: History,
+        solution: Solution,
     ) -> None:
         self.network, self.parameters, self.rows, self.largest = network, parameters, rows, largest
-        self.noise, self.precision = noise, precision
+        self.noise, self.precision, self.solution = noise, precision, solution
         self.iterations, self.tolerance, self.learn_spread, self.history = iterations, tolerance, learn_spread, history
         self.start: Layers = [(w.clone(), b.clone()) for w, b in layers(network)]
         self.damping, self.iteration, self.idle, self.stop_reason = 0.0, 0, 0, ""
@@ -105,7 +110,7 @@ class FunctionSpaceSearch(Stepwise):
         if step is None:
             self.stop_reason = "no step improves it"
         elif after.total < KEPT_PROMISE * step.loss or after.total > (1.0 - SETTLED_ENOUGH) * before.total:
-            settled = self._settle(linear, step, after)
+            settled = self._settle(step, after)
             least = (1.0 - self.tolerance) * before.total
             self._judge(after.total > least, step.loss > least, settled)
         if self.iteration == self.iterations and not self.stop_reason:
@@ -146,7 +151,7 @@ class FunctionSpaceSearch(Stepwise):
         to_start = [(w0 - w, b0 - b) for (w0, b0), (w, b) in zip(self.start, here, strict=True)]
         x, moved = self._standardised(), self.parameters.moved.detach().clone()
         for _ in range(TRIES):
-            step = linear.step(to_start, x, self.precision, self.damping)
+            step = self._solved(linear, to_start, x)
             for share in SHARES:
                 self._move(here, moved, step, share)
                 after = self.loss()
@@ -156,6 +161,14 @@ class FunctionSpaceSearch(Stepwise):
             self.damping = max(MORE_DAMPING * self.damping, self.precision)
         self._move(here, moved, step, 0.0)
         return None, before
+
+    def _solved(self, linear: Linearisation, to_start: Layers, x: Tensor) -> Step:
+        total = self.precision + self.damping
+        try:
+            return linear.step(self.solution.system(linear, total), to_start, x, self.precision)
+        except NotNearlyLinearError as error:
+            self.solution.settle_for_dense(linear, error)
+            return linear.step(self.solution.system(linear, total), to_start, x, self.precision)
 
     def _lower(self, damping: float) -> float:
         """Less, and none at all once it is a small part of the prior's precision."""
@@ -171,13 +184,13 @@ class FunctionSpaceSearch(Stepwise):
         parameters.moved.copy_(moved + share * (proposed - moved))
         parameters.respect_bounds()
 
-    def _settle(self, linear: Linearisation, step: Step, after: Loss) -> bool:
+    def _settle(self, step: Step, after: Loss) -> bool:
         """Have the levels follow residuals, weights and parameters (MacKay 1992).
 
         Returns:
             Whether they stay where they are.
         """
-        kept = linear.kept(step.factor, self.iteration)
+        kept = step.system.kept(self.iteration)
         first = self.rows.observed_count * self.rows.points
         forces = slice(first, first + self.rows.force_count * self.rows.points)
         free = max(float(kept[forces].sum()), 1.0)
@@ -185,7 +198,7 @@ class FunctionSpaceSearch(Stepwise):
         # Forces that the next step will balance say nothing against the model.
         excess = max(1.0, promised) if excess > 1.0 else excess
         unknowns = len(kept) - float(kept.sum())
-        before, noise = self.noise, self._following(self.noise, linear, step.factor, excess)
+        before, noise = self.noise, self._following(self.noise, step.system, excess)
         growth = float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
         self.noise, self.precision = noise, growth * self.precision
         changes = np.abs(np.log([growth, noise.discrepancy / before.discrepancy, noise.spread / before.spread]))
@@ -197,7 +210,7 @@ class FunctionSpaceSearch(Stepwise):
         if self.idle >= PATIENCE or (nothing_to_gain and settled):
             self.stop_reason = "converged"
 
-    def _following(self, noise: NoiseModel, linear: Linearisation, factor: Tensor, excess: float) -> NoiseModel:
+    def _following(self, noise: NoiseModel, system: System, excess: float) -> NoiseModel:
         """Discrepancy and spread as the residuals and the parameters ask for.
 
         A discrepancy that is too large is squared down rather than rooted: the residuals shrink with it.
@@ -209,7 +222,7 @@ class FunctionSpaceSearch(Stepwise):
         if not self.learn_spread or not bool(believed.any()):
             return following
         x = (noise.spread * self._standardised())[believed].cpu().numpy()
-        variance = noise.spread**2 * linear.parameter_variance(factor)[believed].cpu().numpy()
+        variance = noise.spread**2 * system.parameter_covariance.diagonal()[believed].cpu().numpy()
         change = updated_spread(x, variance, noise.spread) / noise.spread
         # Parameters that hardly move from where they are believed to be let their spread fall a little at a time.
         spread = noise.spread * max(change**2 if change < 1.0 else change, LARGEST_FALL)
@@ -236,6 +249,7 @@ class FunctionSpaceSearch(Stepwise):
             "stop_reason": self.stop_reason,
             "damping": self.damping,
             "precision": self.precision,
+            "dense": self.solution.dense,
             "discrepancy": noise.discrepancy,
             "spread": noise.spread,
             "network": self.network.state_dict(),
@@ -247,6 +261,7 @@ class FunctionSpaceSearch(Stepwise):
         """See :meth:`Stepwise.load_state_dict`."""
         self.iteration, self.idle, self.stop_reason = state["iteration"], state["idle"], state["stop_reason"]
         self.damping, self.precision = state["damping"], state["precision"]
+        self.solution.dense = state["dense"]
         self.noise = self.noise.with_discrepancy(state["discrepancy"]).with_spread(state["spread"])
         self.network.load_state_dict(state["network"])
         self.parameters.load_state_dict(state["parameters"])

@@ -20,6 +20,7 @@ from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.posterior import FunctionSpacePosterior
 from pinn_cli.training.function_space.residuals import ResidualRows
 from pinn_cli.training.function_space.search import FunctionSpaceSearch
+from pinn_cli.training.function_space.solution import Solution, follows_features
 from pinn_cli.training.history import History
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
@@ -49,8 +50,10 @@ class FunctionSpaceGaussNewton:
         tolerance: Relative decrease of the loss below which training has converged, once the noise levels have settled.
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         collocation_points: Points at which sensors and equations of motion are compared; None: as many as the record
-            has independent values, but no more than ``most_residuals`` in all.
-        most_residuals: Its square is the memory, its cube the time of a step.
+            has independent values.
+        most_residuals: For which the whole matrix of a step is made: its square is the memory, its cube the time. It
+            bounds the points of networks that need it, see
+            :func:`pinn_cli.training.function_space.solution.follows_features`.
     """
 
     iterations: int = 40
@@ -65,7 +68,8 @@ class FunctionSpaceGaussNewton:
             hint = f"network={design.name} has neither a linear readout nor layers"
             raise InputError("training", "gauss_newton", "adam, lbfgs or ssbroyden for this network", hint)
         every = targets(problem.record, problem.dynamics, run.device)
-        collocation = collocate(problem, every, self.collocation_points, self.most_residuals)
+        most = None if follows_features(design.build(problem.record)) else self.most_residuals
+        collocation = collocate(problem, every, self.collocation_points, most)
         network = design.build(problem.record, torch.float64, points=len(collocation.target.physics_time))
         network.reset(run.seed)
         gain = network.make_nearly_linear()
@@ -80,7 +84,7 @@ class FunctionSpaceGaussNewton:
         with History(run.progress, run.watch, iterations=self.iterations) as history:
             search = FunctionSpaceSearch(
                 network, parameters, rows, noise, FIRST_PRECISION * gain**2, force, self.iterations, self.tolerance,
-                self.learn_spread, history,
+                self.learn_spread, history, Solution(network, self.most_residuals),
             )  # fmt: skip
             train(search, run)
         response = network_response(problem, every, network, parameters)
@@ -115,6 +119,7 @@ def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
         "loss": search.loss().total,
         "network_weights": sum(weight.numel() for weight in search.network.parameters()),
         "collocation_points": search.rows.points,
+        "solution": "dense" if search.solution.dense else "features",
         "sigma_discrepancy": noise.discrepancy,
         "parameter_spread": noise.spread,
         "weight_precision": search.precision,

@@ -15,6 +15,7 @@ from pinn_cli.training.function_space.collocation import collocate
 from pinn_cli.training.function_space.kernel import prior_variance, pulled_back, pushed_forward
 from pinn_cli.training.function_space.linearisation import Linearisation
 from pinn_cli.training.function_space.residuals import ResidualRows
+from pinn_cli.training.function_space.system import DenseSystem
 from pinn_cli.training.learned_parameters import LearnedParameters
 
 DESIGNS = {
@@ -54,6 +55,9 @@ class Dense:
         self.noise = collocation.noise_model(0.05, 0.01).with_spread(0.8)
         self.rows = ResidualRows(problem.dynamics, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
+
+    def system(self, total: float) -> DenseSystem:
+        return DenseSystem(self.linear.blocks, self.linear.by_parameter, total)
 
     def residuals(self) -> torch.Tensor:
         values, target = self.parameters(), self.rows.target
@@ -124,7 +128,7 @@ def test_a_step_solves_the_damped_least_squares():
     to_start = torch.randn(jacobian.shape[1], generator=generator, dtype=torch.float64)
     x = torch.randn(4, generator=generator, dtype=torch.float64)
     precision, damping = 3.0, 7.0
-    step = dense.linear.step(dense.layers(to_start), x, precision, damping)
+    step = dense.linear.step(dense.system(precision + damping), dense.layers(to_start), x, precision)
     # Least squares in (dw, x'), stacked: residuals, weights' prior, damping, parameters' prior.
     w, p = jacobian.shape[1], 4
     eye, none = torch.eye(w).double(), lambda *size: torch.zeros(*size).double()
@@ -147,13 +151,13 @@ def test_a_step_solves_the_damped_least_squares():
 
 def test_what_is_kept_of_the_residuals_is_the_inverses_diagonal():
     dense = Dense()
-    factor = dense.linear.step(
-        dense.layers(torch.zeros(dense.jacobian().shape[1])), torch.zeros(4).double(), 2.0, 0.0
-    ).factor
-    inverse = torch.cholesky_inverse(factor).diagonal()
-    kept = dense.linear.kept(factor, seed=0)
+    system = dense.system(2.0)
+    whole = dense.linear.kernel.tril() + dense.linear.kernel.tril(-1).T
+    whole = torch.eye(len(whole)).double() + whole / 2.0 + dense.linear.by_parameter @ dense.linear.by_parameter.T
+    inverse = torch.linalg.inv(whole).diagonal()
+    kept = system.kept(seed=0)
     assert float(kept.sum()) == pytest.approx(float(inverse.sum()), rel=0.1)
-    torch.testing.assert_close(kept, dense.linear.kept(factor, seed=0))
+    torch.testing.assert_close(kept, system.kept(seed=0))
 
 
 def test_the_variance_of_parameters_integrates_the_weights_out():
@@ -163,10 +167,9 @@ def test_the_variance_of_parameters_integrates_the_weights_out():
     full = torch.cat((jacobian, by_parameter), 1)
     prior = torch.cat((precision * torch.ones(jacobian.shape[1]), torch.ones(4))).double()
     covariance = torch.linalg.inv(full.T @ full + torch.diag(prior))[-4:, -4:]
-    factor = dense.linear.step(
-        dense.layers(torch.zeros(jacobian.shape[1])), torch.zeros(4).double(), precision, 0
-    ).factor
-    torch.testing.assert_close(dense.linear.parameter_variance(factor), covariance.diagonal(), rtol=1e-4, atol=1e-8)
+    found = dense.system(precision).parameter_covariance
+    torch.testing.assert_close(found.diagonal(), covariance.diagonal(), rtol=1e-4, atol=1e-8)
+    torch.testing.assert_close(found, covariance, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("design", DESIGNS)

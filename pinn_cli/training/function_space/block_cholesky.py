@@ -1,0 +1,114 @@
+"""Cholesky factor of a symmetric matrix of few equally large blocks, of which most may be zero."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+from torch import Tensor
+
+Blocks = dict[tuple[int, int], Tensor]
+"""Those on and below the diagonal that are not zero, (F, F) each, by row and column in the order of elimination."""
+
+
+class BlockPattern:
+    """Which blocks of a matrix are not zero, and which of its factor.
+
+    Args:
+        coupled: (n, n) booleans, symmetric.
+
+    Attributes:
+        order: (n,), which block row is eliminated when: reverse Cuthill-McKee.
+        rank: (n,), its inverse.
+        below: By step of the elimination, the later steps whose block in that column of the factor is not zero.
+    """
+
+    def __init__(self, coupled: np.ndarray) -> None:
+        count = len(coupled)
+        self.order = reverse_cuthill_mckee(csr_matrix(coupled.astype(np.int8)), symmetric_mode=True).astype(int)
+        self.rank = np.argsort(self.order)
+        filled = coupled[np.ix_(self.order, self.order)].copy()
+        self.below: list[list[int]] = []
+        for step in range(count):
+            later = [row for row in range(step + 1, count) if filled[row, step]]
+            filled[np.ix_(later, later)] = True
+            self.below.append(later)
+
+    @property
+    def places(self) -> list[tuple[int, int]]:
+        """Of the factor's blocks."""
+        return [(row, step) for step, later in enumerate(self.below) for row in (step, *later)]
+
+    @property
+    def operations(self) -> float:
+        """Of a factorisation, in multiplications and additions of blocks of size one: times F^3."""
+        return sum(1.0 / 3.0 + len(later) + len(later) * (len(later) + 1) for later in self.below)
+
+
+class BlockCholesky:
+    """The factor L of a positive definite matrix.
+
+    Args:
+        pattern: Of the matrix.
+        blocks: The matrix, one block for each of the pattern's places; overwritten by the factor.
+
+    Raises:
+        FloatingPointError: It is not positive definite in its precision.
+    """
+
+    def __init__(self, pattern: BlockPattern, blocks: Blocks) -> None:
+        self.pattern, self.blocks = pattern, blocks
+        for step, later in enumerate(pattern.below):
+            top, failed = torch.linalg.cholesky_ex(blocks[step, step])
+            if int(failed):
+                raise FloatingPointError("not positive definite")
+            blocks[step, step] = top
+            for row in later:
+                blocks[row, step] = torch.linalg.solve_triangular(top, blocks[row, step].mT, upper=False).mT
+            for i, row in enumerate(later):
+                for column in later[: i + 1]:
+                    blocks[row, column].addmm_(blocks[row, step], blocks[column, step].mT, alpha=-1)
+
+    def solved(self, right: Tensor) -> Tensor:
+        """The inverse times (n, F, k), in the order of elimination."""
+        out = self.forward(right)
+        for step in reversed(range(len(out))):
+            for row in self.pattern.below[step]:
+                out[step].addmm_(self.blocks[row, step].mT, out[row], alpha=-1)
+            out[step] = torch.linalg.solve_triangular(self.blocks[step, step].mT, out[step], upper=True)
+        return out
+
+    def forward(self, right: Tensor) -> Tensor:
+        """L^-1 times (n, F, k)."""
+        out = right.clone()
+        for step, later in enumerate(self.pattern.below):
+            out[step] = torch.linalg.solve_triangular(self.blocks[step, step], out[step], upper=False)
+            for row in later:
+                out[row].addmm_(self.blocks[row, step], out[step], alpha=-1)
+        return out
+
+    @cached_property
+    def inverse(self) -> Blocks:
+        """The blocks of the inverse where those of the factor are (Takahashi, Fagan and Chin 1973)."""
+        found: Blocks = {}
+        for step in reversed(range(len(self.pattern.below))):
+            top, later = self.blocks[step, step], self.pattern.below[step]
+            own = torch.cholesky_inverse(top)
+            if later:
+                beneath = torch.cat([self.blocks[row, step] for row in later])
+                ratio = torch.linalg.solve_triangular(top, beneath, upper=False, left=False)
+                known = torch.cat([torch.cat([entry(found, row, column) for column in later], 1) for row in later])
+                across = known @ ratio
+                own += ratio.mT @ across
+                for row, block in zip(later, across.split(len(top)), strict=True):
+                    found[row, step] = -block
+            found[step, step] = own
+        return found
+
+
+def entry(blocks: Blocks, row: int, column: int) -> Tensor:
+    """A block above the diagonal too."""
+    return blocks[row, column] if row >= column else blocks[column, row].mT
