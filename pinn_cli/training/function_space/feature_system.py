@@ -54,7 +54,7 @@ class FeatureSystem(System):
         self.order, self.rank = (
             torch.as_tensor(x, device=prior.device) for x in (self.pattern.order, self.pattern.rank)
         )
-        blocks = normal_blocks(self.pattern, products.blocks)
+        blocks = normal_blocks(self.pattern, products)
         for step, output in enumerate(self.pattern.order):
             blocks[step, step].diagonal().add_(total / prior[output])
         try:
@@ -125,15 +125,15 @@ class FeatureSystem(System):
         return self.factor.solved(pulled)[self.rank]
 
 
-def normal_blocks(pattern: BlockPattern, blocks: list[Block]) -> Blocks:
+def normal_blocks(pattern: BlockPattern, products: Products) -> Blocks:
     """J' J of the linear model of the units, block by block of two outputs."""
-    like = blocks[0].inputs[0]
-    size = like.shape[2] + 1
+    like = products.linear[0].inputs
+    size = like.shape[2]
     out = {place: like.new_zeros(size, size) for place in pattern.places}
-    for block in blocks:
-        inputs, sensitivity = with_constant(block.inputs[0]), block.sensitivity[-1]
+    for block, linear in zip(products.blocks, products.linear, strict=True):
+        sensitivity = block.sensitivity[-1]
         for row, outputs in enumerate(active_outputs(block)):
-            part = {pattern.rank[o]: _row_features(inputs, sensitivity[:, row, :, o]) for o in outputs}
+            part = {pattern.rank[o]: _row_features(linear.inputs, sensitivity[:, row, :, o]) for o in outputs}
             for i, left in part.items():
                 for j, right in part.items():
                     if i >= j:

@@ -15,13 +15,13 @@ class LayerProduct:
     derivatives, of sensitivity (q, row, point, o) times input (q, point, i).
 
     Args:
-        inputs: (Q, P, I), without the one that a bias stands on, which is added.
+        inputs: (Q, P, I + 1), the one that a bias stands on last, see :func:`with_constant`.
         sensitivity: (Q, R, P, O).
     """
 
     def __init__(self, inputs: Tensor, sensitivity: Tensor) -> None:
         derivatives, rows, points, outputs = sensitivity.shape
-        self.inputs = with_constant(inputs)
+        self.inputs = inputs
         self.shape = (derivatives, rows, points, outputs)
         self.by_point = sensitivity.permute(2, 1, 0, 3).reshape(points, rows, derivatives * outputs)
 
@@ -54,9 +54,13 @@ class Products:
         self.blocks = blocks
         self.sizes = [block.size for block in blocks]
         self.by_layer = [
-            [LayerProduct(a, d) for a, d in zip(block.inputs, block.sensitivity, strict=True)] for block in blocks
+            [LayerProduct(with_constant(a), d) for a, d in zip(block.inputs, block.sensitivity, strict=True)]
+            for block in blocks
         ]
-        self.linear = [LayerProduct(block.inputs[0], block.sensitivity[-1]) for block in blocks]
+        self.linear = [
+            LayerProduct(each[0].inputs, block.sensitivity[-1])
+            for each, block in zip(self.by_layer, blocks, strict=True)
+        ]
 
     def kernel(self, values: Tensor) -> Tensor:
         """J J' times (M, k)."""

@@ -1,0 +1,99 @@
+"""What runs on a CUDA device finds what the processor finds; left out where there is none."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from calls import SMALL, PinnRun
+from small_problems import QUANTITIES, accelerations, measured, relative_error, small_chain
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.fourier import Fourier
+from pinn_cli.network.mlp import Mlp
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.base import Training
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.gradient.adam import Adam
+from pinn_cli.training.gradient.lbfgs import Lbfgs
+from pinn_cli.training.gradient.ssbroyden import SsBroyden
+from pinn_cli.training.noise_model import NoiseModel
+
+pytestmark = [
+    pytest.mark.cuda,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device"),
+]
+EMBEDDED = Mlp(1, 12, "sine", "exact", "fourier")
+
+
+def problem() -> Problem:
+    structure = small_chain()
+    record = accelerations(measured(structure, snr_db=40.0).record)
+    uncertain = tuple(Parameter(kind, 1, value, 0.05 * value) for kind, value in (("k", 15.0), ("kappa", 100.0)))
+    return Problem(structure, record, uncertain)
+
+
+def on(device: str, training: Training, design: NetworkDesign) -> Estimate:
+    return training.solve(problem(), design, RunContext(device))
+
+
+def assert_the_same(training: Training, design: NetworkDesign, limit: float, bands: float | None) -> None:
+    cpu, cuda = (on(device, training, design) for device in ("cpu", "cuda"))
+    for quantity in QUANTITIES:
+        assert relative_error(getattr(cuda.response, quantity), getattr(cpu.response, quantity)) < limit, quantity
+        if bands is not None:
+            np.testing.assert_allclose(getattr(cuda.std, quantity), getattr(cpu.std, quantity), rtol=bands)
+    for one, other in zip(cuda.parameters, cpu.parameters, strict=True):
+        assert one.estimate == pytest.approx(other.estimate, rel=limit)
+
+
+@pytest.mark.parametrize("design", [EMBEDDED, Mlp(2, 24, "sine", "exact")], ids=["features", "dense"])
+def test_function_space(design):
+    assert_the_same(GaussNewton(), design, 1e-4, 0.01)
+
+
+@pytest.mark.parametrize("design", [Spline(), Spline(continuity="penalised"), Fourier()], ids=str)
+def test_linear_readouts(design):
+    assert_the_same(GaussNewton(), design, 1e-6, 1e-4)
+
+
+@pytest.mark.parametrize("design", [EMBEDDED, Spline()], ids=["mlp", "spline"])
+@pytest.mark.parametrize(
+    "training",
+    [
+        Adam(30, collocation_points=None, dtype="float64"),
+        Lbfgs(20, collocation_points=None, dtype="float64"),
+        SsBroyden(20, collocation_points=None),
+    ],
+    ids=["adam", "lbfgs", "ssbroyden"],
+)
+def test_gradients(training, design):
+    assert_the_same(training, design, 1e-3, None)
+
+
+@pytest.mark.parametrize("design", [Spline(), Fourier()], ids=["spline", "fourier"])
+def test_blocks_of_the_normal_equations(design):
+    """Summed on the device, factored by the processor."""
+    given, bands = problem(), []
+    for device in ("cpu", "cuda"):
+        equations = NormalEquations(design.build(given.record), given, device)
+        levels = {name: np.where(given.record.sensors(name), 0.1, np.nan) for name in QUANTITIES}
+        noise = NoiseModel(levels, np.where(given.record.sensors("force"), 0.1, np.nan), 0.1, 0.1)
+        bands.append(equations.assemble(equations.start(), noise).band)
+    np.testing.assert_allclose(bands[1], bands[0], rtol=1e-9, atol=1e-9 * np.abs(bands[0]).max())
+
+
+@pytest.mark.parametrize("network", ["spline", "mlp"])
+def test_a_run_says_which_device_it_used_and_can_be_taken_up(pinn_run: PinnRun, network: str):
+    outcome = pinn_run(*SMALL, f"network={network}", "device=cuda", "figures=false", "hydra.run.dir=run")
+    assert outcome.status == 0, outcome.err
+    told = json.loads((outcome.directory / "run.json").read_text())
+    assert told["device"].startswith("cuda (")
+    assert told["peak_memory_mib"]["cuda"] > 0
+    assert pinn_run("resume=run").status == 0
