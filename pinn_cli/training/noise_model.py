@@ -197,9 +197,10 @@ class FeatureProjection:
 
     def coefficients(self, values: Tensor) -> Tensor:
         """Of the features in the projection of a history (N, n): (count, n)."""
-        return torch.as_tensor(
-            cho_solve_banded((self.factor, True), self._moments(self.segments.gather(values)).numpy())
-        )
+        return torch.as_tensor(cho_solve_banded((self.factor, True), self._moments(self._gathered(values)).numpy()))
+
+    def _gathered(self, values: Tensor) -> Tensor:
+        return self.segments.gather(values.to(self.segments.mask.device))
 
     def residual(self, values: Tensor) -> np.ndarray:
         """(N, n) minus its projection: what the features cannot follow."""
