@@ -6,8 +6,9 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "pinn_cli"
 # From the ground up. A room may import those before it, and itself. The two pages that lie in no room stand among them.
 ROOMS = (
-    "settings", "runs", "system", "record", "network", "scheme", "physics", "training", "baseline", "posterior",
-    "validation", "verdict", "report", "inspection", "tracking", "sweep", "search", "cli", "paper", "main", "api",
+    "settings", "runs", "system", "record", "model", "network", "scheme", "physics", "training", "baseline",
+    "posterior", "validation", "verdict", "report", "inspection", "tracking", "sweep", "search", "cli", "paper", "main",
+    "api",
 )  # fmt: skip
 
 

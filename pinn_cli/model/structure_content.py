@@ -1,0 +1,127 @@
+"""A structure as plain words and arrays, and back: a run's directory holds all of it, whatever files it came from."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+
+from pinn_cli.system.connection.base import Nonlinearity
+from pinn_cli.system.connection_groups import ConnectionGroup
+from pinn_cli.system.incidence import Incidence
+from pinn_cli.system.labels import Labels
+from pinn_cli.system.laws import law_called
+from pinn_cli.system.shapes import Shapes
+from pinn_cli.system.structure import Structure
+from pinn_cli.system.substructures import Substructure
+
+# What the law of a finite-element model's parts is called here; no connection can be given it.
+PART = "part"
+
+
+def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Words and arrays that :func:`structure_of` makes the same structure of."""
+    words: dict[str, Any] = {
+        "dofs": list(structure.labels.dofs),
+        "connections": list(structure.labels.connections),
+        "modes": list(structure.labels.modes),
+        "groups": [_group_words(group) for group in structure.groups],
+        "kinds": list(structure.parameters),
+    }
+    arrays = {f"value_{kind}": values for kind, values in structure.parameters_like(np.empty(0)).items()}
+    for number, group in enumerate(structure.groups):
+        arrays |= _sparse(f"group_{number}", group.incidence.matrix)
+    if structure.influence is not None:
+        arrays["influence"] = np.asarray(structure.influence, dtype=float)
+    if structure.shapes is not None:
+        words["residual"] = structure.shapes.residual
+        arrays["shapes"] = structure.shapes.matrix
+        if structure.shapes.with_ground is not None:
+            arrays["shapes_with_ground"] = structure.shapes.with_ground
+        if structure.shapes.stretch is not None:
+            arrays |= _sparse("shapes_stretch", structure.shapes.stretch)
+    return words, arrays
+
+
+def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Structure:
+    """The structure of what :func:`structure_content` gave.
+
+    Raises:
+        KeyError, ValueError, TypeError, InputError: It is no such content.
+    """
+    groups = tuple(
+        ConnectionGroup(_law(own), Incidence(_matrix(f"group_{number}", arrays)), _parts(own))
+        for number, own in enumerate(words["groups"])
+    )
+    labels = Labels(*(tuple(map(str, words[name])) for name in ("dofs", "connections", "modes")))
+    parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
+    shapes = None
+    if "shapes" in arrays:
+        stretch = _matrix("shapes_stretch", arrays) if "shapes_stretch_shape" in arrays else None
+        shapes = Shapes(arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"]))
+    return Structure(parameters, groups, labels, arrays.get("influence"), shapes)
+
+
+def difference(structure: Structure, other: Structure) -> str:
+    """What tells two structures apart beside the values of their parameters; "" where nothing does.
+
+    Masses count as values: whoever simulates a change may change them.
+    """
+    if other_dofs(structure, other):
+        return other_dofs(structure, other)
+    if structure.nonlinearity_name != other.nonlinearity_name or [g.kinds for g in structure.groups] != [
+        g.kinds for g in other.groups
+    ]:
+        return f"{structure.nonlinearity_name} connections, not {other.nonlinearity_name}"
+    if [_group_words(group) for group in structure.groups] != [_group_words(group) for group in other.groups]:
+        return f"{structure.nonlinearity_name} connections of other settings"
+    if structure.labels != other.labels:
+        return "other names of connections"
+    mine, theirs = structure.incidence.matrix, other.incidence.matrix
+    if mine.shape != theirs.shape or abs(mine - theirs).max() > 1e-9 * abs(theirs).max():
+        return "other connections"
+    return ""
+
+
+def other_dofs(structure: Structure, other: Structure) -> str:
+    """What tells the DOFs of two structures apart; "" where nothing does."""
+    if structure.ndof != other.ndof:
+        return f"{structure.ndof} DOFs, not {other.ndof}"
+    if structure.labels.dofs != other.labels.dofs:
+        return f"DOFs {', '.join(structure.labels.dofs or ('by number',))}"
+    return ""
+
+
+def _group_words(group: ConnectionGroup) -> dict[str, Any]:
+    if isinstance(group.nonlinearity, Substructure):
+        return {"law": PART, "settings": {}, "parts": list(group.parts or ())}
+    law = group.nonlinearity
+    settings = {name: getattr(law, name) for name in inspect.signature(type(law)).parameters if hasattr(law, name)}
+    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
+    return {"law": law.name, "settings": plain, "parts": None if group.parts is None else list(group.parts)}
+
+
+def _law(words: Mapping[str, Any]) -> Nonlinearity:
+    return Substructure() if words["law"] == PART else law_called(words["law"], words["settings"], "model")
+
+
+def _parts(words: Mapping[str, Any]) -> tuple[int, ...] | None:
+    return None if words["parts"] is None else tuple(int(part) for part in words["parts"])
+
+
+def _sparse(name: str, matrix: csr_matrix) -> dict[str, np.ndarray]:
+    return {
+        f"{name}_data": matrix.data,
+        f"{name}_indices": matrix.indices,
+        f"{name}_indptr": matrix.indptr,
+        f"{name}_shape": np.array(matrix.shape),
+    }
+
+
+def _matrix(name: str, arrays: Mapping[str, np.ndarray]) -> csr_matrix:
+    data, indices, indptr, shape = (arrays[f"{name}_{part}"] for part in ("data", "indices", "indptr", "shape"))
+    return csr_matrix((data, indices, indptr), shape=tuple(int(x) for x in shape))

@@ -1,0 +1,115 @@
+"""The file of a model: what goes in comes out, and what is none is refused in one line."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from structures import braced
+
+from pinn_cli.model.file import NAME, read_model, write_model
+from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
+from pinn_cli.model.model import Model
+from pinn_cli.settings.errors import InputError
+
+
+def model() -> Model:
+    structure = braced()
+    parameters = tuple(
+        replace(structure.parameter("k", i), prescribed=v, prior_std=s, unknown=i > 0, positive=True)
+        for i, (v, s) in enumerate([(15.0, 150.0), (14.0, 1.0)])
+    )
+    known = ParameterKnowledge(
+        np.array([15.0, 14.0]), np.array([[0.04, 0.01], [0.01, 0.09]]), np.array([1.0, 0.0]), np.array([4.0, 0.0]),
+        np.array([150.0, 1.0]),
+    )  # fmt: skip
+    levels = Levels({"acceleration": np.array([0.1, np.nan, 0.2])}, 0.3, 0.01, 5.0, 7.5)
+    end = EndState(2.0, np.arange(6.0), np.eye(6), np.ones((6, 2)))
+    return Model(structure, parameters, known, levels, end, "questionable", "why", np.ones((4, 2)))
+
+
+def run(directory: Path, content: Model | None = None, finished: bool = True) -> Path:
+    directory.mkdir()
+    (directory / ".hydra").mkdir()
+    if content is not None:
+        write_model(content, directory)
+    if finished:
+        (directory / "run.json").write_text(json.dumps({"configuration": "abc"}))
+    return directory
+
+
+def test_what_goes_in_comes_out(tmp_path):
+    there = model()
+    back = read_model("run", run(tmp_path / "run", there).parent)
+    assert back.directory == tmp_path / "run"
+    assert (back.verdict, back.reason) == ("questionable", "why")
+    assert [p.name for p in back.parameters] == ["k_1", "k_2"]
+    for p, q in zip(back.parameters, there.parameters, strict=True):
+        assert (p.prescribed, p.prior_std, p.unknown, p.positive) == (q.prescribed, q.prior_std, q.unknown, q.positive)
+    np.testing.assert_array_equal(back.known.covariance, there.known.covariance)
+    np.testing.assert_allclose(back.known.hidden, [0.25, 0.0], rtol=1e-5)
+    np.testing.assert_array_equal(back.levels.sensors["acceleration"], [0.1, np.nan, 0.2])
+    assert (back.levels.discrepancy, back.levels.step, back.levels.force, back.levels.features) == (0.3, 0.01, 5.0, 7.5)
+    assert back.end is not None
+    np.testing.assert_array_equal(back.end.mean, np.arange(6.0))
+    np.testing.assert_array_equal(back.draws, np.ones((4, 2)))
+
+
+def refusal(given: object, base: Path) -> str:
+    with pytest.raises(InputError) as refused:
+        read_model(given, base)
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).startswith("model=")
+    return str(refused.value)
+
+
+def test_what_is_no_model_is_refused(tmp_path):
+    assert "no such directory" in refusal("nowhere", tmp_path)
+    assert "directory of a finished run" in refusal(3, tmp_path)
+    (tmp_path / "empty").mkdir()
+    assert "has no run.json" in refusal("empty", tmp_path)
+    run(tmp_path / "half", model(), finished=False)
+    assert "has not finished" in refusal("half", tmp_path)
+    run(tmp_path / "old")
+    assert "has no model.npz" in refusal("old", tmp_path)
+    (tmp_path / "sweep").mkdir()
+    (tmp_path / "sweep" / "multirun.yaml").write_text("")
+    assert "one of its jobs" in refusal("sweep", tmp_path)
+    run(tmp_path / "failed", replace(model(), verdict="failed", reason="a sensor has the wrong sign"))
+    assert "wrong sign" in refusal("failed", tmp_path)
+
+
+def damaged(file: Path, **changes: object) -> None:
+    with np.load(file) as content:
+        arrays = dict(content)
+    np.savez(file, **{name: value for name, value in (arrays | changes).items() if value is not None})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"content": None},
+        {"content": np.frombuffer(b"[]", dtype=np.uint8)},
+        {"parameters_mean": np.zeros(3)},
+        {"parameters_covariance": np.zeros((3, 3))},
+        {"structure_value_k": None},
+        {"structure_group_0_indices": np.array([7, 8, 9])},
+        {"draws": np.array([object()], dtype=object)},
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path, changes):
+    there = run(tmp_path / "run", model())
+    damaged(there / NAME, **changes)
+    assert "cannot be read" in refusal("run", tmp_path)
+
+
+def test_nothing_in_it_is_executed(tmp_path):
+    there = run(tmp_path / "run", model())
+    (there / NAME).write_bytes(pickle.dumps(print))
+    assert "cannot be read" in refusal("run", tmp_path)
+    (there / NAME).write_bytes(b"PK\x03\x04")
+    assert "cannot be read" in refusal("run", tmp_path)
