@@ -218,6 +218,7 @@ def _carry_out(
         linear,
         prepared.problem.true if config.source.simulated else None,
         prepared.problem.validation,
+        config.model,
     )
     further = further_results(results, problem.further, prepared.problem.truths[1:])
     report = RunReport(replace(results, further=further), directory, stages, config.exports)

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+import math
 import re
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
+
+from pinn_cli.model.file import write_model
+from pinn_cli.model.knowledge import Levels, ParameterKnowledge
+from pinn_cli.model.model import Model
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
 
 ROOT = Path(__file__).parents[1]
 MY_STRUCTURE = ROOT / "docs" / "how-to" / "my-structure.md"
@@ -68,3 +78,15 @@ def write_configuration(folder: Path) -> None:
     (experiment,) = (block for block in blocks(OWN_RECORD, "yaml") if "case: my_rig" in block)
     (folder / "my_configs" / "experiment").mkdir(parents=True)
     (folder / "my_configs" / "experiment" / "my_rig.yaml").write_text(experiment)
+
+
+def write_model_run(folder: Path) -> None:
+    """runs/january of finished-run.md: a chain of three that somebody has identified."""
+    structure = build_chain(3, Linear(), m=5.2, c=15.0, k=40e3)
+    own = tuple(replace(p, positive=True) for p in structure.every_parameter() if p.kind != "m")
+    mean = np.array([p.prescribed for p in own])
+    known = ParameterKnowledge(mean, np.diag(1e-4 * mean**2), 0.0 * mean, 0.0 * mean, mean)
+    levels = Levels({}, math.nan, 0.01, math.nan, math.nan)
+    directory = folder / "runs" / "january"
+    write_model(Model(structure, own, known, levels, None, "sound", ""), directory)
+    (directory / "run.json").write_text(json.dumps({"configuration": ""}))

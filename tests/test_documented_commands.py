@@ -18,6 +18,7 @@ from documented_commands import (
     first_job,
     missing_package,
     write_configuration,
+    write_model_run,
 )
 from hydra import compose, initialize_config_module
 
@@ -41,6 +42,7 @@ def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     columns = {name: np.sin((3 + i) * time) + np.cos(11 * time) for i, name in enumerate(("f1", "a1", "a3"))}
     pd.DataFrame({"t": np.round(time, 2), **columns}).to_csv(tmp_path / "rig.csv", index=False)
     write_configuration(tmp_path)
+    write_model_run(tmp_path)
     monkeypatch.chdir(tmp_path)
     (script,) = blocks(MY_STRUCTURE, "python")
     exec(script, {})

@@ -20,6 +20,7 @@ from documented_commands import (
     first_job,
     missing_package,
     write_configuration,
+    write_model_run,
 )
 
 # They take hours: test_documented_commands.py poses them.
@@ -37,6 +38,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
     shutil.copy(folder / "rig.csv", folder / "second.csv")
     write_configuration(folder)
+    write_model_run(folder)
     return folder
 
 

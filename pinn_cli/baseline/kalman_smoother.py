@@ -51,6 +51,9 @@ class KalmanSmoother(Estimator):
         if problem.inputs.ground or len(problem.structure.memory) or problem.structure.shapes is not None:
             allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
             raise InputError("baseline", self.name, allowed, "the smoother's state is the motion of the DOFs alone")
+        if problem.prior is not None:
+            hint = "the smoother knows no correlated parameters"
+            raise InputError("baseline", self.name, "none with model=...", hint)
         check_gauges(problem.record, self.name)
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate:

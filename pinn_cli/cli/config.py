@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.cli.dof_names import numbered
+from pinn_cli.cli.reuse import check_use, chosen_model, structure_beside
 from pinn_cli.cli.source import Source, read_source, read_structure
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.process import prepare_process
@@ -25,6 +26,7 @@ from pinn_cli.settings.legal_values import positive_number, whole_number
 from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
+    from pinn_cli.model.model import Model
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Record
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     from pinn_cli.training.base import Estimator, TrainedNetwork, Training
     from pinn_cli.validation.base import Validation
 
-VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict")
+VALUES = ("case", "seed", "device", "threads", "resume", "figures", "strict", "model")
 NODES = (
     "system",
     "excitation",
@@ -87,6 +89,7 @@ class RunConfig:
         checkpoint_every_s: Seconds from checkpoint to checkpoint; None: only when the run is asked to stop.
         exports: Formats in which the response is written beside ``response.nc``.
         strict: Whether a verdict other than sound ends the run with exit status 4.
+        model: The finished run whose structure and parameters are taken; None: there is none.
     """
 
     case: str
@@ -109,6 +112,7 @@ class RunConfig:
     checkpoint_every_s: float | None
     strict: bool
     exports: tuple[Export, ...]
+    model: Model | None = None
 
     @classmethod
     def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
@@ -129,16 +133,18 @@ class RunConfig:
         prepare_process(threads)
         _check_available(device)
         model_error = build(config.model_error, "model_error")
-        structure = read_structure(config, base)
+        model = chosen_model(config, base)
+        structure = read_structure(config, base) if model is None else structure_beside(model, config, base)
         config = numbered(config, structure.labels)
         source = read_source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
-        estimation = {name: build(config[name], name) for name in names}
+        estimation = {name: build(config[name], name, model=model) for name in names}
+        check_use(model, estimation["scheme"], config.model)
         estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again |= {"figures": _figures(config), "strict": _strict(config)}
-        again["exports"] = _exports(config)
+        again |= {"exports": _exports(config), "model": model}
         return cls(case, seed, device, threads, structure, model_error, source, **estimation, **again)
 
     def observe(self, record: Record) -> Record:
@@ -150,7 +156,11 @@ class RunConfig:
         """The network, and how it is trained."""
         from pinn_cli.training.base import TrainedNetwork
 
-        return TrainedNetwork(self.training, self.network)
+        if not self.scheme.looks_for_changes:
+            return TrainedNetwork(self.training, self.network)
+        from pinn_cli.training.updating import UpdatedNetwork
+
+        return UpdatedNetwork(self.training, self.network)
 
     @property
     def description(self) -> RunDescription:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 COMMAND = "inspect"
 # What goes on with a run, or makes several, has nothing to do with a look at a record.
-_LEFT_OUT = ("resume", "collect")
+_LEFT_OUT = ("resume", "collect", "model")
 
 
 @dataclass(frozen=True, eq=False)

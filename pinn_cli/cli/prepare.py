@@ -58,6 +58,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     stages = stages or Stages()
     with stages("system"):
         true, prescribed = config.model_error.structures(config.structure)
+        prescribed = prescribed if config.model is None else config.model.structure
     with stages("record"):
         measurements = config.source.measurements(true)
         records = [config.observe(each.record) for each in measurements]

@@ -12,6 +12,7 @@ from pinn_cli.training.calibrated_record import as_calibrated
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pinn_cli.model.model import Model
     from pinn_cli.posterior.result import PosteriorResult
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.record.response import Response
@@ -89,6 +90,7 @@ class Results:
             model error (paper, Fig. 6).
         true: The structure that a simulated record comes from, for scoring; None of a measured record.
         validation: What the identified system is tried on and no estimator has seen; None: nothing.
+        model: What the run began with; None: no earlier run.
         further: Of further records that were solved together with this one, whose ``estimate`` then has the parameters
             of all.
     """
@@ -105,6 +107,7 @@ class Results:
     linear_response: Response | None = None
     true: Structure | None = None
     validation: ValidationRecord | None = None
+    model: Model | None = None
     further: tuple[Results, ...] = ()
 
     @property

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from pinn_cli.report.model import write_run_model
 from pinn_cli.report.modes import ModeEstimates, mode_table
+from pinn_cli.report.over_time import FILE, changes_text, parameters_over_time
 from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table, parameter_table
 from pinn_cli.report.posterior import diagnostics_table, parameter_estimates, posterior_correlation
 from pinn_cli.report.record_report import RecordReport, record_folder, records_table
@@ -125,6 +127,14 @@ class RunReport:
             )
             return run, validation_table(run, results.estimate, results.run.labels_of(estimator="pinn"))
 
+    @cached_property
+    def over_time(self) -> pd.DataFrame | None:
+        """The parameters from record to record; None unless this record was compared with earlier ones."""
+        results = self.results
+        if results.model is None:
+            return None
+        return parameters_over_time(results.model, results.estimate, self.directory.name)
+
     def text(self) -> str:
         """What the run prints, from `pinn_cli.report.terminal.run.run_text`; the verdict comes last.
 
@@ -133,7 +143,8 @@ class RunReport:
         verdict, posterior = self.verdict, self.results.posterior
         tables, baseline, further = self.tables
         diagnostics = "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict)
-        paragraphs = diagnostics, "" if self.validation is None else validation_text(*self.validation)
+        other = "" if self.validation is None else validation_text(*self.validation)
+        paragraphs = diagnostics, other, changes_text(self.results.estimate.changes)
         seconds = self.stages.seconds
         return run_text(self.results, tables, baseline, self.free_run, paragraphs, verdict, seconds, further)
 
@@ -167,10 +178,15 @@ class RunReport:
                 write_table(records_table(rows), directory / "records.csv")
             if self.validation is not None:
                 write_table(self.validation[1], directory / "validation.csv")
+            if self.over_time is not None:
+                write_table(self.over_time, directory / FILE)
+            write_run_model(results, verdict, directory)
         if self._drawn is not None:
             with self.stages("figures"):
                 if self.validation is not None:
                     _draw_validation(results, self.validation[0], directory)
+                if self.over_time is not None:
+                    _draw_over_time(self.over_time, directory)
                 self._drawn()
         with self.stages("posterior_report"):
             write_posterior(results, directory, self._drawn is not None)
@@ -213,6 +229,12 @@ def _draw_validation(results: Results, run: ValidationRun, directory: Path) -> N
 
     if run.response is not None:
         write_validation_figure(run, results.estimate, directory / "figures")
+
+
+def _draw_over_time(table: pd.DataFrame, directory: Path) -> None:
+    from pinn_cli.report.figures import write_over_time_figure
+
+    write_over_time_figure(table, directory / "figures")
 
 
 def write_posterior(results: Results, directory: Path, figures: bool) -> None:

@@ -44,6 +44,7 @@ class Identity:
             base: The folder that relative paths of data start from; None: the current one.
         """
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
+        settings.pop("model", None)
         records = OmegaConf.select(config, "data.records")
         records = records if isinstance(records, ListConfig) else []
         for name in (*FILES, *(f"data.records[{i}].path" for i in range(len(records)))):
@@ -52,6 +53,7 @@ class Identity:
             contents = [_content(located(str(path), base)) for path in paths]
             if contents and all(contents):
                 settings[name] = ", ".join(map(str, contents))
+        settings |= _of_model(config, base)
         return cls(settings, {name: package_version(name) or "unknown" for name in PACKAGES})
 
     @classmethod
@@ -107,6 +109,14 @@ def _text(value: Any) -> str:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return repr(int(value)) if value == value // 1 else repr(float(value))
     return "null" if value is None else str(value)
+
+
+def _of_model(config: DictConfig, base: Path | None) -> dict[str, str]:
+    """The model that a run begins with, by what is in it; nothing where there is none, as before there were any."""
+    given = config.get("model")
+    if given is None:
+        return {}
+    return {"model": _content(located(str(given), base) / "model.npz") or str(given)}
 
 
 def _content(file: Path) -> str | None:

@@ -17,9 +17,11 @@ class Scheme(ABC):
 
     Attributes:
         name: What the tables call it.
+        looks_for_changes: Whether a record is compared with those before it.
     """
 
     name: ClassVar[str]
+    looks_for_changes: ClassVar[bool] = False
 
     @abstractmethod
     def observe(self, record: Record) -> Record:

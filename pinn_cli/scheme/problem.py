@@ -10,6 +10,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
 from pinn_cli.scheme.inputs import inputs_of
+from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
@@ -36,6 +37,7 @@ class Problem:
         alternatives: The same from other starts of the unknown parameters, for a training that can compare solutions.
         further: The same structure in further records, to be solved together with this one: what is uncertain in two
             of them is one parameter. Each has its own sensors, length, noise, initial motion and inputs.
+        prior: What earlier records say of the uncertain parameters together; None: each is believed by itself.
     """
 
     structure: Structure
@@ -46,6 +48,7 @@ class Problem:
     alternatives: tuple[Problem, ...] = ()
     inputs: Inputs = field(default_factory=Inputs)
     further: tuple[Problem, ...] = ()
+    prior: JointPrior | None = None
 
     @classmethod
     def of_records(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
@@ -11,6 +12,7 @@ from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
+from pinn_cli.scheme.of_model import only_one, problem_of_model
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
 from pinn_cli.scheme.starts import parameter_starts
@@ -29,6 +31,7 @@ class SparseRecovery(Scheme):
             them fixed, as the paper does.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.
         unknown_force: How a force that nobody measured is estimated: ``gaussian_process`` or ``free``.
+        model: A finished run whose structure and parameters are taken instead of prescribed ones; None: there is none.
 
     Raises:
         InputError: A setting outside its range.
@@ -45,7 +48,9 @@ class SparseRecovery(Scheme):
         acceleration_through: str = "derivative",
         initial_motion: str = FREE,
         unknown_force: str = GAUSSIAN_PROCESS,
+        model: Model | None = None,
     ) -> None:
+        self.model = model
         self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
         self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
         self.load_cells = has_load_cells(sensors or {})
@@ -64,11 +69,14 @@ class SparseRecovery(Scheme):
 
     def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
         """See :meth:`Scheme.joint_problem`."""
+        through, begins = self.acceleration_through, self.initial_motion
+        if self.model is not None:
+            record = self._calibrated(self.model.structure, only_one(records))
+            return problem_of_model(self.model, record, False, through, begins, self.unknown_force)
         check_given(prescribed)
         if len(records) == 1:
             records = [self._calibrated(prescribed, records[0])]
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
-        through, begins = self.acceleration_through, self.initial_motion
         return Problem.of_records(prescribed, records, uncertain, through, begins, self.unknown_force)
 
     def _calibrated(self, prescribed: Structure, record: Record) -> Record:

@@ -104,6 +104,9 @@ class TrainedNetwork(Estimator):
         if problem.record.gauges and not self.training.solves_inputs(self.design):
             allowed = "network=spline with training=gauss_newton where samples are missing or a sensor is in doubt"
             raise InputError("network", self.design.name, allowed, f"channel {problem.record.gauges[0].name} is such")
+        if problem.prior is not None and not self.training.solves_inputs(self.design):
+            allowed = "spline, with training=gauss_newton and inferred weights, where model=... says what is known"
+            raise InputError("network", self.design.name, allowed, "other trainings know no correlated parameters")
         if not problem.dynamics.is_plain and problem.acceleration_through != "derivative":
             hint = f"with {problem.dynamics.beside_motion} the observer equation has no one force"
             raise InputError("scheme.acceleration_through", problem.acceleration_through, "derivative", hint)

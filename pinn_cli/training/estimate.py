@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from pinn_cli.model.knowledge import EndState, ParameterKnowledge
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 
@@ -110,6 +111,48 @@ class Disagreement:
     alone: dict[str, float]
 
 
+@dataclass(frozen=True)
+class Change:
+    """A parameter that is not what the records before say.
+
+    Attributes:
+        parameter: Which; ``prescribed`` is what they say.
+        by: How far it moved, in its unit, if nothing else did.
+        std: Of that.
+        chance: Probability that uncertainty alone makes so much of it, among all parameters that were looked at.
+        share: Probability that it is this parameter and no other one, given that one changed.
+    """
+
+    parameter: Parameter
+    by: float
+    std: float
+    chance: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """What a record says against those before it.
+
+    Attributes:
+        parameters: That were compared, p of them.
+        found: What changed, the most certain one first.
+        chance: Probability that uncertainty alone makes them differ so much as a whole, after these changes.
+        improbable: Below which that is no chance.
+        before: (p,), what the earlier records say of every parameter, and ``before_std``.
+        alone: (p,), what the record says by itself, and ``alone_std``; NaN where it says nothing.
+    """
+
+    parameters: tuple[Parameter, ...]
+    found: tuple[Change, ...]
+    chance: float
+    improbable: float
+    before: np.ndarray
+    before_std: np.ndarray
+    alone: np.ndarray
+    alone_std: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class ConnectionHistories:
     """What the connections do, in the order of the structure's; of modes, those that were added to them.
@@ -150,6 +193,9 @@ class Estimate:
         own: How many of ``parameters``, the first ones, are this record's own; None: all.
         rivals: Other solutions that explain the record as well.
         disagreements: Of every record that was solved together with others; none of a lone one.
+        known: Of ``parameters``, before bounds cut anything off; None where the training gives no covariance.
+        end: Where the motion ended; None where the training does not say, or of several records.
+        changes: Of the structure since the records before, where it was looked for any.
     """
 
     response: Response
@@ -164,6 +210,9 @@ class Estimate:
     own: int | None = None
     rivals: tuple[Rival, ...] = ()
     disagreements: tuple[Disagreement, ...] = ()
+    known: ParameterKnowledge | None = None
+    end: EndState | None = None
+    changes: Changes | None = None
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:

@@ -27,6 +27,7 @@ from pinn_cli.training.band.inference import (
     inferred,
 )
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
+from pinn_cli.training.band.near_levels import as_fine_as_before
 from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
 from pinn_cli.training.band.starting_noise import starting_noise
@@ -87,6 +88,8 @@ class GaussNewton(Training):
         elif problem.identifies:
             design = design.refined()
         network = built(design, problem)
+        if problem.prior is not None and isinstance(network, LinearReadout):
+            design = as_fine_as_before(design, problem, network)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
         self._left_alone(design, "has a linear readout", collocation_points=None, most_residuals=MOST_RESIDUALS)

@@ -36,14 +36,14 @@ def test_defaults(composed: Compose) -> None:
     }
 
 
-# A file and a structure are the user's own: without them there is nothing to build.
+# A file, a structure and a finished run are the user's own: without them there is nothing to build.
 @pytest.mark.parametrize(
     "choice",
     [
         f"{group}={name}"
         for group in GROUPS
         for name in option_names(group)
-        if name not in ("structure", "matrices") and (group != "data" or name == "simulated")
+        if name not in ("structure", "matrices", "update", "predict") and (group != "data" or name == "simulated")
     ],
 )
 def test_every_option_of_every_group_builds(composed: Compose, choice: str) -> None:

@@ -130,6 +130,7 @@ def test_a_problem_has_no_way_to_the_truth():
         "alternatives",
         "inputs",
         "further",
+        "prior",
     }
     record = hints(Problem)["record"]
     assert not {Truth, Measurements} & reachable(record, set())

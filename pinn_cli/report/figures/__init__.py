@@ -17,6 +17,7 @@ from pinn_cli.report.figures.force_predictive import force_predictive_figure
 from pinn_cli.report.figures.history import history_figure
 from pinn_cli.report.figures.hysteresis import hysteresis_figure
 from pinn_cli.report.figures.modes import modes_figure
+from pinn_cli.report.figures.over_time import over_time_figure
 from pinn_cli.report.figures.parameters import parameters_figure
 from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure, rank_figure, trace_figure
 from pinn_cli.report.figures.residuals import residuals_figure
@@ -33,6 +34,7 @@ from pinn_cli.runs.side_by_side import shared_out
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
 
@@ -125,6 +127,11 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
 def write_validation_figure(run: ValidationRun, estimate: Estimate, directory: Path) -> list[Path]:
     """Draw and save ``validation``, of a run of the identified system on other data; the files written."""
     return save(validation_figure(run, estimate), directory, "validation")
+
+
+def write_over_time_figure(table: pd.DataFrame, directory: Path) -> list[Path]:
+    """Draw and save ``parameters_over_time``; the files written."""
+    return save(over_time_figure(table), directory, "parameters_over_time")
 
 
 def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], directory: Path) -> list[Path]:

@@ -52,7 +52,7 @@ def run_text(
     tables: EstimatorTables,
     baseline: EstimatorTables | None,
     free_run: tuple[FreeRun, pd.DataFrame],
-    posterior_and_validation: tuple[str, str],
+    further_texts: Sequence[str],
     verdict: Verdict | None,
     seconds: Mapping[str, float],
     further: Sequence[EstimatorTables] = (),
@@ -67,7 +67,7 @@ def run_text(
         tables: Of the network.
         baseline: Of the baseline, where there is one.
         free_run: And its table.
-        posterior_and_validation: The texts of a posterior and of a validation on other data; "" without one.
+        further_texts: Of a posterior, of a validation on other data, of changes; "" without one.
         verdict: Where there is one.
         seconds: By stage.
         further: Tables of the network for further records.
@@ -81,7 +81,7 @@ def run_text(
         parameters_text(tables.parameters, warnings, their_parameters),
         fitness_text(tables.fitness, results.record.observed, _published(run)),
         free_run_text(*free_run) if known else free_run_line(*free_run),
-        *posterior_and_validation,
+        *further_texts,
         "" if baseline is None else comparison_text(tables.fitness, baseline.name, baseline.fitness, seconds),
         score_text(run.validation, results.score),
         "" if verdict is None else verdict_text(verdict),

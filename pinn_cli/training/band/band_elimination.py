@@ -54,6 +54,12 @@ class BandElimination(ReadoutFactor):
         half = self.factor.forward(right)
         return half, self.border.T @ half
 
+    def last_covariance(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :meth:`ReadoutFactor.last_covariance`: what stands before these weights is not touched."""
+        first = self.size - len(rows)
+        half = BandFactor(self.factor.band[:, first:], self.factor.scale[first:]).forward(rows)
+        return half.T @ half, self.border[first:].T @ half
+
     def solved(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
         """See :meth:`ReadoutFactor.solved`."""
         return self.factor.backward(half + self.border @ x)

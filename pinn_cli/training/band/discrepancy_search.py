@@ -124,10 +124,17 @@ class DiscrepancySearch(ABC):
     def occupied(self, trained: Trained) -> list[float]:
         """Of every record the share of the features' band that the discrepancy fills."""
 
-    def train(self, noise: NoiseModel, start: Point) -> Trained | None:
-        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor."""
+    def train(self, noise: NoiseModel, start: Point, tolerance: float | None = None) -> Trained | None:
+        """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor.
+
+        Args:
+            noise: The model.
+            start: Where to begin.
+            tolerance: Of a solution that is a step on the way; None: the search's own.
+        """
+        enough = self.tolerance if tolerance is None else tolerance
         watch = lambda losses: self.watch(losses, noise)  # noqa: E731
-        solution = minimise(self.least_squares, noise, start, self.iterations, self.tolerance, watch, self._is_cautious)
+        solution = minimise(self.least_squares, noise, start, self.iterations, enough, watch, self._is_cautious)
         self._is_cautious = solution.cautious
         factor = solution.factor or self.least_squares.assemble(solution.point, noise).factor()
         self.count(solution.factorisations + (solution.factor is None))

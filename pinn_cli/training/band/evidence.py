@@ -63,7 +63,8 @@ class Evidence(DiscrepancySearch):
     def log_evidence(self, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
         """See :meth:`DiscrepancySearch.log_evidence`."""
         own = self.record_term(point, noise, factor.readout_log_determinant)
-        return own + parameter_term(self.unknown, point, noise, factor)
+        pull = self.equations.prior_force(point.parameters, noise).cpu().numpy()
+        return own + parameter_term(self.unknown, point, noise, factor, pull)
 
     def record_term(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """What the record says, without the parameters' prior and without their share of the Hessian."""
@@ -178,7 +179,9 @@ def occupied_share(evidence: Evidence, trained: Trained) -> float:
     return occupied_band(residual[:, enforced].cpu().numpy(), step, equations.network.free_intervals / 2.0)
 
 
-def parameter_term(unknown: np.ndarray, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
+def parameter_term(
+    unknown: np.ndarray, point: Point, noise: NoiseModel, factor: BorderedFactor, pull: np.ndarray
+) -> float:
     """The parameters' part of the log evidence: their prior, and their Hessian with the readout eliminated.
 
     Args:
@@ -186,7 +189,8 @@ def parameter_term(unknown: np.ndarray, point: Point, noise: NoiseModel, factor:
         point: Of the solution.
         noise: That it was found under.
         factor: Of the Hessian there.
+        pull: (p,), the prior's precision times the parameters.
     """
     believed = int((~unknown).sum())
-    loss = float(np.sum(np.where(unknown, 1.0, noise.spread**-2) * point.parameters.cpu().numpy() ** 2))
+    loss = float(np.sum(pull * point.parameters.cpu().numpy()))
     return -0.5 * (loss + factor.parameter_log_determinant + 2.0 * believed * np.log(noise.spread))

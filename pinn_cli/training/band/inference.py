@@ -21,6 +21,7 @@ from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.near_levels import near_known_levels
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
@@ -34,6 +35,8 @@ from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
 ITERATIONS, TOLERANCE = 12, 1e-6
+# The same where a finished run says where the solution is: steps from there converge at once.
+NEAR_TOLERANCE = 3e-5
 # A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
 # noisy as their spectra say.
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
@@ -49,6 +52,8 @@ def inferred(
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
+    if problem.prior is not None:  # what earlier records leave open is no belief of a user's
+        settings = replace(settings, learn_spread=False, tolerance=max(settings.tolerance, NEAR_TOLERANCE))
     problem, settings = _of_spectra(problem, settings)
     if all(len(own.inputs.forces) == own.record.ndof for own in problem.by_record):
         # Forces that are free on every DOF follow any parameters: their spread would grow without end.
@@ -66,7 +71,8 @@ def inferred(
             break
         designs, found = finer, again
     evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
-    choice = Choice(found.trained) if settings.known else weighed(evidence, found.trained, settle)
+    told = settings.known is not None or problem.prior is not None  # by spectra, or by earlier records
+    choice = Choice(found.trained) if told else weighed(evidence, found.trained, settle)
     return Inferred(evidence, driven_in_band(evidence, evidence.widen_for_colour(choice.trained)), choice.rivals)
 
 
@@ -125,7 +131,7 @@ def _best_start(
         noise = noise.pooled() if settings.pooled else noise
         noise = noise if settings.known is None else noise.with_spread(settings.known.spread)
         try:
-            trained = _searched(evidence, noise)
+            trained = near_known_levels(evidence, noise) or _searched(evidence, noise)
         except DivergenceError as error:
             failure = error
             continue

@@ -100,7 +100,7 @@ class NormalEquations(Residuals):
             squares = [float(r.square().sum()) for r in self.gauge_residuals(point)]
             out[GAUGE] = float(np.sum(squares / noise.response[GAUGE] ** 2))
             out["gain"] = self._of_gains(point, noise)
-        out["prior"] = float((self.precision(noise) * point.parameters.square()).sum())
+        out["prior"] = float((point.parameters * self.prior_force(point.parameters, noise)).sum())
         if self.begins is not None:
             out["initial"] = self.begins.loss(point.unknowns)
         out["ridge"] = ridge_loss(self.ridge, point.unknowns)
@@ -123,7 +123,7 @@ class NormalEquations(Residuals):
             for name, residual in residuals.items():
                 self._add(sums, name, residual, weights[name], point, part)
         self._add_gauges(sums, point, noise)
-        return self._system(sums, point, self.precision(noise))
+        return self._system(sums, point, noise)
 
     def _add(self, sums: RowSums, name: str, residual: Tensor, weight: Tensor, point: Point, part: slice) -> None:
         """Add the rows of one residual in some groups; the weight is (n,), or (I, S, n) of all groups."""
@@ -169,7 +169,20 @@ class NormalEquations(Residuals):
         """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
         return torch.where(self.unknown, 1.0, noise.spread**-2)
 
-    def _system(self, sums: RowSums, point: Point, precision: Tensor) -> BorderedSystem:
+    def prior_precision(self, noise: NoiseModel) -> Tensor:
+        """(p, p), of all uncertain parameters together."""
+        alone, prior = self.precision(noise), self.problem.prior
+        if prior is None:
+            return torch.diag(alone)
+        return torch.as_tensor(prior.precision).to(self.scale) * torch.outer(alone, alone).sqrt()
+
+    def prior_force(self, parameters: Tensor, noise: NoiseModel) -> Tensor:
+        """(p,), the prior's precision times parameters (p,): what pulls them back."""
+        if self.problem.prior is None:
+            return self.precision(noise) * parameters
+        return self.prior_precision(noise) @ parameters
+
+    def _system(self, sums: RowSums, point: Point, noise: NoiseModel) -> BorderedSystem:
         pick, band = self.vector.column, sums.band
         if self.ridge is None:
             self.ridge = ridge_of(band.main, self.dynamics, self.layout)
@@ -177,8 +190,8 @@ class NormalEquations(Residuals):
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         if self.begins is not None:
             self.begins.add(band, torch.from_numpy(gradient), point.unknowns.cpu())
-        corner = sums.corner[np.ix_(pick, pick)] + np.diag(precision.cpu().numpy())
-        slope = sums.slope[pick] + (precision * point.parameters).cpu().numpy()
+        corner = sums.corner[np.ix_(pick, pick)] + self.prior_precision(noise).cpu().numpy()
+        slope = sums.slope[pick] + self.prior_force(point.parameters, noise).cpu().numpy()
         border = sums.border[:, pick]
         system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
         return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)

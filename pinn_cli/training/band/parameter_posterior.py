@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.equations import JointEquations
@@ -17,12 +19,14 @@ from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # N; a model without any misfit is divided by it.
 LEAST_MISFIT = 1e-300
+# Force over misfit beyond which nothing is hidden; its square is still a number in any unit.
+LARGEST_RATIO = 1e100
 
 
 def parameter_posterior(
-    equations: NormalEquations | JointEquations, trained: Trained, misfit: np.ndarray
-) -> tuple[list[ParameterEstimate], np.ndarray]:
-    """Every uncertain parameter, and the (p, p) correlation of all of them.
+    equations: NormalEquations | JointEquations, trained: Trained, told: tuple[np.ndarray, np.ndarray]
+) -> tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge]:
+    """Every uncertain parameter, the (p, p) correlation of all of them, and what is known without bounds.
 
     The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
     cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
@@ -32,26 +36,43 @@ def parameter_posterior(
     Args:
         equations: Of one record or of several.
         trained: Their solution.
-        misfit: (p,), see :func:`coherent_misfit`.
+        told: Both (p,), see :func:`coherent_misfit`.
     """
-    mode = trained.solution.point.parameters.cpu().numpy()
-    peak = mode + _newton_step(equations, trained)
-    posterior = TruncatedGaussian(peak, trained.factor.corner_covariance, equations.lower)
-    estimates = bounded_estimates(equations.uncertain, equations.scale.cpu().numpy(), mode, posterior, misfit)
-    covariance = posterior.covariance + np.diag(misfit**2)
-    unit = np.sqrt(np.diag(covariance))
-    return estimates, covariance / np.outer(unit, unit)
+    mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
+    peak, covariance = mode + _newton_step(equations, trained), trained.factor.corner_covariance
+    known = ParameterKnowledge(
+        np.array([p.prescribed for p in equations.uncertain]) + scale * peak,
+        covariance * np.outer(scale, scale),
+        told[0] / scale,
+        told[1] / scale**2,
+        scale,
+    )
+    prior = None if isinstance(equations, JointEquations) else equations.problem.prior
+    if prior is not None:
+        known = replace(
+            known, told=known.told + prior.told, weight=known.weight + prior.weight, first_std=prior.first_std
+        )
+    misfit = known.hidden / scale
+    posterior = TruncatedGaussian(peak, covariance, equations.lower)
+    estimates = bounded_estimates(equations.uncertain, scale, mode, posterior, misfit)
+    whole = posterior.covariance + np.diag(misfit**2)
+    unit = np.sqrt(np.diag(whole))
+    return estimates, whole / np.outer(unit, unit), known
 
 
-def coherent_misfit(columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarray, int]]) -> np.ndarray:
-    """(p,) standard deviation, in prior ones, of what the model leaves out and each parameter may have taken in.
+def coherent_misfit(
+    columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarray, int]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What tells how much of what the model leaves out each parameter may have taken in: its sums over the records.
 
     The Hessian takes the discrepancy for noise, which averages out over a record. A force that was forgotten does not:
     that of a cubic spring follows the motion as that of a linear one does, and however long the record is, the linear
     one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
     on its connections is r, or what the prior lets it hide. Without model error d is small, and this with it.
 
-    It does not average out over records either, each of which hides as much as its weight among them.
+    It does not average out over records either, each of which hides as much as its weight among them: the first sum
+    (p,) over the second is the standard deviation of what is hidden, in prior ones. See
+    :class:`pinn_cli.model.knowledge.ParameterKnowledge`, which limits it to what the prior lets it hide.
 
     Args:
         columns: Of every record, the places of its parameters among all p.
@@ -60,10 +81,10 @@ def coherent_misfit(columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarr
     size = 1 + max((int(c.max()) for c in columns if len(c)), default=-1)
     weighed, weights = np.zeros(size), np.zeros(size)
     for own, (ratio, values) in zip(columns, each, strict=True):
-        weighed[own] += values * ratio
-        weights[own] += values * ratio**2
-    hidden = np.divide(weighed, weights, out=np.zeros(size), where=weights > 0)
-    return hidden / np.hypot(1.0, hidden)
+        limited = np.minimum(ratio, LARGEST_RATIO)
+        weighed[own] += values * limited
+        weights[own] += values * limited**2
+    return weighed, weights
 
 
 def parameter_force(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, int]:

@@ -19,6 +19,7 @@ from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
+from pinn_cli.training.band.end_state import end_state
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.agreement import disagreements
 from pinn_cli.training.band.joint.evidence import JointEvidence
@@ -32,8 +33,8 @@ from pinn_cli.training.history import History
 
 def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, history: History) -> Estimate:
     """Means, standard deviations, parameters and summary of trained networks, one for every record."""
-    misfit = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
-    parameters, correlation = parameter_posterior(evidence.equations, trained, misfit)
+    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    parameters, correlation, known = parameter_posterior(evidence.equations, trained, told)
     found = {
         "iterations": len(history.rows),
         "factorisations": history.factorisations,
@@ -57,9 +58,10 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
         )
     )
     if not isinstance(evidence, JointEvidence):
-        return first
+        return replace(first, known=known, end=end_state(evidence.equations, trained))
     first = replace(first, disagreements=disagreements(evidence, trained))
     every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
+    every["known"] = known
     return replace(first, further=tuple(further), **every)
 
 

@@ -41,6 +41,17 @@ class ReadoutFactor(ABC):
             (size,) and (p,), or (size, count) and (p, count).
         """
 
+    def last_covariance(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """rows^T A^-1 rows (r, r) and B^T A^-1 rows (p, r) of linear functions of the last weights.
+
+        Args:
+            rows: (k, r), by the last k of the weights.
+        """
+        every = np.zeros((self.size, rows.shape[1]))
+        every[self.size - len(rows) :] = rows
+        half, taken = self.half_solved(every)
+        return half.T @ half, taken
+
     @abstractmethod
     def solved(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
         """R^-T (half + R^-1 B x): of half = R^-1 g the solution of A w = g + B x.

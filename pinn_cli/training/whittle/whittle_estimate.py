@@ -120,7 +120,9 @@ class Whittle:
         diagonal[self.model.places["parameters"]] = np.where(self.believed, spreads[2] ** -2, 1.0)
         diagonal[self.model.places["noise"]] = NOISE_SPREAD**-2
         diagonal[self.model.places["together"]] = 1.0
-        out = np.diag(diagonal)
+        out, prior, own = np.diag(diagonal), self.model.problem.prior, self.model.places["parameters"]
+        if prior is not None:
+            out[own, own] = prior.precision * np.sqrt(np.outer(diagonal[own], diagonal[own]))
         for rows, spread in zip((self.bends, self.differences), spreads[:2], strict=True):
             out += rows.T @ rows / spread**2
         return out

@@ -10,6 +10,7 @@ import pytest
 
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.diagonals import Diagonals
+from pinn_cli.training.band.readout_factor import ReadoutFactor
 
 # Half-width, size, border: diagonal, narrow, size no multiple of the width, band as wide as the matrix.
 SHAPES = [(0, 7, 0), (0, 7, 2), (1, 9, 3), (2, 23, 0), (3, 24, 1), (5, 31, 4), (7, 8, 2), (4, 4, 0), (1, 1, 1)]
@@ -213,3 +214,16 @@ def test_a_damped_bounded_step_goes_downhill():
     assert np.all(x >= lower)
     assert np.any(x == lower)
     assert system.gradient @ w + system.corner_gradient @ x < 0
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_covariance_of_functions_of_the_last_weights(half_width, size, border):
+    system, whole = random_system(half_width, size, border)
+    rows = np.random.default_rng(1).standard_normal((max(1, size // 3), 3))
+    readout = system.factor().readout
+    every = np.vstack((np.zeros((size - len(rows), 3)), rows))
+    solved = np.linalg.solve(whole[:size, :size], every)
+    for gram, taken in (readout.last_covariance(rows), ReadoutFactor.last_covariance(readout, rows)):
+        np.testing.assert_allclose(gram, every.T @ solved, rtol=1e-7, atol=1e-9 * np.abs(every.T @ solved).max())
+        expected = whole[size:, :size] @ solved
+        np.testing.assert_allclose(taken, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max(initial=0.0))

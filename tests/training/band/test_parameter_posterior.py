@@ -10,6 +10,7 @@ import torch
 from scipy.stats import norm, truncnorm
 from small_problems import accelerations, measured, small_chain
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
@@ -54,13 +55,20 @@ def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
     return trained
 
 
-def misfit_of(equations: NormalEquations, trained: Trained) -> np.ndarray:
+def found(
+    equations: NormalEquations, trained: Trained
+) -> tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge]:
     evidence = Evidence(equations, 40, 1e-9, lambda losses, noise: None)
-    return coherent_misfit(equations.columns, evidence.each_record(parameter_force, trained))
+    told = coherent_misfit(equations.columns, evidence.each_record(parameter_force, trained))
+    return parameter_posterior(equations, trained, told)
+
+
+def misfit_of(equations: NormalEquations, trained: Trained) -> np.ndarray:
+    return found(equations, trained)[2].hidden / equations.scale.numpy()
 
 
 def estimated(equations: NormalEquations, trained: Trained) -> tuple[list[ParameterEstimate], np.ndarray]:
-    return parameter_posterior(equations, trained, misfit_of(equations, trained))
+    return found(equations, trained)[:2]
 
 
 def dense_posterior(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:

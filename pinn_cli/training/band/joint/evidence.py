@@ -53,7 +53,8 @@ class JointEvidence(DiscrepancySearch):
         each = self.equations.members.each(
             member.record_term, self.equations.places(point), noise.by_record, factor.determinants
         )
-        return sum(each) + parameter_term(self.unknown, point, noise, factor)
+        pull = self.equations.precision(noise).cpu().numpy() * point.parameters.cpu().numpy()
+        return sum(each) + parameter_term(self.unknown, point, noise, factor, pull)
 
     def occupied(self, trained: Trained) -> list[float]:
         """See :meth:`DiscrepancySearch.occupied`."""

@@ -1,0 +1,88 @@
+"""Problems whose structure and beliefs are those of a finished run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.model.model import Model
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.inputs import inputs_of
+from pinn_cli.scheme.joint_prior import JointPrior
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
+
+SETTING = "model"
+
+
+def problem_of_model(
+    model: Model, record: Record, updates: bool, acceleration_through: str, initial_motion: str, unknown_force: str
+) -> Problem:
+    """The problem of a new record of an identified structure.
+
+    Args:
+        model: What earlier records say.
+        record: The new one.
+        updates: Whether the parameters are to be known better afterwards. What the model leaves out then hides as much
+            of them in this record as in those before; otherwise it is one more reason for them to be off.
+        acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
+        initial_motion: Likewise.
+        unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
+
+    Raises:
+        InputError: The run's training did not say how uncertain its parameters are.
+    """
+    known, count = model.known, len(model.parameters)
+    covariance = known.covariance if updates else known.whole
+    if not np.isfinite(covariance).all():
+        allowed = "a run whose training gives standard deviations of the parameters, as gauss_newton does"
+        raise InputError(SETTING, model.directory, allowed)
+    std = np.sqrt(np.diag(covariance))
+    own = [
+        replace(p, prescribed=_within(p.positive, mean), prior_std=float(s), scale=None, unknown=updates and p.unknown)
+        for p, mean, s in zip(model.parameters, known.mean, std, strict=True)
+    ]
+    nothing = np.zeros(count)
+    told, weight, first = (known.told, known.weight, known.first_std) if updates else (nothing, nothing, std)
+    prior = JointPrior(covariance / np.outer(std, std), first, told, weight, model.levels)
+    sensors = sensor_parameters(record)
+    return Problem(
+        model.structure.with_values({p: p.prescribed for p in own}),
+        record,
+        (*own, *sensors),
+        acceleration_through,
+        initial_motion,
+        inputs=inputs_of(model.structure, record, unknown_force),
+        prior=prior.with_independent([p.prior_std for p in sensors]),
+    )
+
+
+def _within(positive: bool, mean: float) -> float:
+    """A Gaussian's mean, unless it lies beyond the bound that its parameter cannot pass."""
+    return max(float(mean), 0.0) if positive else float(mean)
+
+
+def only_one(records: Sequence[Record]) -> Record:
+    """The record that a model is used on.
+
+    Raises:
+        InputError: There are several.
+    """
+    if len(records) > 1:
+        hint = "one run after the other: each is the model of the next with scheme=update"
+        raise InputError("data.records", f"{len(records)} records", "one record with model=...", hint)
+    return records[0]
+
+
+def check_updatable(model: Model) -> None:
+    """See that a model has parameters that a record can tell more of.
+
+    Raises:
+        InputError: Everything was held fixed.
+    """
+    if not model.parameters:
+        hint = "everything in that run was held fixed (scheme.parameter_uncertainty=0)"
+        raise InputError(SETTING, model.directory, "a run with uncertain parameters where scheme=update", hint)

@@ -1,0 +1,82 @@
+"""A solution under the noise that the last record of the same structure had: no search for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY, Trained
+from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.record_scales import force_and_velocity_scale
+
+# Part of the force below which a discrepancy is not begun with: the first solution starts at rest.
+LEAST_START = 1e-4
+# Factor on the number of features below which finer ones are not worth it.
+WORTHWHILE = 1.1
+# Relative decrease of the loss below which a softer solution is near enough to its end.
+ON_THE_WAY = 1e-2
+
+
+def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> Trained | None:
+    """The solution under the levels of the problem's model; None where it has none, or they explain nothing.
+
+    The discrepancy is taken for as large a part of the force as it was. A structure that is not linear is first solved
+    under softer physics, which forgives a start at rest.
+
+    Args:
+        evidence: Of the problem.
+        noise: Where its levels would start without a model; the discrepancy is the force that acts.
+    """
+    problem = evidence.problem
+    if isinstance(evidence, JointEvidence) or problem.prior is None:
+        return None
+    levels, equations = problem.prior.levels, evidence.equations
+    if not np.isfinite(levels.discrepancy) or not levels.force > 0:
+        return None
+    force, _ = force_and_velocity_scale(problem)
+    rate = (levels.step / problem.record.step * equations.refinement) ** 0.5
+    discrepancy = max(levels.discrepancy * rate * force / levels.force, LEAST_START * force)
+    if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
+        return None
+    response = {quantity: _known_where(own, levels.sensors.get(quantity)) for quantity, own in noise.response.items()}
+    own = replace(noise, response=response, force=_known_where(noise.force, levels.sensors.get("force")))
+    point = equations.start()
+    try:
+        if problem.structure.nonlinearity_name != "linear":
+            softer = evidence.train(own.with_discrepancy((discrepancy * force) ** 0.5), point, ON_THE_WAY)
+            if softer is None or not softer.solution.converged:
+                return None
+            point = softer.solution.point
+        trained = evidence.train(own.with_discrepancy(discrepancy), point)
+    except DivergenceError:
+        return None
+    return trained if trained is not None and trained.solution.converged else None
+
+
+def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearReadout) -> NetworkDesign:
+    """A design with as many features a second as the model's record turned out to need.
+
+    Args:
+        design: As it is.
+        problem: With a model.
+        network: Of that design.
+    """
+    assert problem.prior is not None
+    factor = problem.prior.levels.features * problem.record.duration / network.count
+    finer = design.finer(factor) if factor >= WORTHWHILE else None
+    return design if finer is None else finer
+
+
+def _known_where(start: np.ndarray, known: np.ndarray | None) -> np.ndarray:
+    """Levels of sensors that there are, as they were if they were there."""
+    if known is None or known.shape[0] > start.shape[0]:
+        return start
+    there = np.pad(known, (0, len(start) - len(known)), constant_values=np.nan)
+    return np.where(np.isfinite(start) & np.isfinite(there) & (there > 0), there, start)

@@ -1,0 +1,127 @@
+"""Whether a record says of a structure what the records before it said, and what has changed if it does not.
+
+With C the covariance that earlier records leave, J the information of the new record and d how far it pulls the
+parameters by itself, d has the covariance V = C + J^-1 if nothing changed. J may be singular, so all is written with
+V^-1 = (1 + J C)^-1 J and V^-1 d = (1 + J C)^-1 J d. If parameter j alone changed, its most probable change is
+(V^-1 d)_j / (V^-1)_jj with the variance 1 / (V^-1)_jj, and the square of their ratio is chi-square distributed where
+nothing changed. The largest of p such squares is by chance what p of them make of it (Bonferroni).
+
+What the model leaves out hides a part of each parameter, in the old records and in the new one. Both are in C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.estimate import Change, Changes
+
+# Probability of a false alarm per record.
+IMPROBABLE = 1e-3
+# Information over that of the earlier records from which on a record tells a direction of the parameters.
+TELLS = 1e-6
+
+
+def found_changes(problem: Problem, known: ParameterKnowledge) -> Changes:
+    """What a record says against the prior of its problem.
+
+    Args:
+        problem: With the prior of earlier records.
+        known: What all records together say.
+    """
+    prior, uncertain = problem.prior, problem.uncertain
+    assert prior is not None
+    unit = np.array([p.prior_std for p in uncertain])
+    precision = prior.precision
+    together = np.linalg.inv(known.covariance / np.outer(unit, unit))
+    information = _semidefinite(together - precision)
+    distance = (known.mean - np.array([p.prescribed for p in uncertain])) / unit
+    pull = together @ distance
+    before = ParameterKnowledge(known.mean, prior.correlation, prior.told, prior.weight, prior.first_std)
+    covariance = prior.correlation + np.diag((before.hidden**2 + known.hidden**2) / unit**2)
+    candidates = [i for i, p in enumerate(uncertain) if p.kind not in CALIBRATION_UNITS]
+    found: list[Change] = []
+    open_ = covariance.copy()
+    while True:
+        score, variance = _against(information, pull, open_)
+        square = np.divide(score**2, variance, out=np.zeros(len(score)), where=variance > 0)
+        left = [i for i in candidates if not any(uncertain[i] == change.parameter for change in found)]
+        if not left:
+            break
+        j = max(left, key=lambda i: square[i])
+        chance = min(1.0, len(candidates) * float(chdtrc(1, square[j])))
+        if not chance < IMPROBABLE:
+            break
+        odds = np.exp(0.5 * (square[left] - square[j]))
+        by, std = unit[j] * score[j] / variance[j], unit[j] / np.sqrt(variance[j])
+        found.append(Change(uncertain[j], float(by), float(std), chance, float(1.0 / odds.sum())))
+        open_[j, j] += (_open(problem, j) / unit[j]) ** 2
+    chance = _as_a_whole(information, pull, open_)
+    alone, alone_std = _by_itself(information, pull)
+    hidden = np.hypot(unit * alone_std, known.hidden)
+    prescribed = np.array([p.prescribed for p in uncertain])
+    before_std = np.sqrt(unit**2 + before.hidden**2)
+    return Changes(
+        uncertain, tuple(found), chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden
+    )
+
+
+def released(problem: Problem, changes: Changes) -> Problem:
+    """The problem with the parameters that changed left open: earlier records say nothing of what they are now."""
+    prior, uncertain = problem.prior, list(problem.uncertain)
+    assert prior is not None
+    unit = np.array([p.prior_std for p in uncertain])
+    covariance = prior.correlation * np.outer(unit, unit)
+    told, weight, first = prior.told.copy(), prior.weight.copy(), prior.first_std.copy()
+    for change in changes.found:
+        j = uncertain.index(change.parameter)
+        covariance[j, j] += _open(problem, j) ** 2
+        told[j] = weight[j] = 0.0
+        first[j] = max(first[j], _open(problem, j))
+    std = np.sqrt(np.diag(covariance))
+    again = replace(prior, correlation=covariance / np.outer(std, std), told=told, weight=weight, first_std=first)
+    freed = tuple(replace(p, prior_std=float(s)) for p, s in zip(uncertain, std, strict=True))
+    return replace(problem, uncertain=freed, prior=again)
+
+
+def _open(problem: Problem, j: int) -> float:
+    """Standard deviation of a parameter that may have become anything: its own size, or what was believed at first."""
+    assert problem.prior is not None
+    return max(abs(problem.uncertain[j].prescribed), float(problem.prior.first_std[j]))
+
+
+def _semidefinite(matrix: np.ndarray) -> np.ndarray:
+    """Without what rounding has made negative."""
+    values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
+    return (vectors * values.clip(min=0.0)) @ vectors.T
+
+
+def _against(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """V^-1 d (p,) and the diagonal of V^-1 (p,)."""
+    both = np.linalg.solve(np.eye(len(pull)) + information @ covariance, np.column_stack((pull, information)))
+    return both[:, 0], np.diag(both[:, 1:])
+
+
+def _as_a_whole(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> float:
+    """Probability that d' V^-1 d is as large by chance, in the directions that the record tells."""
+    values, vectors = np.linalg.eigh(information)
+    kept = values > TELLS
+    along = vectors[:, kept].T @ pull / values[kept]
+    inside = vectors[:, kept].T @ covariance @ vectors[:, kept] + np.diag(1.0 / values[kept])
+    return float(chdtrc(int(kept.sum()), float(along @ np.linalg.solve(inside, along)))) if kept.any() else 1.0
+
+
+def _by_itself(information: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate and standard deviation of every parameter by the record alone; NaN where it cannot tell one."""
+    unknown = np.full(len(pull), np.nan)
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(information))
+    except np.linalg.LinAlgError:
+        return unknown, unknown
+    covariance = root.T @ root
+    return covariance @ pull, np.sqrt(np.diag(covariance))

@@ -1,0 +1,100 @@
+"""A finished run used again, through the whole program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from calls import PinnRun
+from storeys import K, record, system, written
+
+from pinn_cli.model.file import NAME, read_model
+from pinn_cli.report.figures.over_time import over_time_figure
+
+FIRST = (*system(1.1 * K), "scheme=state_parameter", "scheme.unknown=[k_*]", "scheme.starts=given")
+
+
+def files(folder: Path) -> dict[str, tuple[str, ...]]:
+    return {
+        name: written(each.record, folder / f"{name}.csv")
+        for name, each in (("one", record(1)), ("two", record(2)), ("less", record(2, third=0.95)))
+    }
+
+
+def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
+    data = files(tmp_path)
+    first = pinn_run(*FIRST, *data["one"], "hydra.run.dir=first")
+    assert first.status == 0, first.err
+
+    new = pinn_run("model=first", *data["two"], "hydra.run.dir=new")
+    assert new.status == 0, new.err
+    found, known = (pd.read_csv(f"{run}/parameters.csv").set_index("parameter") for run in ("new", "first"))
+    for name in ("k_1", "k_3", "c_2"):
+        assert found.loc[name, "prescribed"] == pytest.approx(known.loc[name, "estimate"], rel=1e-6)
+    assert not Path("new/parameters_over_time.csv").exists()
+
+    second = pinn_run("model=first", "scheme=update", *data["two"], "hydra.run.dir=second")
+    assert second.status == 0, second.err
+    assert "no change since the earlier records" in second.out
+    third = pinn_run("model=second", "scheme=update", *data["less"], "hydra.run.dir=third")
+    assert third.status == 0, third.err
+    assert "changed: k_3 (connection 3) by -" in third.out
+    table = pd.read_csv("third/parameters_over_time.csv")
+    drawn = over_time_figure(table)
+    titles = [axes.get_title() for axes in drawn.axes]
+    assert titles[0].startswith("c_1 (")
+    changed = drawn.axes[[title.startswith("k_3") for title in titles].index(True)]
+    assert any(line.get_linestyle() == "--" for line in changed.get_lines())
+    assert list(table["record"].unique()) == [1, 2, 3]
+    assert list(table["run"].unique()) == ["first", "second", "third"]
+    assert set(table.loc[table["changed"], "parameter"]) == {"k_3"}
+    of_k_3 = table[table["parameter"] == "k_3"].set_index("record")
+    assert of_k_3.loc[3, "change"] == pytest.approx(-0.05 * K[2], abs=4.0 * of_k_3.loc[3, "change_std"])
+    assert of_k_3.loc[3, "chance"] < 1e-6
+    assert of_k_3.loc[2, "std"] < of_k_3.loc[1, "std"]
+    assert (
+        of_k_3.loc[3, "lower_90"] < 0.95 * K[2] < of_k_3.loc[3, "upper_90"]
+        or abs(of_k_3.loc[3, "estimate"] - 0.95 * K[2]) < 4.0 * of_k_3.loc[3, "std"]
+    )
+    of_k_1 = table[table["parameter"] == "k_1"].set_index("record")
+    assert of_k_1.loc[3, "std"] < of_k_1.loc[2, "std"]  # what did not change goes on being learned
+
+    other = pinn_run(*system(), "system.ndof=2", "system.m=1", "system.c=1", "system.k=1", "model=first", *data["two"])
+    assert other.status == 2
+    assert "2 DOFs, not 3" in other.err
+    for scheme in ("state_parameter", "bayesian"):
+        refused = pinn_run("model=first", f"scheme={scheme}", *data["two"])
+        assert refused.status == 2
+        assert f"null with scheme={scheme}" in refused.err
+
+
+def test_a_model_holds_no_truth(pinn_run: PinnRun) -> None:
+    """Of a simulated record the truth is known to the run; none of its numbers is in the model."""
+    done = pinn_run(
+        "system.ndof=2", "model_error=perturbed", "simulation.samples=512", "simulation.duration=20", "figures=false",
+        "noise.snr_db=20", "hydra.run.dir=first",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    true = pd.read_csv("first/parameters.csv").set_index("parameter")["true"]
+    with np.load(f"first/{NAME}") as content:
+        numbers = np.concatenate([content[name].astype(float).ravel() for name in content.files if name != "content"])
+        words = json.loads(bytes(content["content"]).decode())
+    assert not any("true" in str(key) for key in words)
+    uncertain = true[[name for name in true.index if not name.startswith("m")]]
+    assert not np.isin(uncertain.to_numpy(), numbers).any()
+    model = read_model("first")
+    assert [p.name for p in model.parameters] == list(uncertain.index)
+
+
+def test_update_without_a_model_is_refused(pinn_run: PinnRun) -> None:
+    done = pinn_run("scheme=update")
+    assert done.status == 2
+    assert "the directory of a finished run with scheme=update" in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    gone = pinn_run("model=nowhere")
+    assert gone.status == 2
+    assert "no such directory" in gone.err
+    assert not Path("outputs").exists()

@@ -1,0 +1,139 @@
+"""What a record says against those before it, where everything is Gaussian and linear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from pinn_cli.model.knowledge import Levels, ParameterKnowledge
+from pinn_cli.scheme.joint_prior import JointPrior
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.changes import IMPROBABLE, found_changes, released
+
+P = 6
+LEVELS = Levels({}, 1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass
+class Case:
+    """Earlier records know theta with covariance C; a new one measures it with covariance R."""
+
+    truth: np.ndarray
+    C: np.ndarray
+    R: np.ndarray
+
+
+def case(seed: int = 0) -> Case:
+    rng = np.random.default_rng(seed)
+    roots = rng.standard_normal((2, P, P))
+    C, R = (root @ root.T / P + 0.3 * np.eye(P) for root in roots)
+    return Case(100.0 + rng.uniform(0.0, 50.0, P), C, 2.0 * R)
+
+
+def solved(given: Case, rng: np.random.Generator, change: np.ndarray, hidden: float = 0.0):
+    """Problem and posterior of one draw of both."""
+    mean = given.truth + np.linalg.cholesky(given.C) @ rng.standard_normal(P)
+    measured = given.truth + change + np.linalg.cholesky(given.R) @ rng.standard_normal(P)
+    std = np.sqrt(np.diag(given.C))
+    weight = np.full(P, 1.0)
+    prior = JointPrior(given.C / np.outer(std, std), 100.0 * std, hidden * weight, weight, LEVELS)
+    uncertain = tuple(Parameter("k", i, mean[i], std[i]) for i in range(P))
+    problem = Problem(None, None, uncertain, prior=prior)  # type: ignore[arg-type]
+    covariance = np.linalg.inv(np.linalg.inv(given.C) + np.linalg.inv(given.R))
+    peak = covariance @ (np.linalg.solve(given.C, mean) + np.linalg.solve(given.R, measured))
+    known = ParameterKnowledge(peak, covariance, 2 * hidden * weight, 2 * weight, 100.0 * std)
+    return problem, known, measured
+
+
+def test_alone_is_what_the_record_says_by_itself():
+    given = case()
+    problem, known, measured = solved(given, np.random.default_rng(1), np.zeros(P))
+    changes = found_changes(problem, known)
+    np.testing.assert_allclose(changes.alone, measured, rtol=1e-8)
+    np.testing.assert_allclose(changes.alone_std, np.sqrt(np.diag(given.R)), rtol=1e-8)
+    np.testing.assert_allclose(changes.before_std, np.sqrt(np.diag(given.C)), rtol=1e-8)
+
+
+def test_false_alarms_and_the_probability_of_the_whole():
+    given, rng = case(), np.random.default_rng(2)
+    every = [found_changes(*solved(given, rng, np.zeros(P))[:2]) for _ in range(2000)]
+    assert sum(bool(changes.found) for changes in every) <= 10  # 2 on average
+    chances = np.sort([changes.chance for changes in every])
+    assert np.abs(chances - (np.arange(2000) + 0.5) / 2000).max() < 0.05  # uniform
+
+
+def test_a_change_is_found_with_its_size_and_its_place():
+    given, rng = case(), np.random.default_rng(3)
+    V = np.linalg.inv(given.C + given.R)
+    std = V[2, 2] ** -0.5
+    change = np.zeros(P)
+    change[2] = -8.0 * std
+    errors = []
+    for _ in range(300):
+        problem, known, _ = solved(given, rng, change)
+        changes = found_changes(problem, known)
+        assert changes.found
+        first = changes.found[0]
+        if first.parameter.index == 2:
+            assert first.std == pytest.approx(std)
+            assert first.chance < IMPROBABLE
+            errors.append((first.by - change[2]) / std)
+    assert len(errors) > 290
+    assert abs(np.mean(errors)) < 0.2
+    assert np.std(errors) == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_share_says_which_parameter_it_is():
+    given, rng = case(), np.random.default_rng(4)
+    V = np.linalg.inv(given.C + given.R)
+    shares, hits = [], []
+    for _ in range(400):
+        j, change = rng.integers(P), np.zeros(P)
+        change[j] = 5.5 * V[j, j] ** -0.5
+        found = found_changes(*solved(given, rng, change)[:2]).found
+        if found:
+            shares.append(found[0].share)
+            hits.append(found[0].parameter.index == j)
+    assert np.mean(hits) == pytest.approx(np.mean(shares), abs=0.06)
+
+
+def test_what_the_model_leaves_out_explains_differences():
+    given, rng = case(), np.random.default_rng(5)
+    change = np.zeros(P)
+    change[2] = 8.0 * np.linalg.inv(given.C + given.R)[2, 2] ** -0.5
+    problem, known, _ = solved(given, rng, change, hidden=20.0)
+    assert not found_changes(problem, known).found
+
+
+def test_a_record_that_tells_one_direction_only():
+    given = case()
+    problem, _, _ = solved(given, np.random.default_rng(6), np.zeros(P))
+    mean = np.array([p.prescribed for p in problem.uncertain])
+    row = np.eye(P)[3] / 0.1
+    covariance = np.linalg.inv(np.linalg.inv(given.C) + np.outer(row, row))
+    peak = mean + covariance @ row * (row[3] * 30.0)
+    changes = found_changes(problem, ParameterKnowledge(peak, covariance, *np.zeros((2, P)), np.ones(P)))
+    assert np.isnan(changes.alone).all()
+    assert [change.parameter.index for change in changes.found] == [3]
+    assert changes.found[0].by == pytest.approx(30.0, rel=0.01)
+    assert changes.found[0].std == pytest.approx(np.hypot(0.1, np.sqrt(given.C[3, 3])), rel=0.01)
+
+
+def test_released_opens_the_changed_parameter_alone():
+    given, rng = case(), np.random.default_rng(7)
+    change = np.zeros(P)
+    change[2] = 40.0
+    problem, known, _ = solved(given, rng, change)
+    changes = found_changes(problem, known)
+    assert [found.parameter.index for found in changes.found] == [2]
+    again = released(problem, changes)
+    std = np.array([p.prior_std for p in again.uncertain])
+    assert again.prior is not None
+    covariance = again.prior.correlation * np.outer(std, std)
+    opened = covariance - given.C
+    assert opened[2, 2] >= problem.uncertain[2].prescribed ** 2
+    opened[2, 2] = 0.0
+    np.testing.assert_allclose(opened, 0.0, atol=1e-9)
