@@ -11,7 +11,7 @@ RAY := $(VENV)/.installed-ray
 ARGS ?=
 
 .PHONY: help venv run test test-all kills lint format fuzz audit bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
-	against-smoother docs clean
+	against-smoother docs gallery clean
 
 help: ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -105,6 +105,9 @@ paper-all: venv ## paper, seeds and nonlinearity, all in outputs/paper/report.ht
 
 against-smoother: venv ## our error against a Kalman smoother whose process noise is tuned with the truth (long)
 	$(BIN)/python -m benchmarks.against_smoother $(ARGS)
+
+gallery: venv ## the figures of docs/gallery, drawn anew by the commands of its pages
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.gallery $(ARGS)
 
 docs: venv ## build/docs: the documentation as a site, its links checked; no network is needed
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs

@@ -24,7 +24,7 @@ from pinn_cli.system.connection import Linear
 ROOT = Path(__file__).parents[1]
 MY_STRUCTURE = ROOT / "docs" / "how-to" / "my-structure.md"
 OWN_RECORD = ROOT / "docs" / "how-to" / "own-record.md"
-TUTORIAL = ROOT / "docs" / "tutorial.md"
+RIG = ROOT / "docs" / "records" / "rig.csv"
 # What extending.md shows runs in test_extending.py.
 PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").rglob("*.md")) - {ROOT / "docs" / "extending.md"})]
 FENCED = re.compile(r"^```\w*\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 from documented_commands import (
     EVERY,
     LOOKS,
     MY_STRUCTURE,
+    RIG,
     RUNS,
     blocks,
     first_job,
@@ -38,9 +38,7 @@ class TrainingBeginsError(Exception):
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A folder with the files and the configuration that own-record.md and my-structure.md speak of."""
-    time = 0.01 * np.arange(400)
-    columns = {name: np.sin((3 + i) * time) + np.cos(11 * time) for i, name in enumerate(("f1", "a1", "a3"))}
-    pd.DataFrame({"t": np.round(time, 2), **columns}).to_csv(tmp_path / "rig.csv", index=False)
+    shutil.copy(RIG, tmp_path)
     write_configuration(tmp_path)
     write_model_run(tmp_path)
     monkeypatch.chdir(tmp_path)

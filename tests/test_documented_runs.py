@@ -14,8 +14,8 @@ from calls import PinnRun
 from documented_commands import (
     LOOKS,
     MY_STRUCTURE,
+    RIG,
     RUNS,
-    TUTORIAL,
     blocks,
     first_job,
     missing_package,
@@ -33,10 +33,10 @@ OF_SWEEPS = re.compile(r"hydra/launcher|hydra/sweeper|hydra\.launcher\.|hydra\.s
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the records, matrices and configurations that the pages speak of, made by what they show."""
     folder = tmp_path_factory.mktemp("measured")
-    scripts = [block for block in blocks(TUTORIAL, "python") if "rig.csv" in block] + blocks(MY_STRUCTURE, "python")
-    for script in scripts:
+    for script in blocks(MY_STRUCTURE, "python"):
         subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
-    shutil.copy(folder / "rig.csv", folder / "second.csv")
+    shutil.copy(RIG, folder / "rig.csv")
+    shutil.copy(RIG, folder / "second.csv")
     write_configuration(folder)
     write_model_run(folder)
     return folder

@@ -47,10 +47,15 @@ def test_links_lead_somewhere(page):
 def test_every_page_stands_in_the_contents():
     """Of the site; a page that is not in README either is found there, through docs/index.md."""
     index = ROOT / "docs" / "index.md"
-    listed = re.findall(r"^```\{toctree\}\n(.*?)^```", text(index), re.MULTILINE | re.DOTALL)
-    named = {line for block in listed for line in block.splitlines() if line and not line.startswith(":")}
-    pages = {page.relative_to(ROOT / "docs").with_suffix("").as_posix() for page in (ROOT / "docs").rglob("*.md")}
-    assert pages - {"index"} == named
+    pages = set((ROOT / "docs").rglob("*.md"))
+    named = {
+        page.parent / f"{line}.md"
+        for page in pages
+        for block in re.findall(r"^```\{toctree\}\n(.*?)^```", text(page), re.MULTILINE | re.DOTALL)
+        for line in block.splitlines()
+        if line and not line.startswith(":")
+    }
+    assert pages - {index} == named
     assert index in {(ROOT / link.partition("#")[0]).resolve() for link in links(PAGES[0])}
 
 
