@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,7 +23,7 @@ R = TypeVar("R")
 # points.
 SCAN_FACTOR = 10.0**0.5
 # Where the evidence rises by more than this from one solution to the next, the peak is far: then steps are twice as
-# long, while they take no more than so many iterations.
+# long, while they take no more than so many factorisations.
 FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
 # A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
 DECISIVE_DROP = 20.0
@@ -100,6 +100,7 @@ class DiscrepancySearch(ABC):
         self.least_squares, self.iterations, self.tolerance = equations, iterations, tolerance
         self.watch, self.learn_spread, self.count = watch, learn_spread, count
         self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
+        self._chord: BorderedFactor | None = None  # that the last step of the last solution was made with
 
     @property
     @abstractmethod
@@ -124,18 +125,26 @@ class DiscrepancySearch(ABC):
     def occupied(self, trained: Trained) -> list[float]:
         """Of every record the share of the features' band that the discrepancy fills."""
 
-    def train(self, noise: NoiseModel, start: Point, tolerance: float | None = None) -> Trained | None:
+    def train(
+        self, noise: NoiseModel, start: Point, tolerance: float | None = None, goes_on: bool = False
+    ) -> Trained | None:
         """Solve under a noise model; None where the Hessian is too stiff for a Cholesky factor.
 
         Args:
             noise: The model.
             start: Where to begin.
             tolerance: Of a solution that is a step on the way; None: the search's own.
+            goes_on: Whether the model differs little from the one before, whose factor may serve.
         """
         enough = self.tolerance if tolerance is None else tolerance
         watch = lambda losses: self.watch(losses, noise)  # noqa: E731
-        solution = minimise(self.least_squares, noise, start, self.iterations, enough, watch, self._is_cautious)
+        near, self._chord = self._chord if goes_on else None, None
+        limits = self.iterations, enough
+        solution = minimise(self.least_squares, noise, start, *limits, watch, self._is_cautious, near)
         self._is_cautious = solution.cautious
+        # One is kept, and not with the solution: factors are large.
+        self._chord = solution.chord if self.least_squares.keeps_factors else None
+        solution = replace(solution, chord=None)
         factor = solution.factor or self.least_squares.assemble(solution.point, noise).factor()
         self.count(solution.factorisations + (solution.factor is None))
         if factor is None:
@@ -278,7 +287,7 @@ def _is_easy(before: Trained, after: Trained | None) -> bool:
     if after is None or not (before.solution.converged and after.solution.converged):
         return False
     rise = after.log_evidence - before.log_evidence
-    return rise > FAR_FROM_THE_PEAK and after.solution.iterations <= EASILY_FOLLOWED and not after.solution.cautious
+    return rise > FAR_FROM_THE_PEAK and after.solution.factorisations <= EASILY_FOLLOWED and not after.solution.cautious
 
 
 def _parabola_top(three: list[tuple[float, float]]) -> tuple[float, float] | None:

@@ -43,7 +43,11 @@ class FrontElimination(ReadoutFactor):
         values = _scaled(tree, band, unit)
         values[: tree.size] += damping + ROUNDING_JITTER
         of_border = border.data * np.repeat(unit, np.diff(border.indptr))
-        pivots, below, gram = [], [], np.zeros((border.shape[1],) * 2)
+        # One piece of memory, which the system takes back whole.
+        kept = np.empty(tree.entries)
+        pivots: list[np.ndarray] = []
+        below: list[np.ndarray] = []
+        gram, place = np.zeros((border.shape[1],) * 2), 0
         waiting: dict[int, np.ndarray] = {}
         for number, front in enumerate(tree.fronts):
             k, rows = front.eliminated, front.rows
@@ -57,8 +61,10 @@ class FrontElimination(ReadoutFactor):
             if failed:
                 return None
             under = dtrsm(1.0, pivot, matrix[k:, :k], side=1, lower=1, trans_a=1)
-            pivots.append(pivot)
-            below.append(under)
+            for store, part in ((pivots, pivot), (below, under)):
+                store.append(kept[place : place + part.size].reshape(part.shape, order="F"))
+                store[-1][...] = part
+                place += part.size
             if rows > k:
                 waiting[number] = dsyrk(-1.0, under, beta=1.0, c=matrix[k:, k:], lower=1)
         for number, left in waiting.items():  # of the roots: parameters alone

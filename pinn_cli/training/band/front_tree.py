@@ -99,6 +99,11 @@ class FrontTree:
         """The same elimination without a border."""
         return FrontTree(self.grid, self._root, csr_matrix((self.size, 0)))
 
+    @property
+    def entries(self) -> int:
+        """Numbers of a factor."""
+        return sum(front.eliminated * front.rows for front in self.fronts)
+
     def suits(self, border: csr_matrix) -> bool:
         """Whether another border has its entries at the same places."""
         mine = self.border

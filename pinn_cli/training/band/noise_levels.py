@@ -25,6 +25,9 @@ from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_leve
 ROUNDS, SETTLED = 25, 0.01
 # Most that a standard deviation may change in one round: the solution under it has to follow.
 LARGEST_CHANGE = 10.0
+# Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
+# factor of two at most.
+NEAR = 0.35
 # Draws from the posterior that tell how many values the solution has taken up.
 DRAWS = 8
 # Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
@@ -58,11 +61,13 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
         found = [noise.pooled() for noise in found] if pooled else found
         levels = trained.noise.by_record
         change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
-        moves = zip(levels, map(_stride, before, change), floors, strict=True)
+        strides = list(map(_stride, before, change))
+        moves = zip(levels, strides, floors, strict=True)
         noise = NoiseModel.of_records(
             [replace(_moved(*each), taken_up=new.taken_up) for each, new in zip(moves, found, strict=True)]
         ).with_spread(evidence.learned_spread(trained))
-        again = evidence.train(noise, trained.solution.point)
+        moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
+        again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR))
         # One that is still on its way is followed as long as it is the more probable one already.
         if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
             break

@@ -36,6 +36,8 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 class NormalEquations(Residuals):
     """The weighted least-squares problem of one network, structure and record; arguments as of :class:`Residuals`."""
 
+    keeps_factors = True
+
     def __init__(
         self,
         network: LinearReadout,

@@ -17,6 +17,7 @@ from pinn_cli.system.energy import dissipated_power
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
+from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.levenberg_marquardt import FIRST_DAMPING, minimise
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
@@ -281,3 +282,47 @@ def test_where_a_whole_step_promises_nothing_it_is_the_end(monkeypatch):
     assert solution.converged
     assert solution.point is there
     assert found == [0.0]
+
+
+def test_a_factor_of_nearly_the_same_problem_serves_until_the_end(monkeypatch):
+    """Only the Hessian of the solution is factored anew, and it is that of the end."""
+    equations, noise = posed("duffing", uncertain=True)
+    before = solved(equations, noise, tolerance=1e-6)
+    assert before.chord is not None
+    louder = replace(noise, force=1.05 * noise.force, discrepancy=1.05 * noise.discrepancy)
+    found = counted_factorisations(monkeypatch)
+    quick = minimise(equations, louder, before.point, 40, 1e-6, lambda terms: None, near=before.chord)
+    assert quick.converged
+    assert found == [0.0]
+    afresh = minimise(equations, louder, before.point, 40, 1e-9, lambda terms: None)
+    assert quick.loss == pytest.approx(afresh.loss, rel=3e-6)
+    assert quick.factor is not None
+    expected = equations.assemble(quick.point, louder).factor()
+    assert quick.factor.log_determinant == pytest.approx(expected.log_determinant, abs=0.05)
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e4])
+def test_a_factor_of_another_problem_misleads_nobody(factor):
+    """Levels a hundredfold off: steps with that factor are far too long or too short."""
+    equations, noise = posed("duffing", uncertain=True)
+    other = replace(noise, force=noise.force * factor, discrepancy=noise.discrepancy * factor)
+    chord = solved(equations, other, tolerance=1e-6).chord
+    start = equations.start()
+    found = minimise(equations, noise, start, 40, 1e-6, lambda terms: None, near=chord)
+    expected = minimise(equations, noise, start, 40, 1e-6, lambda terms: None)
+    assert found.converged
+    assert found.loss == pytest.approx(expected.loss, rel=1e-5)
+
+
+def test_rounds_of_nearly_the_same_noise_share_a_factor(monkeypatch):
+    """In a record's settling of noise levels most solutions take one factorisation."""
+    equations, noise = posed("duffing", uncertain=True)
+    taken: list[int] = []
+    evidence = Evidence(equations, 12, 1e-6, lambda terms, noise: None, count=taken.append)
+    trained = evidence.train(noise, equations.start())
+    for louder in (1.02, 1.04, 1.06):
+        changed = noise.with_discrepancy(louder * noise.discrepancy)
+        trained = evidence.train(changed, trained.solution.point, goes_on=True)
+        assert trained.solution.converged
+        assert trained.solution.chord is None
+    assert taken[1:] == [1, 1, 1]

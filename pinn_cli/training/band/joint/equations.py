@@ -43,7 +43,10 @@ class JointEquations(Bounded):
         scale: (p,), prior standard deviations.
         unknown: (p,) bool.
         ends: Where every record's readout weights end.
+        keeps_factors: Members keep one factor alone.
     """
+
+    keeps_factors = False
 
     def __init__(self, each: Sequence[NormalEquations], members: Items[Member]) -> None:
         self.each, self.members = tuple(each), members
