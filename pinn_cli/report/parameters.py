@@ -122,22 +122,25 @@ def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.n
     return table
 
 
-def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> list[str]:
+def identifiability_warnings(
+    parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None, updated: bool = False
+) -> list[str]:
     """What a reader must know before trusting the unknown parameters, one sentence each; none if all is well.
 
     Args:
         parameters: p of them; only the unknown ones are judged.
         correlation: (p, p), in their order; None where the training gives none.
+        updated: Whether their priors are what earlier records say, on which they may lean.
     """
     unknown = [p for p in parameters if p.unknown]
     if unknown and not any(np.isfinite(p.std) for p in unknown):
         return ["this training gives no standard deviations: nothing tells how far to trust the unknown ones"]
-    own = [warning for p in unknown for warning in _own_warning(p)]
+    own = [warning for p in unknown for warning in _own_warning(p, updated)]
     shared = dict.fromkeys(warning for _, warning in _inseparable(parameters, correlation))
     return [*own, *shared]
 
 
-def _own_warning(p: ParameterEstimate) -> list[str]:
+def _own_warning(p: ParameterEstimate, updated: bool = False) -> list[str]:
     """The gravest thing to be said of one parameter, regardless of the others; nothing if it is well determined."""
     ratio, relative = _ratio(p.std, p.prior_std), _ratio(p.std, p.estimate)
     of_value, of_prior = (
@@ -151,13 +154,13 @@ def _own_warning(p: ParameterEstimate) -> list[str]:
         return [f"{p.name} is held at its lower bound of 0: {known}"]
     if not p.unknown and ratio > LEANS_ON_PRIOR:
         return [f"{p.name} rests on its prescribed value: its standard deviation is {of_prior}"]
-    if ratio > PRIOR_UNTOUCHED:
+    if ratio > PRIOR_UNTOUCHED and not updated:
         return [f"the record says nearly nothing about {p.name}: its standard deviation is still {of_prior}"]
     if abs(p.estimate) <= HALF_WIDTH_90 * p.std or p.lower_90 <= 0.0 <= p.upper_90:
         return [f"{p.name} cannot be told from zero: {of_value}"]
     if relative > POORLY_DETERMINED:
         return [f"{p.name} is poorly determined: {of_value}"]
-    if ratio > LEANS_ON_PRIOR:
+    if ratio > LEANS_ON_PRIOR and not updated:
         return [f"{p.name} leans on its prior: the record narrows its standard deviation only to {of_prior}"]
     return []
 

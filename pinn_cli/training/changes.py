@@ -27,19 +27,22 @@ IMPROBABLE = 1e-3
 TELLS = 1e-6
 
 
-def found_changes(problem: Problem, known: ParameterKnowledge) -> Changes:
+def found_changes(problem: Problem, known: ParameterKnowledge, solved: Problem | None = None) -> Changes:
     """What a record says against the prior of its problem.
 
     Args:
         problem: With the prior of earlier records.
-        known: What all records together say.
+        known: What all records together say under the prior of ``solved``.
+        solved: The problem with some parameters :func:`released`; None: as it is. Where a change is large, what the
+            record says is right near the parameters as they are now.
     """
-    prior, uncertain = problem.prior, problem.uncertain
+    prior, uncertain, solved = problem.prior, problem.uncertain, solved or problem
     assert prior is not None
+    assert solved.prior is not None
     unit = np.array([p.prior_std for p in uncertain])
-    precision = prior.precision
+    ratio = unit / np.array([p.prior_std for p in solved.uncertain])
     together = np.linalg.inv(known.covariance / np.outer(unit, unit))
-    information = _semidefinite(together - precision)
+    information = _semidefinite(together - solved.prior.precision * np.outer(ratio, ratio))
     distance = (known.mean - np.array([p.prescribed for p in uncertain])) / unit
     pull = together @ distance
     before = ParameterKnowledge(known.mean, prior.correlation, prior.told, prior.weight, prior.first_std)

@@ -76,6 +76,12 @@ def test_the_gravest_thing_is_told_of_each(given, told):
     assert line.startswith(told)
 
 
+@pytest.mark.parametrize("std", [8.3, 6.0])
+def test_a_parameter_may_lean_on_earlier_records(std):
+    assert identifiability_warnings([parameter("k_2", 60.0, std)], None)
+    assert identifiability_warnings([parameter("k_2", 60.0, std)], None, updated=True) == []
+
+
 def test_prescribed_parameters_are_not_warned_of(make_case):
     parameters = [parameter("k_2"), parameter("c_1", 1.0, 0.9, 0.9, unknown=False)]
     assert identifiability_warnings(parameters, np.eye(2)) == []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -84,6 +84,26 @@ def test_a_change_is_found_with_its_size_and_its_place():
     assert len(errors) > 290
     assert abs(np.mean(errors)) < 0.2
     assert np.std(errors) == pytest.approx(1.0, abs=0.15)
+
+
+def test_with_changed_parameters_released_it_says_the_same():
+    given, rng = case(), np.random.default_rng(8)
+    change = np.zeros(P)
+    change[2] = 40.0
+    problem, known, measured = solved(given, rng, change)
+    changes = found_changes(problem, known)
+    again = released(problem, changes)
+    std = np.array([p.prior_std for p in again.uncertain])
+    assert again.prior is not None
+    prior = again.prior.correlation * np.outer(std, std)
+    covariance = np.linalg.inv(np.linalg.inv(prior) + np.linalg.inv(given.R))
+    mean = np.array([p.prescribed for p in problem.uncertain])
+    peak = covariance @ (np.linalg.solve(prior, mean) + np.linalg.solve(given.R, measured))
+    second = found_changes(problem, replace(known, mean=peak, covariance=covariance), again)
+    np.testing.assert_allclose(second.alone, measured, rtol=1e-7)
+    np.testing.assert_allclose(second.alone_std, changes.alone_std, rtol=1e-7)
+    assert second.found[0].by == pytest.approx(changes.found[0].by, rel=1e-7)
+    assert second.found[0].std == pytest.approx(changes.found[0].std, rel=1e-7)
 
 
 def test_the_share_says_which_parameter_it_is():

@@ -73,7 +73,8 @@ def run_text(
         further: Tables of the network for further records.
     """
     run, estimate = results.run, results.estimate
-    warnings = identifiability_warnings(estimate.parameters, estimate.correlation)
+    updated = estimate.changes is not None
+    warnings = identifiability_warnings(estimate.parameters, estimate.correlation, updated)
     their_parameters = (baseline.name, baseline.parameters) if baseline else None
     known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
     paragraphs = [
