@@ -60,7 +60,16 @@ def test_function_space(design):
 
 @pytest.mark.parametrize("design", [Spline(), Spline(continuity="penalised"), Fourier()], ids=str)
 def test_linear_readouts(design):
-    assert_the_same(GaussNewton(), design, 1e-6, 1e-4)
+    """Noise levels are searched for until nothing changes by a part in a hundred, from sums of another order."""
+    assert_the_same(GaussNewton(), design, 1e-4, 0.01)
+
+
+@pytest.mark.parametrize("design", [EMBEDDED, Mlp(2, 24, "sine", "exact"), Spline()], ids=["mlp", "dense", "spline"])
+def test_the_same_device_gives_the_same_numbers(design):
+    """All but a Fourier readout, whose blocks are summed on the device in any order (docs/performance.md)."""
+    first, second = (on("cuda", GaussNewton(), design) for _ in range(2))
+    np.testing.assert_array_equal(first.response.displacement, second.response.displacement)
+    np.testing.assert_array_equal(first.std.acceleration, second.std.acceleration)
 
 
 @pytest.mark.parametrize("design", [EMBEDDED, Spline()], ids=["mlp", "spline"])
@@ -85,7 +94,7 @@ def test_blocks_of_the_normal_equations(design):
         equations = NormalEquations(design.build(given.record), given, device)
         levels = {name: np.where(given.record.sensors(name), 0.1, np.nan) for name in QUANTITIES}
         noise = NoiseModel(levels, np.where(given.record.sensors("force"), 0.1, np.nan), 0.1, 0.1)
-        bands.append(equations.assemble(equations.start(), noise).band)
+        bands.append(equations.assemble(equations.start(), noise).band.values)
     np.testing.assert_allclose(bands[1], bands[0], rtol=1e-9, atol=1e-9 * np.abs(bands[0]).max())
 
 
