@@ -119,6 +119,15 @@ def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
         GaussNewton(most_residuals=100).solve(small.problem, small.design, RunContext())
 
 
+def test_there_may_be_more_residuals_than_a_whole_matrix_has_room_for(monkeypatch):
+    monkeypatch.setattr(solutions, "dense_operations", lambda blocks: float("inf"))
+    monkeypatch.setattr(solutions, "DenseSystem", None)
+    small = Small(DESIGNS["sine"])
+    summary = GaussNewton(most_residuals=100, iterations=2).solve(small.problem, small.design, RunContext()).summary
+    assert summary["solution"] == "features"
+    assert 5 * summary["collocation_points"] > 500
+
+
 def test_both_ways_find_the_same_motion(monkeypatch):
     small, found = Small(DESIGNS["sine"]), {}
     for way, dense in (("features", float("inf")), ("dense", 0.0)):
