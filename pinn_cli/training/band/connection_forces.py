@@ -58,12 +58,12 @@ def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisa
 def _by_parameter(posterior: ReadoutPosterior, slope: Linearisation, connection: int) -> Tensor:
     """(I, S, p), the force by each uncertain parameter, per prior standard deviation; by its own, not by its memory."""
     equations = posterior.equations
-    structure, columns = equations.dynamics.structure, []
-    none = torch.zeros(slope.stiffness.shape[:2], dtype=slope.stiffness.dtype)
-    for parameter, scale in zip(equations.problem.uncertain, equations.scale.cpu().tolist(), strict=True):
+    structure, uncertain = equations.dynamics.structure, equations.problem.uncertain
+    held = torch.zeros((*slope.stiffness.shape[:2], len(uncertain)), dtype=slope.stiffness.dtype)
+    for i, (parameter, scale) in enumerate(zip(uncertain, equations.scale.cpu().tolist(), strict=True)):
         members = structure.members.get(parameter.kind, np.array([], dtype=np.int64))
         own = parameter.kind in slope.by_parameter and members[parameter.index] == connection
         branch = equations.dynamics.branch(parameter.kind)[parameter.index] if own else -1
-        by = slope.by_parameter[parameter.kind][..., parameter.index].cpu() if branch == connection else none
-        columns.append(scale * by)
-    return torch.stack(columns, -1) if columns else none.new_zeros((*none.shape, 0))
+        if branch == connection:
+            held[..., i] = scale * slope.by_parameter[parameter.kind][..., parameter.index].cpu()
+    return held

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
+import numpy as np
 import torch
 from scipy.sparse import csr_matrix
 from torch import Tensor
@@ -25,9 +27,16 @@ class ReadoutPosterior:
     def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
         self.equations, self.point, self.factor = equations, point, factor
         self.inverse = factor.readout.inverse()
-        self.solved = torch.as_tensor(factor.readout.solved_border)
         # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
-        self.root = torch.linalg.cholesky(torch.as_tensor(factor.corner_covariance))
+        root = np.linalg.cholesky(factor.corner_covariance)
+        readout = factor.readout
+        self.root = torch.as_tensor(root)
+        self.carried = torch.as_tensor(readout.solved(np.zeros((readout.size, len(root))), root))  # A^-1 B R
+
+    @cached_property
+    def solved(self) -> Tensor:
+        """(size, p), how the weights follow each parameter, A^-1 B."""
+        return torch.as_tensor(self.factor.readout.solved_border)
 
     def sensed(self, segments: Segments) -> dict[str, Tensor]:
         """Standard deviation of what sensors of every quantity would show without noise, at the segments' times.
@@ -63,12 +72,12 @@ class ReadoutPosterior:
         for start in range(0, len(local), CHUNK):
             part = slice(start, start + CHUNK)
             position = local[part].flatten(1)
-            covariance, shift = self._window(position), self.solved[position] @ self.root
+            covariance = self._covariance(position)
             for out, parts in zip(found, weights, strict=True):
                 rows = sum(w[:, None, :, None] * kinds[order][part, None, :, None] for order, w in parts)
                 assert isinstance(rows, Tensor)
                 rows = rows.flatten(3).flatten(1, 2)  # (intervals, channels S, functions B)
-                out.append(_deviation(rows, covariance, rows @ shift).unflatten(1, (len(parts[0][1]), -1)).mT)
+                out.append(_deviation(rows, covariance).unflatten(1, (len(parts[0][1]), -1)).mT)
         return [segments.scatter(torch.cat(out).to(segments.mask.device)).cpu() for out in found]
 
     def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
@@ -97,8 +106,7 @@ class ReadoutPosterior:
             ]
             position = torch.cat([local[:, function] for function, _, _ in parts], -1)
             rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
-            by_parameter = rows @ self.solved[position] @ self.root
-            every.append(_deviation(rows, self._window(position), by_parameter))
+            every.append(_deviation(rows, self._covariance(position)))
         return torch.stack(every, -1)
 
     def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
@@ -116,11 +124,9 @@ class ReadoutPosterior:
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
-            position = local[:, dof]
-            covariance = self._window(position)
-            shift = self.solved[position] @ self.root  # (I, B, p)
+            covariance = self._covariance(local[:, dof])
             for result, phi in zip(results, kinds, strict=True):
-                result.append(_deviation(phi, covariance, phi @ shift))
+                result.append(_deviation(phi, covariance))
         return [torch.stack(result, -1) for result in results]
 
     def force(self, segments: Segments) -> Tensor:
@@ -158,12 +164,18 @@ class ReadoutPosterior:
             jacobian: (I, S, C), the rows by those.
             held: (I, S, p), the rows by the parameters, in prior standard deviations.
         """
-        by_parameter = self._by_parameter(position, jacobian, held) @ self.root
+        own = held.flatten(0, -2).any(0).nonzero()[:, 0]  # few parameters are in one row
+        by_parameter = held[..., own] @ self.root[own] - jacobian @ self.carried[position]
         return _deviation(jacobian, self._window(position), by_parameter)
 
     def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
         """(I, S, p)."""
         return held - jacobian @ self.solved[position]
+
+    def _covariance(self, position: Tensor) -> Tensor:
+        """(I, C, C), of the weights at the given positions (I, C), with what the parameters add."""
+        carried = self.carried[position]
+        return self._window(position) + carried @ carried.mT
 
     def _window(self, position: Tensor) -> Tensor:
         """Entries (I, C, C) of the inverse at the given positions (I, C)."""
@@ -171,9 +183,11 @@ class ReadoutPosterior:
         return torch.as_tensor(self.inverse.at(place[:, :, None], place[:, None, :]))
 
 
-def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor) -> Tensor:
-    """Standard deviation of linear rows (..., C), from the weights' covariance and what the parameters add (..., p)."""
-    variance = ((rows @ covariance) * rows).sum(-1) + by_parameter.square().sum(-1)
+def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor | None = None) -> Tensor:
+    """Standard deviation of linear rows (..., C), from the weights' covariance and what parameters add (..., p)."""
+    variance = ((rows @ covariance) * rows).sum(-1)
+    if by_parameter is not None:
+        variance = variance + by_parameter.square().sum(-1)
     return variance.clamp(min=0).sqrt()
 
 
