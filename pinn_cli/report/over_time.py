@@ -32,8 +32,8 @@ def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataF
     Returns:
         Columns: `COLUMNS`. ``record`` counts from 1. ``estimate``, ``std`` and the 90 % interval are what is known
         after the record; ``alone`` what the record says by itself. Of a parameter that changed, ``change`` is by how
-        much if nothing else did, and ``chance`` the probability that uncertainty alone makes so much of it. None where
-        nothing was compared.
+        much if nothing else did that is not named, and ``chance`` the probability that uncertainty alone makes so much
+        of it. None where nothing was compared.
     """
     changes = estimate.changes
     if changes is None:

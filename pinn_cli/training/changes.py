@@ -61,9 +61,9 @@ def found_changes(problem: Problem, known: ParameterKnowledge, solved: Problem |
         if not chance < IMPROBABLE:
             break
         odds = np.exp(0.5 * (square[left] - square[j]))
-        by, std = unit[j] * score[j] / variance[j], unit[j] / np.sqrt(variance[j])
-        found.append(Change(uncertain[j], float(by), float(std), chance, float(1.0 / odds.sum())))
+        found.append(Change(uncertain[j], 0.0, 0.0, chance, float(1.0 / odds.sum())))
         open_[j, j] += (_open(problem, j) / unit[j]) ** 2
+    found = [_sized(change, problem, information, pull, open_) for change in found]
     chance = _as_a_whole(information, pull, open_)
     alone, alone_std = _by_itself(information, pull)
     hidden = np.hypot(unit * alone_std, known.hidden)
@@ -72,6 +72,16 @@ def found_changes(problem: Problem, known: ParameterKnowledge, solved: Problem |
     return Changes(
         uncertain, tuple(found), chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden
     )
+
+
+def _sized(change: Change, problem: Problem, information: np.ndarray, pull: np.ndarray, open_: np.ndarray) -> Change:
+    """A change with its size, the other parameters that changed left open."""
+    assert problem.prior is not None
+    j = problem.uncertain.index(change.parameter)
+    own, unit = open_.copy(), problem.uncertain[j].prior_std
+    own[j, j] -= (_open(problem, j) / unit) ** 2
+    score, variance = _against(information, pull, own)
+    return replace(change, by=float(unit * score[j] / variance[j]), std=float(unit / np.sqrt(variance[j])))
 
 
 def released(problem: Problem, changes: Changes) -> Problem:

@@ -117,7 +117,7 @@ class Change:
 
     Attributes:
         parameter: Which; ``prescribed`` is what they say.
-        by: How far it moved, in its unit, if nothing else did.
+        by: How far it moved, in its unit, if nothing else did but what is found as well.
         std: Of that.
         chance: Probability that uncertainty alone makes so much of it, among all parameters that were looked at.
         share: Probability that it is this parameter and no other one, given that one changed.

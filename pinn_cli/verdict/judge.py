@@ -12,6 +12,7 @@ from pinn_cli.record.spectrum import record_band
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
+from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.input_findings import input_findings
@@ -56,7 +57,8 @@ def judge(
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
-    findings += input_findings(problem, estimate, structure) + sampling_findings(problem, estimate, structure)
+    findings += change_findings(estimate) + input_findings(problem, estimate, structure)
+    findings += sampling_findings(problem, estimate, structure)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies:
         # A gain that believed parameters have made up for shows against the prescribed ones.
