@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all kills lint format fuzz audit bench bench-epochs bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all kills lint format fuzz audit bench bench-epochs bench-models bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
 	against-smoother docs gallery clean
 
 help: ## list the targets
@@ -66,6 +66,9 @@ bench: venv bench-epochs bench-sweeps ## time and scaling over DOFs and duration
 
 bench-sweeps: venv ## throughput of sweeps with and without joblib, and what start-up costs
 	$(BIN)/python -m benchmarks.sweeps $(ARGS)
+
+bench-models: venv ## does the evidence find the law that a record comes from? 20 records, 5 laws (long)
+	$(BIN)/python -m benchmarks.models
 
 bench-epochs: venv ## time of one epoch of the paper's network, against one reverse pass per output
 	$(BIN)/python -m benchmarks.epochs $(ARGS)

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pinn_cli.report.observed import observed_digest
 from pinn_cli.runs.identity import package_version
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, 
         "threads": run.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "configuration": run.configuration,
+        "observed": observed_digest(own.record for own in results.by_record),
         "git_revision": git_revision(),
         "versions": package_versions(),
         "platform": platform.platform(),

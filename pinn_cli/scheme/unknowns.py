@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
@@ -18,6 +19,8 @@ from pinn_cli.system.structure import Structure
 
 # Kinds that cannot be negative unless the user says otherwise.
 POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c", "factor")
+# Instead of names: what the structure has no value for.
+MISSING = "missing"
 # In a message.
 NAMES_SHOWN = 16
 
@@ -42,7 +45,7 @@ def unknown_parameters(
         unknown: Names (``k_1``) and patterns (``k_*``, ``*_2``, ``k_[1-3]``), one or a list; None: the stiffness and
             the nonlinear parameters of every connection that ends at a DOF without a sensor. Of a chain: connection i
             if DOF i has none (paper, section 4.2). Of a finite-element model: of every connection that was added to it,
-            and the factors of its parts.
+            and the factors of its parts. `MISSING`: whatever the structure has no value for.
         further: Other records of the same structure; a sensor in any of them is one.
         forces_free: Whether forces that nobody measured are whatever the motion takes; else they are processes, and
             equations of motion hold under them too.
@@ -60,6 +63,10 @@ def unknown_parameters(
         }
         if not chosen:
             raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
+    elif unknown == MISSING:
+        chosen = {name for name, p in names.items() if math.isnan(p.prescribed)}
+        if not chosen:
+            raise InputError("scheme.unknown", MISSING, "used with a structure that lacks values", "all are given")
     else:
         patterns = [unknown] if isinstance(unknown, str) else entries(unknown)
         chosen = {name for pattern in patterns for name in _matching(pattern, structure, names, "scheme.unknown")}

@@ -17,6 +17,8 @@ from pinn_cli.sweep.jobs import FAILED, STATUSES, Job, Sweep
 if TYPE_CHECKING:
     import pandas
 
+    from pinn_cli.sweep.models import Comparison
+
 SETTINGS_SHOWN, FAILURES_SHOWN = 30, 20
 
 
@@ -27,10 +29,12 @@ class Collection:
     Attributes:
         jobs: All of it, in its order.
         summary: As `summary.csv` has it; None while no job has a fitness.
+        models: Those that the jobs differ in, compared; None where they differ in none.
     """
 
     jobs: list[Job]
     summary: pandas.DataFrame | None
+    models: Comparison | None = None
 
     @classmethod
     def of(cls, sweep: Sweep, jobs: list[Job]) -> Collection:
@@ -38,6 +42,7 @@ class Collection:
         if not any(job.ended for job in jobs):
             return cls(jobs, None)
         # Two seconds of imports, not for --help.
+        from pinn_cli.sweep.models import compared
         from pinn_cli.sweep.tables import write_tables
 
         write_tables(sweep, jobs)
@@ -45,7 +50,10 @@ class Collection:
         summary = _summary(sweep.directory, swept)
         if summary is not None:
             _write_summary(summary, swept, sweep.directory)
-        return cls(jobs, summary)
+        models = compared(sweep, jobs)
+        if models is not None:
+            _write_models(models, sweep.directory)
+        return cls(jobs, summary, models)
 
     @property
     def exit_status(self) -> int:
@@ -60,7 +68,12 @@ class Collection:
         failed = [job for job in self.jobs if job.status == FAILED]
         lines += [f"  {job.directory.name}: {job.reason}" for job in failed[:FAILURES_SHOWN]]
         lines += [f"  and {len(failed) - FAILURES_SHOWN} more: jobs.csv"] if len(failed) > FAILURES_SHOWN else []
-        return "\n".join([*lines, *([] if self.summary is None else ["", _summary_text(self.summary)])])
+        lines += [] if self.summary is None else ["", _summary_text(self.summary)]
+        if self.models is not None:
+            from pinn_cli.sweep.models import models_text
+
+            lines += ["", models_text(self.models)]
+        return "\n".join(lines)
 
 
 def _summary(directory: Path, swept: Sequence[str]) -> pandas.DataFrame | None:
@@ -86,6 +99,21 @@ def _write_summary(summary: pandas.DataFrame, swept: Sequence[str], directory: P
     figure = sweep_figure(summary, [setting for setting in swept if setting in summary])
     if figure is not None:
         save(figure, directory / "figures", "fitness")
+
+
+def _write_models(models: Comparison, directory: Path) -> None:
+    """The table and the figure; where models are not compared, those of an earlier look go."""
+    from pinn_cli.report.figures.style import save
+    from pinn_cli.runs.writing import write_table
+    from pinn_cli.sweep.models import MODELS
+    from pinn_cli.sweep.models_figure import models_figure
+
+    figure = models_figure(models)
+    if models.table is None or figure is None:
+        (directory / MODELS).unlink(missing_ok=True)
+        return
+    write_table(models.table, directory / MODELS)
+    save(figure, directory / "figures", "models")
 
 
 def asked_for(options: Namespace) -> Path | None:

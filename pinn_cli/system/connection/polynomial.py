@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.array_namespace import Array
 
 LEAST_ORDER, MOST_ORDER = 2, 7
+# One that is not the same in both directions, and one that is.
+LOWEST = (2, 3)
 _ORDINALS = ("Quadratic", "Cubic", "Quartic", "Quintic", "Sextic", "Septic")
 
 
@@ -21,7 +23,7 @@ class Polynomial(Nonlinearity):
     """Polynomial spring, r_n = k_2 e^2 + k_3 e^3 + ... + k_7 e^7, k_j in N/m^j.
 
     Args:
-        orders: Those that the spring has; None: those whose coefficients are given.
+        orders: Those that the spring has; None: those whose coefficients are given, else `LOWEST`.
 
     Raises:
         InputError: ``orders`` are no different whole numbers from 2 to 7.
@@ -35,18 +37,11 @@ class Polynomial(Nonlinearity):
         self.parameters = tuple(f"k_{order}" for order in self.orders or ())
 
     def of_given(self, given: Collection[str]) -> Polynomial:
-        """See :meth:`Nonlinearity.of_given`.
-
-        Raises:
-            InputError: No order is left.
-        """
+        """See :meth:`Nonlinearity.of_given`; where nothing is known of any order, `LOWEST`."""
         if self.orders is not None:
             return self
         orders = [order for order in range(LEAST_ORDER, MOST_ORDER + 1) if f"k_{order}" in given]
-        if not orders:
-            hint = "system.nonlinearity.orders says so where none of their values is known"
-            raise InputError("system.nonlinearity", self.name, f"given one of {', '.join(self.optional)}", hint)
-        return Polynomial(orders)
+        return Polynomial(orders or LOWEST)
 
     @property
     def titles(self) -> Mapping[str, str]:

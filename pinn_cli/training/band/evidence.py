@@ -77,7 +77,7 @@ class Evidence(DiscrepancySearch):
         moving = equations.target.equation[: equations.dynamics.ndof]
         mass = equations.parameters(point)["m"][moving].cpu().numpy()
         inertia = 2.0 * forces.count * float(np.log(np.maximum(mass, LEAST_MASS)).sum())
-        sensors = self._log_variances(noise)
+        sensors = self.log_variances(noise)
         driven = self._innovation_density(forces.count)
         return -0.5 * (forces.misfit(noise) + rest + sensors + readout_log_determinant - inertia) + driven
 
@@ -94,8 +94,8 @@ class Evidence(DiscrepancySearch):
         gain = np.hypot(1.0 - (omega / inputs.force_edge) ** 2, omega * inputs.correlation_time)
         return len(inputs.forces) * float(np.log(gain).sum())
 
-    def _log_variances(self, noise: NoiseModel) -> float:
-        """Of the response sensors; those of an observer equation stand with the forces."""
+    def log_variances(self, noise: NoiseModel) -> float:
+        """Sum over all samples of the response sensors; those of an observer equation stand with the forces."""
         masks = observation_masks(self.equations.target, self.equations.problem.acceleration_through)
         samples = len(self.equations.problem.record.time)
         of_gauges = sum(

@@ -23,6 +23,7 @@ from pinn_cli.training.band.end_state import end_state
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.agreement import disagreements
 from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.model_evidence import model_log_evidence
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
@@ -40,6 +41,7 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
         "factorisations": history.factorisations,
         "stop_reason": "converged" if trained.solution.converged else "iteration limit",
         "log_evidence": trained.log_evidence,
+        **({"model_log_evidence": model_log_evidence(evidence, trained)} if evidence.unknown.any() else {}),
         "parameter_spread": trained.noise.spread,
     }
     table = history.table()

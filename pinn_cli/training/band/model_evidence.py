@@ -1,0 +1,79 @@
+"""How probable a record is under a model: an evidence that compares models with each other.
+
+That of :mod:`pinn_cli.training.band.evidence` is known up to constants of the features and of the hidden functions: it
+compares noise levels and parameters of one model. Here what the equations say of the motion is a density that
+integrates to one, whatever the features and however many functions there are: log p(sensors | forces, model) is
+
+    -1/2 [chi^2 + sum of log variances + log det H - log det P] + the parameters' part,
+
+with H the Hessian by the readout weights and P that of the equations alone, without the sensors. Measured forces are
+given; what they have beyond the features' reach says nothing about a motion. Free vibrations, of which the equations
+say nothing, are as large as what the sensors saw, to one standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.physics import observation_masks
+from pinn_cli.record.gauge import GAUGE
+from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.evidence import Evidence, parameter_term
+from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.noise_model import NoiseModel
+
+
+def model_log_evidence(evidence: Evidence | JointEvidence, trained: Trained) -> float:
+    """Natural logarithm of the density of all sensors' samples, SI units, with motion and parameters integrated out.
+
+    NaN where the equations alone cannot be solved, or a sensor is compared with what the equations say of it.
+    """
+    each = evidence.each_record(sensors_term, trained)
+    return float(sum(each)) + parameter_term(evidence.unknown, trained.solution.point, trained.noise, trained.factor)
+
+
+def sensors_term(evidence: Evidence, trained: Trained) -> float:
+    """One record's part; see :func:`model_log_evidence`."""
+    equations, point, noise = evidence.equations, trained.solution.point, trained.noise
+    losses, forces = equations.losses(point, noise), evidence.force_residuals(point, noise)
+    if forces.observer is not None:
+        return math.nan
+    alone = equations.assemble(point, _of_motion(evidence, noise)).factor()
+    if alone is None:
+        return math.nan
+    physics = float((forces.seen / noise.physics_variance)[forces.enforced].sum())
+    rest = sum(value for name, value in losses.items() if name not in ("physics", "prior", "gain"))
+    change = trained.factor.readout_log_determinant - alone.readout_log_determinant
+    return -0.5 * (physics + rest + evidence.log_variances(noise) + _count(evidence) * math.log(2.0 * math.pi) + change)
+
+
+def _count(evidence: Evidence) -> int:
+    """Samples of all response sensors."""
+    equations, record = evidence.equations, evidence.problem.record
+    masks = observation_masks(equations.target, evidence.problem.acceleration_through)
+    samples = sum(int(mask.sum()) for mask in masks.values()) * len(record.time)
+    return samples + sum(rows.samples for rows in equations.gauge_rows)
+
+
+def _of_motion(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
+    """Sensors that together say of the motion how large it is, and no more."""
+    record = evidence.problem.record
+    response = {}
+    for quantity, sigma in noise.response.items():
+        if quantity == GAUGE:
+            sizes = [gauge.values for gauge in record.gauges]
+            response[quantity] = np.array([_size(values) for values in sizes])
+        else:
+            values = record.histories(quantity)
+            size = np.array([_size(values[:, i]) for i in range(values.shape[1])])
+            response[quantity] = np.where(np.isfinite(sigma), size, sigma)
+    return replace(noise, response=response)
+
+
+def _size(values: np.ndarray) -> float:
+    """Standard deviation of each sample with which all of them together say the root mean square."""
+    found = float(np.sqrt(np.sum(values**2)))
+    return found if math.isfinite(found) and found > 0.0 else 1.0
