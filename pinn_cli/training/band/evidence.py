@@ -63,8 +63,11 @@ class Evidence(DiscrepancySearch):
     def log_evidence(self, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
         """See :meth:`DiscrepancySearch.log_evidence`."""
         own = self.record_term(point, noise, factor.readout_log_determinant)
-        pull = self.equations.prior_force(point.parameters, noise).cpu().numpy()
-        return own + parameter_term(self.unknown, point, noise, factor, pull)
+        return own + parameter_term(self.unknown, point, noise, factor, self.prior_pull(point, noise))
+
+    def prior_pull(self, point: Point, noise: NoiseModel) -> np.ndarray:
+        """(p,), the precision of the parameters' prior times the parameters."""
+        return self.equations.prior_force(point.parameters, noise).cpu().numpy()
 
     def record_term(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """What the record says, without the parameters' prior and without their share of the Hessian."""

@@ -32,7 +32,9 @@ def model_log_evidence(evidence: Evidence | JointEvidence, trained: Trained) -> 
     NaN where the equations alone cannot be solved, or a sensor is compared with what the equations say of it.
     """
     each = evidence.each_record(sensors_term, trained)
-    return float(sum(each)) + parameter_term(evidence.unknown, trained.solution.point, trained.noise, trained.factor)
+    point, noise = trained.solution.point, trained.noise
+    pull = evidence.prior_pull(point, noise)
+    return float(sum(each)) + parameter_term(evidence.unknown, point, noise, trained.factor, pull)
 
 
 def sensors_term(evidence: Evidence, trained: Trained) -> float:

@@ -53,8 +53,12 @@ class JointEvidence(DiscrepancySearch):
         each = self.equations.members.each(
             member.record_term, self.equations.places(point), noise.by_record, factor.determinants
         )
-        pull = self.equations.precision(noise).cpu().numpy() * point.parameters.cpu().numpy()
-        return sum(each) + parameter_term(self.unknown, point, noise, factor, pull)
+        return sum(each) + parameter_term(self.unknown, point, noise, factor, self.prior_pull(point, noise))
+
+    def prior_pull(self, point: Point, noise: NoiseModel) -> np.ndarray:
+        """See :meth:`Evidence.prior_pull`."""
+        pull: np.ndarray = self.equations.precision(noise).cpu().numpy() * point.parameters.cpu().numpy()
+        return pull
 
     def occupied(self, trained: Trained) -> list[float]:
         """See :meth:`DiscrepancySearch.occupied`."""
