@@ -11,7 +11,7 @@ RAY := $(VENV)/.installed-ray
 ARGS ?=
 
 .PHONY: help venv run test test-all kills lint format fuzz audit bench bench-epochs bench-models bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
-	against-smoother docs gallery clean
+	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -111,6 +111,9 @@ against-smoother: venv ## our error against a Kalman smoother whose process nois
 
 gallery: venv ## the figures of docs/gallery, drawn anew by the commands of its pages
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.gallery $(ARGS)
+
+bench-peers: venv ## DeepXDE, jinns, a Kalman smoother of dynamax, KOMA and this program on the same records (long; an environment of its own)
+	$(BIN)/python -m benchmarks.peers $(ARGS)
 
 docs: venv ## build/docs: the documentation as a site, its links checked; no network is needed
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs

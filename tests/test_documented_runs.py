@@ -38,7 +38,6 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(RIG, folder / "rig.csv")
     shutil.copy(RIG, folder / "second.csv")
     write_configuration(folder)
-    write_model_run(folder)
     return folder
 
 
@@ -57,6 +56,10 @@ def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun)
     # A search is of what its experiment runs.
     overrides = [re.sub(r",search/\w+|^experiment=search/\w+$", "", override) for override in overrides]
     shutil.copytree(measured, Path.cwd(), dirs_exist_ok=True)
-    outcome = pinn_run(*options, *first_job([override for override in overrides if override]))
+    if any(override.startswith("model=") for override in overrides):
+        write_model_run(Path.cwd())
+    # Of a map on the command line the keys are added anyway.
+    job = [override.removeprefix("++") for override in first_job([override for override in overrides if override])]
+    outcome = pinn_run(*options, *job)
     assert outcome.status == 0, outcome.err
     assert outcome.directory.is_dir()

@@ -1,0 +1,1 @@
+"""The same records solved by other people's packages: ``make bench-peers``."""
