@@ -61,8 +61,8 @@ kills: venv ## kill 100 runs and 30 sweeps and fill 10 disks: the same command e
 calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
 	$(BIN)/python -m benchmarks.calibration $(ARGS)
 
-bench: venv bench-epochs bench-sweeps ## time and scaling over DOFs and durations, bench-epochs and bench-sweeps
-	$(BIN)/python -m benchmarks
+bench: venv ## processor time, memory and GFlop/s over DOFs, durations and topologies, and a figure (ARGS=--full: an hour)
+	$(BIN)/python -m benchmarks $(ARGS)
 
 bench-sweeps: venv ## throughput of sweeps with and without joblib, and what start-up costs
 	$(BIN)/python -m benchmarks.sweeps $(ARGS)

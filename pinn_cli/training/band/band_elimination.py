@@ -39,6 +39,15 @@ class BandElimination(ReadoutFactor):
         return len(self.factor.scale)
 
     @property
+    def operations(self) -> float:
+        """See :attr:`ReadoutFactor.operations`."""
+        width, size, p = len(self.factor.band) - 1, self.size, self.border.shape[1]
+        width = min(width, size - 1)
+        factor = (size - width) * (width + 1.0) ** 2 + width * (width + 1.0) * (2 * width + 1) / 6
+        below = (size - width) * float(width) + width * (width - 1.0) / 2  # entries of R below its diagonal
+        return factor + p * (2.0 * below + size) + float(size) * p**2
+
+    @property
     def log_determinant(self) -> float:
         """See :attr:`ReadoutFactor.log_determinant`."""
         return self.factor.log_determinant

@@ -16,7 +16,8 @@ def connection_forces(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
     equations = posterior.equations
     segments, connections = equations.observation, equations.dynamics.structure.added
     forces, deviations = (segments.mask.new_zeros((segments.samples, len(connections))) for _ in range(2))
-    for part in equations.windows(segments):
+    width = 2 * segments.feature.shape[1]  # of the motions at both ends
+    for part in equations.windows(segments, width):
         group = segments.part(part)
         force, std = _of_groups(posterior, group, part)
         group.place(force, forces)

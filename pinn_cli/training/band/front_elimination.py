@@ -78,6 +78,13 @@ class FrontElimination(ReadoutFactor):
         return self.tree.size
 
     @property
+    def operations(self) -> float:
+        """See :attr:`ReadoutFactor.operations`."""
+        sizes = np.array([under.shape for under in self.below], dtype=float)
+        left, k = sizes.T
+        return float(np.sum(k * (k + 1) * (2 * k + 1) / 6 + left * k**2 + k * left**2))
+
+    @property
     def log_determinant(self) -> float:
         """See :attr:`ReadoutFactor.log_determinant`."""
         of_fronts = sum(float(np.log(np.diagonal(pivot)).sum()) for pivot in self.pivots)

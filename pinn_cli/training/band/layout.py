@@ -51,8 +51,7 @@ class BandLayout:
         cheapest = Dissection(grid) if self.feature_first else None
         self.dissection = cheapest if cheapest is not None and cheapest.best.cost < grid.band_cost else None
         self._check_memory()
-        self.local = self.columns(feature)
-        self.device = feature.device
+        self._feature, self.device = feature, feature.device
 
     def _check_memory(self) -> None:
         numbers = float(BANDS * (self.half_width + 1) * self.size)
@@ -64,6 +63,11 @@ class BandLayout:
             rows = f"{self.count} features x {self.ndof} DOFs in a band of {self.half_width + 1}"
             hint = f"{rows} take {needed / 2**30:.3g} GiB; a shorter record has fewer features"
             raise InputError("system.ndof", self.ndof, allowed, hint)
+
+    @cached_property
+    def local(self) -> np.ndarray:
+        """The :meth:`columns` of all groups."""
+        return self.columns(self._feature)
 
     def columns(self, feature: Tensor, coupled: bool = True) -> np.ndarray:
         """(I, n, D B): position of each unknown that a residual touches, -1 in unused slots.

@@ -46,7 +46,7 @@ class NormalEquations(Residuals):
         known: KnownParameters | None = None,
     ) -> None:
         super().__init__(network, problem, device, known)
-        self.grams = {name: features.mT @ features for name, (_, features) in self._own_features().items()}
+        self._grams: dict[str, Tensor] = {}
         self.sensor_rows = self._sensor_rows()
         self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
         self.ridge: float | np.ndarray | None = None
@@ -60,6 +60,15 @@ class NormalEquations(Residuals):
         if self.physics.continuity is not None:
             out["continuity"] = (self.physics, self.physics.continuity)
         return out
+
+    def _gram(self, name: str, part: slice) -> Tensor:
+        """Products of the features of some groups; features that are alive everywhere take long, and are kept."""
+        segments, features = self._own_features()[name]
+        if len(self.windows(segments)) > 1:
+            return features[part].mT @ features[part]
+        if name not in self._grams:
+            self._grams[name] = features.mT @ features
+        return self._grams[name]
 
     def _sensor_rows(self) -> dict[str, SensorRows]:
         """Residuals of sensors that feel several functions, with rows that never change."""
@@ -143,7 +152,7 @@ class NormalEquations(Residuals):
         elif name in own:
             segments, features = own[name]
             moment, weight = (self.dynamics.padded(x) for x in (features[part].mT @ residual, weight))
-            sums.add_own_rows(segments.part(part), self.grams[name][part], moment, weight)
+            sums.add_own_rows(segments.part(part), self._gram(name, part), moment, weight)
         else:
             self.sensor_rows[name].add_to(sums, residual, weight, part)
 

@@ -88,7 +88,7 @@ class ReadoutPosterior:
             sensing: Orders of derivatives, and weights (channels, functions).
         """
         out = segments.mask.new_zeros((segments.samples, sensing[0][1].shape[0]))
-        for part in self.equations.windows(segments):
+        for part in self._windows(segments):
             group = segments.part(part)
             group.place(self._combined(group, sensing).to(out.device), out)
         return out.cpu()
@@ -148,10 +148,15 @@ class ReadoutPosterior:
             every.append(torch.stack(each, 2))
         return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
 
+    def _windows(self, segments: Segments) -> list[slice]:
+        """Groups whose rows and whose covariances of all coupled functions are held at once."""
+        width = len(self.equations.pattern.offsets) * segments.feature.shape[1]
+        return self.equations.windows(segments, width)
+
     def _forces(self, segments: Segments, dofs: int, averages: Subdomains | None = None) -> Tensor:
         """Standard deviation of what the first equations ask for, (I, S, dofs), or of averages (I, 1, dofs)."""
         every = []
-        for part in self.equations.windows(segments):
+        for part in self._windows(segments):
             rows = LocalRows(self.equations, segments, self.point, averages, part)
             every.append(torch.stack([self.deviation(*rows.of_dof(dof)) for dof in range(dofs)], -1))
         return torch.cat(every)

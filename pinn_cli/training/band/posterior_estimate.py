@@ -86,6 +86,7 @@ def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
     response, std = _share_force(evidence, trained, response, std)
     summary = {
         "features_per_dof": equations.network.count,
+        "operations_per_factorisation": trained.factor.readout.operations,
         "effective_parameters": _effective_parameters(evidence, trained),
         "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
         "sigma_force": _listed(trained.noise.force[: equations.problem.record.ndof]),

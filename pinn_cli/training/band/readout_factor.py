@@ -22,6 +22,11 @@ class ReadoutFactor(ABC):
 
     @property
     @abstractmethod
+    def operations(self) -> float:
+        """Additions and multiplications that the factor, the half solved border and its gram took."""
+
+    @property
+    @abstractmethod
     def log_determinant(self) -> float:
         """Logarithm of the determinant of A."""
 

@@ -35,6 +35,8 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 ROWS_AT_ONCE = 1_000_000
 # Numbers of a motion up to which all its windows are kept until the point changes; of a longer one the last is.
 KEPT = 4_000_000
+# Covariances that are taken from the inverse at once, at least.
+FEWEST_COVARIANCES = 64
 EVERY = slice(None)
 
 
@@ -103,7 +105,8 @@ class Residuals(Bounded):
         """The features at the times of the force samples: those of :attr:`physics`, where every point is a sample."""
         if self.refinement == 1:
             return self.physics
-        return self.network.segments(self.target.physics_time[:: self.refinement])
+        times = self.target.physics_time[:: self.refinement]
+        return self.observation if torch.equal(times, self.target.observation_time) else self.network.segments(times)
 
     def _place_parameters(self) -> None:
         like = self.target.force
@@ -131,11 +134,17 @@ class Residuals(Bounded):
         """Every parameter of the structure by kind at a point."""
         return self.vector.values(self.scale * point.parameters)
 
-    def windows(self, segments: Segments) -> list[slice]:
-        """Groups whose linearised equations of motion are held at once, one range after the other."""
+    def windows(self, segments: Segments, width: int = 0) -> list[slice]:
+        """Groups whose linearised equations of motion are held at once, one range after the other.
+
+        Args:
+            segments: The groups.
+            width: Of the covariance that each group needs besides.
+        """
         groups, samples = segments.mask.shape
         places = self.pattern.places[0].size
         size = max(1, ROWS_AT_ONCE // (samples * self.dynamics.size * (2 * len(self.pattern.offsets) + places)))
+        size = min(size, max(FEWEST_COVARIANCES, ROWS_AT_ONCE // width**2)) if width else size
         return [slice(start, min(start + size, groups)) for start in range(0, groups, size)]
 
     def _keep(self, point: Point) -> None:

@@ -227,3 +227,14 @@ def test_covariance_of_functions_of_the_last_weights(half_width, size, border):
         np.testing.assert_allclose(gram, every.T @ solved, rtol=1e-7, atol=1e-9 * np.abs(every.T @ solved).max())
         expected = whole[size:, :size] @ solved
         np.testing.assert_allclose(taken, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max(initial=0.0))
+
+
+@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
+def test_operations_are_those_of_elimination_entry_by_entry(half_width, size, border):
+    system, _ = random_system(half_width, size, border)
+    width, counted = min(half_width, size - 1), 0
+    for column in range(size):
+        below = min(width, size - 1 - column)
+        counted += (below + 1) ** 2  # of every entry that the column changes an addition and a multiplication
+        counted += border * (2 * below + 1) + border**2
+    assert system.factor().readout.operations == counted
