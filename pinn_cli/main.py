@@ -214,7 +214,7 @@ def _carry_out(
         baseline,
         posterior,
         score,
-        replace(problem, record=record),
+        None if config.scheme.predicts else replace(problem, record=record),  # there is nothing to judge
         linear,
         prepared.problem.true if config.source.simulated else None,
         prepared.problem.validation,

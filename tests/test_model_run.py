@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from calls import PinnRun
 from storeys import K, record, system, written
 
@@ -98,3 +99,28 @@ def test_update_without_a_model_is_refused(pinn_run: PinnRun) -> None:
     assert gone.status == 2
     assert "no such directory" in gone.err
     assert not Path("outputs").exists()
+
+
+def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> None:
+    first = pinn_run(*FIRST, *written(record(1).record, tmp_path / "one.csv"), "hydra.run.dir=first")
+    assert first.status == 0, first.err
+    new = record(4, duration=6.0)
+    table = np.column_stack((new.record.time, new.truth.force[:, 2]))
+    np.savetxt(tmp_path / "design.csv", table, delimiter=",", header="t,f", comments="")
+    data = ("data=csv", f"data.path={tmp_path / 'design.csv'}", "data.time=t", "data.force={3: f}", "figures=false")
+    done = pinn_run("model=first", "scheme=predict", "scheme.draws=50", *data, "hydra.run.dir=next")
+    assert done.status == 0, done.err
+    assert "peak drift of connection 3" in done.out
+    with xr.open_dataset("next/response.nc") as response:
+        error = np.abs(response["displacement"].values - new.truth.displacement)
+        assert (error < 4.0 * response["displacement_std"].values + 1e-9).mean() > 0.95
+        assert error.max() < 0.05 * np.abs(new.truth.displacement).max()
+    assert len(pd.read_csv("next/peaks.csv")) == 15
+    assert "verdict" not in json.loads(Path("next/run.json").read_text())
+    assert not Path("next/model.npz").exists()
+    again = pinn_run("model=next", "scheme=predict", *data)
+    assert again.status == 2
+    assert "has no model.npz" in again.err
+    refused = pinn_run("model=first", *data)
+    assert refused.status == 2
+    assert "at least one of them" in refused.err

@@ -139,7 +139,7 @@ class RunConfig:
         source = read_source(config, structure, model_error, seed, base)
         names = ("scheme", "network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name, model=model) for name in names}
-        check_use(model, estimation["scheme"], config.model)
+        check_use(model, estimation["scheme"], estimation["validation"], config.model)
         estimation["baseline"] = build(config.baseline, "baseline") if config.baseline else None
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
@@ -156,6 +156,12 @@ class RunConfig:
         """The network, and how it is trained."""
         from pinn_cli.training.base import TrainedNetwork
 
+        if self.scheme.predicts and self.model is not None:
+            from pinn_cli.scheme.predict import Predict
+            from pinn_cli.training.prediction import Predictor
+
+            assert isinstance(self.scheme, Predict)
+            return Predictor(self.training, self.network, self.model, self.scheme)
         if not self.scheme.looks_for_changes:
             return TrainedNetwork(self.training, self.network)
         from pinn_cli.training.updating import UpdatedNetwork

@@ -54,7 +54,7 @@ def structure_beside(model: Model, config: DictConfig, base: Path | None) -> Str
     return model.structure if measured else structure
 
 
-def check_use(model: Model | None, scheme: Any, given: Any) -> None:
+def check_use(model: Model | None, scheme: Any, validation: Any, given: Any) -> None:
     """See that a scheme has a use for the model.
 
     Raises:
@@ -63,6 +63,8 @@ def check_use(model: Model | None, scheme: Any, given: Any) -> None:
     if model is not None and "model" not in inspect.signature(type(scheme)).parameters:
         hint = "leave scheme out for the response to a new record, or ask for scheme=update"
         raise InputError(SETTING, given, f"null with scheme={scheme.name}", hint)
+    if scheme.predicts and validation.name != "none":
+        raise InputError("validation", validation.name, "none with scheme=predict", "there is no response to withhold")
 
 
 def _is_untouched(system: DictConfig) -> bool:

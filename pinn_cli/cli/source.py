@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
 SIMULATED = "pinn_cli.record.simulated.Simulated"
+# The scheme whose records have no response.
+PREDICT = "pinn_cli.scheme.predict.Predict"
 
 
 @dataclass(frozen=True)
@@ -105,10 +107,10 @@ def _measured(config: DictConfig, structure: Structure, base: Path | None) -> li
     if len(nodes) > 1 and config.data.get("validation") is not None:
         allowed = f"null with the {len(nodes)} records of data.records"
         raise InputError("data.validation", config.data.validation, allowed, "it belongs to one record")
-    measured = []
+    measured, responds = [], config.scheme.get("_target_") != PREDICT
     for number, node in enumerate(nodes, start=1):
         with of_record(number, len(nodes)), in_names(structure.labels):
-            measured.append(build(node, "data", base=base))
+            measured.append(build(node, "data", base=base, responds=responds))
     return measured
 
 

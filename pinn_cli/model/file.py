@@ -81,7 +81,7 @@ def read_model(given: Any, base: Path | None = None) -> Model:
         hint = "it is a sweep's: name one of its jobs" if sweep else unfinished if began else f"it has no {RESULT}"
         raise InputError(SETTING, given, ALLOWED, hint)
     if not (directory / NAME).is_file():
-        raise InputError(SETTING, given, ALLOWED, f"it has no {NAME}: it was made by a release before this file")
+        raise InputError(SETTING, given, ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release")
     try:
         model = _read(directory / NAME)
     except (OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, zipfile.BadZipFile) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,24 +47,41 @@ def spread_of(members: Members, structure: Structure, record: Record, about: Res
         record: Whose force and ground motion act on all.
         about: From which it is counted: that of the structure itself. What comes after `MOST_STEPS` is NaN.
     """
+    out = Response.unknown(record.time, record.ndof)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for part, motion, _ in followed_members(members, structure, record):
+            for name, values in motion.items():
+                distance = values - getattr(about, name)[part, None]
+                getattr(out, name)[part] = np.sqrt(np.mean(distance**2, axis=1))
+    return out
+
+
+def followed_members(
+    members: Members, structure: Structure, record: Record
+) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray]]:
+    """The motion of all members, some hundred samples at a time, as far as `MOST_STEPS` go.
+
+    Args:
+        members: At least one.
+        structure: Whose law they share.
+        record: Whose force and ground motion act on all.
+
+    Yields:
+        Samples, quantity to (M, H, dofs) at these, and the states (M, H, 2 n + h). Parts overlap by one sample.
+    """
     substeps = substeps_needed(structure, record.step)
     samples = min(len(record.time), MOST_STEPS // substeps)
     ensemble = _Ensemble(structure, members, record)
     random, (count, sources) = np.random.default_rng(members.seed), (len(members.start), members.sources)
-    out = Response.unknown(record.time, record.ndof)
     state, last = members.start, random.standard_normal((1, count, len(sources))) @ sources
-    with np.errstate(over="ignore", invalid="ignore"):
-        for first in range(0, samples - 1, CHUNK):
-            stop = min(first + CHUNK, samples - 1) + 1
-            more = random.standard_normal((stop - first - 1, count, len(sources))) @ sources
-            noise = np.concatenate((last, more))
-            states, load = ensemble.followed(state, noise, first, stop, substeps)
-            ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
-            for name, values in ensemble.motion(states, load, ground).items():
-                distance = values - getattr(about, name)[first:stop, None]
-                getattr(out, name)[first:stop] = np.sqrt(np.mean(distance**2, axis=1))
-            state, last = states[-1], noise[-1:]
-    return out
+    for first in range(0, samples - 1, CHUNK):
+        stop = min(first + CHUNK, samples - 1) + 1
+        more = random.standard_normal((stop - first - 1, count, len(sources))) @ sources
+        noise = np.concatenate((last, more))
+        states, load = ensemble.followed(state, noise, first, stop, substeps)
+        ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
+        yield slice(first, stop), ensemble.motion(states, load, ground), states
+        state, last = states[-1], noise[-1:]
 
 
 class _Ensemble:

@@ -61,6 +61,7 @@ class MeasuredData:
             :class:`pinn_cli.record.data_channels.DataChannel`.
         validation: Another record, or a segment of the same, that the identified system is tried on: see
             :class:`pinn_cli.record.validation_data.ValidationData`.
+        responds: Whether a response was measured; of a prediction only what acts is, and columns that are held out.
         format: How numbers lie in the file; where its suffix is that of another format, that one's settings by default.
 
     Raises:
@@ -87,6 +88,7 @@ class MeasuredData:
     time_unit: str = "s"
     channels: Any = None
     validation: Any = None
+    responds: bool = True
 
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
@@ -145,6 +147,7 @@ class MeasuredData:
             assumed=found.assumed,
             frame=self.frame,
             gauges=not_held_out(found.gauges, self.holdout),
+            responds=self.responds,
         )
         return Measurements(record, Truth(truth))
 
@@ -223,13 +226,15 @@ class MeasuredData:
     def _check_sensors(self) -> None:
         felt = [(c.sensor, {dof + 1 for dof in c.weights}) for c in self._every_channel]
         response = [dofs for sensor, dofs in felt if sensor in RESPONSE_QUANTITIES]
-        if not response:
+        if self.responds and not response:
             settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
             raise InputError(settings, "{}", "a map of DOF: column in at least one of them")
         measured = set().union(*(dofs for _, dofs in felt))
         for dof in self.holdout:
             if dof not in measured:
                 raise InputError("data.holdout", dof, "a DOF with a column", "there is nothing to score it against")
+        if not self.responds:
+            return
         if all(dofs & set(self.holdout) for dofs in response):
             allowed = "such that a displacement, velocity or acceleration column is left"
             raise InputError("data.holdout", list(self.holdout), allowed)

@@ -52,6 +52,7 @@ class Record:
             and figures. What it says is in its own samples (:meth:`gauged`).
         missing: Quantity to (N, channels) bool, where a column shows something else for want of a sample, once that is
             known; none where every sample is one.
+        responds: Whether a response was measured; otherwise it is what acts on a structure, and no more.
 
     Raises:
         InputError: No response sensor at all; a held force where the ground moves.
@@ -73,6 +74,7 @@ class Record:
     dofs: tuple[str, ...] = ()
     gauges: tuple[Gauge, ...] = ()
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
+    responds: bool = True
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):
@@ -84,7 +86,8 @@ class Record:
         self._check_time()
         self._check_columns()
         self._check_ground()
-        if not self.observed.any() and not any(gauge.quantity in RESPONSE_QUANTITIES for gauge in self.gauges):
+        felt = self.observed.any() or any(gauge.quantity in RESPONSE_QUANTITIES for gauge in self.gauges)
+        if self.responds and not felt:
             raise InputError("record", "no response sensor", "one with a displacement, velocity or acceleration sensor")
 
     def _check_time(self) -> None:

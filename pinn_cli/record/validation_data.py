@@ -16,7 +16,7 @@ from pinn_cli.settings.legal_values import finite_number
 from pinn_cli.settings.suggestion import suggestion
 
 # Settings of ``data`` that another record cannot have of its own.
-FIXED = ("base", "kind", "format", "holdout", "validation")
+FIXED = ("base", "kind", "format", "holdout", "validation", "responds")
 SETTLE = "settle"
 # One over the share of the estimator's record before its end at which its state is taken: at the very end the ends of
 # splines show.

@@ -11,6 +11,7 @@ from pinn_cli.report.model import write_run_model
 from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.report.over_time import FILE, changes_text, parameters_over_time
 from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table, parameter_table
+from pinn_cli.report.peaks import peak_table, peaks_text
 from pinn_cli.report.posterior import diagnostics_table, parameter_estimates, posterior_correlation
 from pinn_cli.report.record_report import RecordReport, record_folder, records_table
 from pinn_cli.report.run_record import run_record
@@ -144,7 +145,8 @@ class RunReport:
         tables, baseline, further = self.tables
         diagnostics = "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict)
         other = "" if self.validation is None else validation_text(*self.validation)
-        paragraphs = diagnostics, other, changes_text(self.results.estimate.changes)
+        estimate = self.results.estimate
+        paragraphs = diagnostics, other, changes_text(estimate.changes), peaks_text(estimate.peaks)
         seconds = self.stages.seconds
         return run_text(self.results, tables, baseline, self.free_run, paragraphs, verdict, seconds, further)
 
@@ -180,7 +182,10 @@ class RunReport:
                 write_table(self.validation[1], directory / "validation.csv")
             if self.over_time is not None:
                 write_table(self.over_time, directory / FILE)
-            write_run_model(results, verdict, directory)
+            if results.estimate.peaks:
+                write_table(peak_table(results.estimate.peaks), directory / "peaks.csv")
+            else:
+                write_run_model(results, verdict, directory)
         if self._drawn is not None:
             with self.stages("figures"):
                 if self.validation is not None:

@@ -18,10 +18,12 @@ class Scheme(ABC):
     Attributes:
         name: What the tables call it.
         looks_for_changes: Whether a record is compared with those before it.
+        predicts: Whether there is no response to estimate from.
     """
 
     name: ClassVar[str]
     looks_for_changes: ClassVar[bool] = False
+    predicts: ClassVar[bool] = False
 
     @abstractmethod
     def observe(self, record: Record) -> Record:

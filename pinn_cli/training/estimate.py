@@ -153,6 +153,28 @@ class Changes:
     alone_std: np.ndarray
 
 
+@dataclass(frozen=True)
+class Peak:
+    """The largest absolute value of a history, and where uncertainty may take it, over its whole length.
+
+    Attributes:
+        quantity: A response quantity, ``drift`` or ``connection_force``.
+        of: Name of the DOF or of the connection.
+        unit: Of the values.
+        peak: Of the structure with the mean parameters.
+        time: When, s.
+        lower_90, upper_90: The central 90 % interval of the peak, whenever it comes.
+    """
+
+    quantity: str
+    of: str
+    unit: str
+    peak: float
+    time: float
+    lower_90: float
+    upper_90: float
+
+
 @dataclass(frozen=True, eq=False)
 class ConnectionHistories:
     """What the connections do, in the order of the structure's; of modes, those that were added to them.
@@ -196,6 +218,7 @@ class Estimate:
         known: Of ``parameters``, before bounds cut anything off; None where the training gives no covariance.
         end: Where the motion ended; None where the training does not say, or of several records.
         changes: Of the structure since the records before, where it was looked for any.
+        peaks: Of a prediction.
     """
 
     response: Response
@@ -213,6 +236,7 @@ class Estimate:
     known: ParameterKnowledge | None = None
     end: EndState | None = None
     changes: Changes | None = None
+    peaks: tuple[Peak, ...] = ()
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:

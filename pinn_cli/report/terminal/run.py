@@ -78,7 +78,9 @@ def run_text(
     their_parameters = (baseline.name, baseline.parameters) if baseline else None
     known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
     paragraphs = [
-        "" if run.simulated else sensors_text(_of_records(tables, further), _residuals_of(baseline)),
+        ""
+        if run.simulated or tables.residuals.empty
+        else sensors_text(_of_records(tables, further), _residuals_of(baseline)),
         parameters_text(tables.parameters, warnings, their_parameters),
         fitness_text(tables.fitness, results.record.observed, _published(run)),
         free_run_text(*free_run) if known else free_run_line(*free_run),

@@ -1,0 +1,98 @@
+"""Prediction: what an identified structure will do under a force or ground motion, without any response."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.model.model import Model
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.initial_motion import FREE
+from pinn_cli.scheme.inputs import FREE as FREE_FORCE
+from pinn_cli.scheme.of_model import problem_of_model
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import entries, is_finite_number, true_or_false, whole_number
+from pinn_cli.system.structure import Structure
+
+REST = "rest"
+STARTS = "rest, or {displacement: [...], velocity: [...]} with a number for each DOF"
+
+
+class Predict(Scheme):
+    """A free run of an identified structure.
+
+    Args:
+        model: The finished run.
+        start: ``rest``, or displacement (m) and velocity (m/s) of every DOF at the first sample; one that is left out
+            is zero.
+        draws: How many structures are simulated for the bands.
+        measured_input: Whether the force and the ground's motion were measured by the sensors of the run, and have
+            their noise.
+
+    Raises:
+        InputError: A setting outside its range, or no model.
+    """
+
+    name = "predict"
+    predicts = True
+
+    def __init__(
+        self,
+        model: Model | None,
+        start: str | Mapping[str, Sequence[float]] = REST,
+        draws: int = 200,
+        measured_input: bool = False,
+    ) -> None:
+        if model is None:
+            hint = "pinn-run model=outputs/... scheme=predict data=..."
+            raise InputError("model", None, "the directory of a finished run with scheme=predict", hint)
+        self.model = model
+        self.start = _checked_start(start, model.structure)
+        self.draws = whole_number("scheme.draws", draws, least=20, most=100_000)
+        self.measured_input = true_or_false("scheme.measured_input", measured_input)
+
+    def observe(self, record: Record) -> Record:
+        """See :meth:`Scheme.observe`: the force alone."""
+        blank = {quantity: np.full_like(getattr(record, quantity), np.nan) for quantity in RESPONSE_QUANTITIES}
+        return replace(record, **blank, gauges=(), responds=False)
+
+    def problem(self, prescribed: Structure, record: Record) -> Problem:
+        """See :meth:`Scheme.problem`.
+
+        Raises:
+            InputError: A response was measured; or something acts that nobody knows.
+        """
+        if record.observed.any() or record.gauges:
+            hint = "scheme.predict sees no response: data.holdout scores against a column"
+            raise InputError("data", "columns of a response", "forces and the ground alone with scheme=predict", hint)
+        unknown = np.flatnonzero(~record.unforced & ~record.sensors("force"))
+        if unknown.size:
+            names = record.dof_names(unknown)
+            raise InputError("data.force", f"null on {names}", "a column with scheme=predict", "a free run needs it")
+        if record.unforced.all() and record.ground_acceleration is None:
+            raise InputError("data.force", "{}", "a column, or data.ground_acceleration", "nothing moves the structure")
+        return problem_of_model(self.model, record, False, "derivative", FREE, FREE_FORCE)
+
+
+def _checked_start(start: Any, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and velocity (n,) of the coordinates."""
+    zeros = np.zeros(structure.coordinates)
+    if start == REST:
+        return zeros, zeros
+    if not isinstance(start, Mapping) or not start or not set(start) <= {"displacement", "velocity"}:
+        raise InputError("scheme.start", start, STARTS)
+    if structure.shapes is not None:
+        raise InputError("scheme.start", dict(start), "rest with a finite-element model", "its coordinates are modes")
+    found = []
+    for name in ("displacement", "velocity"):
+        values = entries(start.get(name, zeros.tolist()))
+        if len(values) != len(zeros) or not all(is_finite_number(value) for value in values):
+            raise InputError(f"scheme.start.{name}", values, f"a list of {len(zeros)} numbers, one for each DOF")
+        found.append(np.array(values, dtype=float))
+    return found[0], found[1]

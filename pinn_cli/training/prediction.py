@@ -1,0 +1,168 @@
+"""A free run of an identified structure; its bands hold what is uncertain of parameters, model and measured inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from pinn_cli.model.model import Model
+from pinn_cli.record.ensemble import Members, followed_members
+from pinn_cli.record.record import Record
+from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.base import TrainedNetwork
+from pinn_cli.training.central_interval import HALF_WIDTH_90
+from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate, Peak, RunContext
+from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
+from pinn_cli.training.record_scales import force_and_velocity_scale
+
+if TYPE_CHECKING:
+    from pinn_cli.scheme.predict import Predict
+
+INTERVAL = (5.0, 95.0)
+
+
+@dataclass(frozen=True)
+class Predictor(TrainedNetwork):
+    """No network is trained: the structure of a finished run is simulated.
+
+    Attributes:
+        model: The finished run.
+        scheme: What is asked.
+    """
+
+    model: Model
+    scheme: Predict
+
+    def check(self, problem: Problem) -> None:
+        """See :meth:`Estimator.check`: any can be."""
+
+    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+        """See :meth:`Estimator.solve`.
+
+        Raises:
+            DivergenceError: The identified structure cannot be simulated under this force.
+        """
+        structure, record = problem.structure, problem.record
+        start = [*self.scheme.start, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
+        try:
+            response = resimulate(structure, record, start)
+        except TooStiffError as error:
+            raise DivergenceError(f"the identified structure is too stiff for this record: {error}") from error
+        except OverflowsError as error:
+            raise DivergenceError(f"the identified structure overflows at {error.time:.4g} s") from error
+        parameters, correlation = _estimates(problem), None if problem.prior is None else problem.prior.correlation
+        draws = self._draws(parameters, correlation, run.seed)
+        state = np.tile(np.concatenate(start), (len(draws), 1))
+        sources = _sources(problem, self.model, self.scheme.measured_input, response)
+        members = Members(drawn_structures(structure, parameters, draws), state, sources, run.seed)
+        band = _Band(structure, record, response, members)
+        summary = {"iterations": 0, "stop_reason": "predicted", "draws": len(draws)}
+        return Estimate(
+            response, band.std, parameters, pd.DataFrame(), summary, correlation,
+            connections=ConnectionHistories(band.elongation, band.elongation_std, band.force, band.force_std),
+            peaks=tuple(band.peaks()),
+        )  # fmt: skip
+
+    def _draws(self, parameters: list[ParameterEstimate], correlation: np.ndarray | None, seed: int) -> np.ndarray:
+        """(draws, p), of a sampled posterior where there is one."""
+        own, count = self.model.draws, self.scheme.draws
+        if own is not None and len(own):
+            return own[np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)]
+        drawn = parameter_draws(parameters, correlation, count, seed)
+        return np.zeros((count, 0)) if drawn is None else drawn
+
+
+class _Band:
+    """What the members do about the response of the mean structure."""
+
+    def __init__(self, structure: Structure, record: Record, response: Response, members: Members) -> None:
+        self.structure, self.response, added = structure, response, structure.added
+        self.elongation, self.force = _connections(structure, response)
+        unknown = Response.unknown(record.time, record.ndof)
+        self.std = replace(unknown, force=0.0 * response.force)
+        self.elongation_std, self.force_std = np.full((2, *self.elongation.shape), np.nan)
+        count, n = len(members.start), structure.coordinates
+        largest = {q: np.zeros((count, record.ndof)) for q in RESPONSE_QUANTITIES}
+        largest |= {name: np.zeros((count, len(added))) for name in ("drift", "connection_force")}
+        with np.errstate(over="ignore", invalid="ignore"):
+            for part, motion, states in followed_members(members, structure, record):
+                e, de = structure.elongation(states[..., :n]), structure.elongation(states[..., n : 2 * n])
+                z = states[..., 2 * n :] if len(structure.memory) else None
+                force = structure.connection_force(e, de, members.parameters, z)
+                every = motion | {"drift": e[..., added], "connection_force": force[..., added]}
+                for name, values in every.items():
+                    np.maximum(largest[name], np.abs(values).max(axis=0), out=largest[name])
+                    centre, into = self._of(name)
+                    into[part] = np.sqrt(np.mean((values - centre[part, None]) ** 2, axis=1))
+        self.largest = largest
+
+    def _of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """History of the mean structure and where its deviation goes, each (N, ...)."""
+        if name == "drift":
+            return self.elongation, self.elongation_std
+        if name == "connection_force":
+            return self.force, self.force_std
+        return getattr(self.response, name), getattr(self.std, name)
+
+    def peaks(self) -> list[Peak]:
+        """Of every history that is known to its end."""
+        found, labels = [], self.structure.labels
+        units = {**UNITS, "drift": "m", "connection_force": "N"}
+        for name, largest in self.largest.items():
+            history, std = self._of(name)
+            if not np.isfinite(std).all() or not np.isfinite(largest).all():
+                continue
+            lower, upper = np.percentile(largest, INTERVAL, axis=0)
+            for i, sample in enumerate(np.abs(history).argmax(axis=0)):
+                of = labels.dof(i) if name in RESPONSE_QUANTITIES else labels.connection(int(self.structure.added[i]))
+                peak, time = abs(float(history[sample, i])), float(self.response.time[sample])
+                found.append(Peak(name, of, units[name], peak, time, float(lower[i]), float(upper[i])))
+        return found
+
+
+def _connections(structure: Structure, response: Response) -> tuple[np.ndarray, np.ndarray]:
+    """Elongations and forces (N, C') of the mean structure's connections."""
+    motion = response.displacement, response.velocity
+    if response.coordinates is not None:
+        motion = response.coordinates[:, 0], response.coordinates[:, 1]
+    e, de = (structure.elongation(x) for x in motion)
+    return e[:, structure.added], structure.connection_force(e, de, None, response.hidden)[:, structure.added]
+
+
+def _estimates(problem: Problem) -> list[ParameterEstimate]:
+    """What is known of the parameters."""
+    return [
+        ParameterEstimate(
+            p, p.prescribed, p.prior_std,
+            p.value(-HALF_WIDTH_90 * p.prior_std), p.value(HALF_WIDTH_90 * p.prior_std),
+        )
+        for p in problem.uncertain
+    ]  # fmt: skip
+
+
+def _sources(problem: Problem, model: Model, measured: bool, response: Response) -> np.ndarray:
+    """(P, n), see :class:`pinn_cli.record.ensemble.Members`: the discrepancy, and the noise of measured forces.
+
+    The discrepancy is as large a part of the force as it was, and has the same power at every frequency.
+    """
+    structure, record, levels = problem.structure, problem.record, model.levels
+    n, rows = structure.coordinates, []
+    if np.isfinite(levels.discrepancy) and levels.force > 0.0:
+        moved = replace(record, acceleration=response.acceleration, responds=True)  # what a moving ground comes to
+        force, _ = force_and_velocity_scale(replace(problem, record=moved))
+        size = levels.discrepancy * force / levels.force * np.sqrt(levels.step / record.step)
+        rows = [*(size * np.eye(n))]
+    felt = np.eye(n) if structure.shapes is None else structure.shapes.matrix
+    sigma = levels.sensors.get(FORCE)
+    if measured and sigma is not None:
+        rows += [float(s) * felt[dof] for dof, s in enumerate(sigma) if np.isfinite(s) and not record.unforced[dof]]
+    return np.array(rows).reshape(-1, n)

@@ -1,0 +1,99 @@
+"""Free runs of an identified structure and their bands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from storeys import C, K, M, record, response
+
+from pinn_cli.model.knowledge import Levels, ParameterKnowledge
+from pinn_cli.model.model import Model
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.predict import Predict
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.prediction import Predictor
+
+STRUCTURE = build_chain(3, Linear(), m=M.tolist(), c=C.tolist(), k=K.tolist())
+
+
+def model(std: float = 0.0, discrepancy: float = 0.0, structure=STRUCTURE) -> Model:
+    """Springs known to a part of their value."""
+    own = tuple(replace(p, positive=True) for p in structure.every_parameter() if p.kind == "k") if std else ()
+    mean = np.array([p.prescribed for p in own])
+    known = ParameterKnowledge(mean, np.diag((std * mean) ** 2), 0.0 * mean, 0.0 * mean, mean)
+    levels = Levels({"force": np.array([np.nan, np.nan, 30.0])}, discrepancy, 0.02, 2000.0, 50.0)
+    return Model(structure, own, known, levels, None, "sound", "")
+
+
+def force_alone(seed: int = 5, duration: float = 12.0) -> Record:
+    moved = response(seed, duration=duration)
+    blank = np.full_like(moved.force, np.nan)
+    return Record(moved.time, blank, blank, blank, moved.force, np.array([True, True, False]), responds=False)
+
+
+def predicted(given: Model, seen: Record, **settings) -> Estimate:
+    scheme = Predict(given, **settings)
+    problem = scheme.problem(STRUCTURE, seen)
+    return Predictor(GaussNewton(), Spline(), given, scheme).solve(problem, RunContext())
+
+
+def test_it_is_the_motion_of_the_structure():
+    true, found = response(5), predicted(model(), force_alone(), draws=20)
+    for quantity in ("displacement", "velocity", "acceleration"):
+        exact = getattr(true, quantity)
+        assert np.abs(getattr(found.response, quantity) - exact).max() < 1e-3 * np.abs(exact).max()
+        assert getattr(found.std, quantity).max() < 1e-12 * np.abs(exact).max()
+
+
+def test_a_given_start():
+    start = np.array([0.01, 0.02, 0.03, 0.1, -0.2, 0.3])
+    given = {"displacement": start[:3].tolist(), "velocity": start[3:].tolist()}
+    exact = response(5, start=start).displacement
+    found = predicted(model(), force_alone(), start=given, draws=20).response.displacement
+    assert np.abs(found - exact).max() < 1e-3 * np.abs(exact).max()
+
+
+def test_bands_and_peaks_are_those_of_other_structures_that_are_possible():
+    found = predicted(model(0.01), force_alone(), draws=100)
+    rng, count = np.random.default_rng(0), 40
+    others = [response(5, K * (1.0 + 0.01 * rng.standard_normal(3))) for _ in range(count)]
+    spread = np.sqrt(np.mean([(o.displacement - response(5).displacement) ** 2 for o in others], axis=0))
+    rms = np.sqrt(np.mean(found.std.displacement**2, axis=0))
+    np.testing.assert_allclose(rms, np.sqrt(np.mean(spread**2, axis=0)), rtol=0.35)
+    peaks = {(p.quantity, p.of): p for p in found.peaks}
+    assert len(peaks) == 15
+    for i in range(3):
+        drift = [np.abs(np.diff(o.displacement, axis=1, prepend=0.0)[:, i]).max() for o in others]
+        peak = peaks["drift", str(i + 1)]
+        inside = np.mean([peak.lower_90 <= x <= peak.upper_90 for x in drift])
+        assert 0.7 <= inside <= 1.0
+        assert peak.unit == "m"
+
+
+def test_discrepancy_and_noise_of_a_measured_force_widen_the_bands():
+    quiet = predicted(model(0.001), force_alone(), draws=40)
+    noisy = predicted(model(0.001), force_alone(), draws=40, measured_input=True)
+    wrong = predicted(model(0.001, discrepancy=200.0), force_alone(), draws=40)
+    last = [np.sqrt(np.mean(each.std.displacement**2)) for each in (quiet, noisy, wrong)]
+    assert last[0] < 0.8 * last[1] < last[2]
+
+
+def test_what_is_no_prediction_is_refused():
+    with pytest.raises(InputError, match="the directory of a finished run with scheme=predict"):
+        Predict(None)
+    with pytest.raises(InputError, match="a list of 3 numbers"):
+        Predict(model(), start={"velocity": [1.0]})
+    with pytest.raises(InputError, match="scheme.start"):
+        Predict(model(), start="tomorrow")
+    with pytest.raises(InputError, match="forces and the ground alone"):
+        Predict(model()).problem(STRUCTURE, record(1).record)
+    still = replace(force_alone(), force=np.zeros((600, 3)), unforced=np.ones(3, dtype=bool))
+    with pytest.raises(InputError, match="nothing moves the structure"):
+        Predict(model()).problem(STRUCTURE, still)
