@@ -86,9 +86,9 @@ def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
     spline = make_interp_spline(time, columns[:, acting], k=SPLINE_DEGREE) if acting.size else None
 
     def history(at: np.ndarray) -> np.ndarray:
-        out = np.zeros((len(at), columns.shape[1]))
+        out = np.zeros((*np.shape(at), columns.shape[1]))
         if spline is not None:
-            out[:, acting] = spline(at)
-        return out.reshape(len(at), *force.shape[1:])
+            out[..., acting] = spline(at)
+        return out.reshape(*np.shape(at), *force.shape[1:])
 
     return history

@@ -126,10 +126,10 @@ def between_samples(record: Record, values: np.ndarray, samples: int | None = No
     splines = [make_interp_spline(times, _denser(columns[:, i])[: end + 1], k=SPLINE_DEGREE) for i in acting]
 
     def history(time: np.ndarray) -> np.ndarray:
-        out = np.zeros((len(time), columns.shape[1]))
+        out = np.zeros((*np.shape(time), columns.shape[1]))
         for column, spline in zip(acting, splines, strict=True):
-            out[:, column] = spline(time)
-        return out.reshape(len(time), *values.shape[1:])
+            out[..., column] = spline(time)
+        return out.reshape(*np.shape(time), *values.shape[1:])
 
     return history
 

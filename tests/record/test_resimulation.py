@@ -7,7 +7,7 @@ import pytest
 import torch
 from small_problems import measured, small_chain
 
-from pinn_cli.record.resimulation import MOST_SUBSTEPS, TooStiffError, resimulate
+from pinn_cli.record.resimulation import MOST_SUBSTEPS, TooStiffError, force_spline, resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import OverflowsError
 
@@ -71,3 +71,13 @@ def test_a_mass_that_was_estimated_at_its_bound_is_said():
     massless = structure.with_parameters(m=structure.parameters["m"] * torch.tensor([1.0, 0.0, 1.0]))
     with pytest.raises(TooStiffError, match="a mass of it is zero"):
         resimulate(massless, record, (REST, REST))
+
+
+def test_a_history_may_be_asked_for_at_times_of_any_shape():
+    time, times = np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 12).reshape(3, 4)
+    force = np.stack((np.sin(3.0 * time), np.zeros(21)), axis=1)
+    found = force_spline(time, force)(times)
+    assert found.shape == (3, 4, 2)
+    np.testing.assert_array_equal(found.reshape(-1, 2), force_spline(time, force)(times.reshape(-1)))
+    assert not found[..., 1].any()
+    assert force_spline(time, force[:, 0])(times).shape == (3, 4)
