@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 # Behind the best by this much or more a model is out of the question (150 to 1; Kass and Raftery 1995).
 DECISIVE = 5.0
 _LEAST, _ROW = 0.1, 0.22  # nats, as the least bar is drawn; inch
+_NONE = 1e-99  # a probability below this is written as zero
 
 
 def models_figure(comparison: Comparison) -> Figure | None:
@@ -54,11 +55,12 @@ def _draw_evidence(axes: Axes, table: pd.DataFrame, place: np.ndarray) -> None:
     axes.axvspan(_LEAST, DECISIVE, color=style.SKY, alpha=0.25, linewidth=0)
     axes.barh(place, np.maximum(behind, _LEAST) - _LEAST, left=_LEAST, color=style.BLUE, height=0.6)
     axes.set_xscale("log")
-    axes.set_xlim(_LEAST, max(2.0 * behind.max(), 10.0 * DECISIVE))
-    for y, probability in zip(place, table["probability"], strict=True):
-        axes.annotate(f"{probability:.2g}", (_LEAST, y), xytext=(3, 0), textcoords="offset points", va="center",
+    axes.set_xlim(_LEAST, max(20.0 * behind.max(), 10.0 * DECISIVE))
+    for y, end, probability in zip(place, np.maximum(behind, _LEAST), table["probability"], strict=True):
+        shown = f"p = {probability:.2g}" if probability > _NONE else "p = 0"
+        axes.annotate(shown, (end, y), xytext=(3, 0), textcoords="offset points", va="center",
                       fontsize=6.5, color=style.BLACK)  # fmt: skip
-    axes.set_xlabel("behind the most probable model (nats); probability")
+    axes.set_xlabel("behind the most probable model (nats), and probability p")
 
 
 def _name(row: pd.Series, comparison: Comparison) -> str:
