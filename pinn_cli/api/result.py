@@ -27,13 +27,13 @@ class Result(RunFiles):
 
     def __repr__(self) -> str:
         verdict = self.verdict or "no verdict"
-        return f"<Result of {self.record.get('case')}: {verdict}; {len(self.parameters)} parameters; {self.directory}>"
+        return f"<Result of {self.run_record.get('case')}: {verdict}; {len(self.parameters)} parameters; {self.directory}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict with its reasons, parameters, and fitness where there is a truth."""
         reasons = "".join(f"<li>{html.escape(reason)}</li>" for reason in self.reasons)
         parts = [
-            f"<b>{html.escape(str(self.record.get('case')))}</b>: {html.escape(self.verdict or 'no verdict')}",
+            f"<b>{html.escape(str(self.run_record.get('case')))}</b>: {html.escape(self.verdict or 'no verdict')}",
             f"<ul>{reasons}</ul>" if reasons else "",
             as_html(self.parameters.drop(columns=[*_RUN, "estimator"], errors="ignore")),
             as_html(_overall(self.fitness)),

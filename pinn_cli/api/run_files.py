@@ -30,20 +30,20 @@ class RunFiles:
         self.directory = directory
 
     @cached_property
-    def record(self) -> dict[str, Any]:
+    def run_record(self) -> dict[str, Any]:
         """What ``run.json`` says: seconds by stage, why training stopped, noise levels, versions."""
         return read_record(self.directory)
 
     @property
     def verdict(self) -> str | None:
         """``sound``, or how far the run is from it; None where there is no verdict."""
-        found = self.record.get("verdict")
+        found = self.run_record.get("verdict")
         return None if found is None else str(found)
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the verdict is not sound."""
-        return tuple(self.record.get("reasons", ()))
+        return tuple(self.run_record.get("reasons", ()))
 
     @cached_property
     def fitness(self) -> pd.DataFrame:

@@ -37,7 +37,7 @@ def stored_results(result: RunFiles) -> Results:
         InputError: Its settings cannot be read, or name files that are no longer there.
     """
     true, prescribed, simulated = _structures(result.directory)
-    data, history, run = result.response, result.history, result.record
+    data, history, run = result.response, result.history, result.run_record
     rows = result.parameters[result.parameters["estimator"] == "pinn"]
     parameters = [_parameter(row, prescribed, result) for _, row in rows.iterrows()]
     correlation = None

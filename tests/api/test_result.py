@@ -27,7 +27,7 @@ def test_tables_are_those_of_the_files(result: Result) -> None:
         pd.testing.assert_frame_equal(getattr(result, name), pd.read_csv(result.directory / f"{name}.csv"))
     assert result.validation is None
     assert result.posterior is None
-    assert result.verdict == result.record["verdict"]
+    assert result.verdict == result.run_record["verdict"]
     assert result.settings["system"]["ndof"] == 3
     with pytest.raises(InputError, match=r"table=drfit: must be one of .*drift"):
         result.table("drfit")
