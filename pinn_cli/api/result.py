@@ -26,8 +26,8 @@ class Result(RunFiles):
         return Plots(self)
 
     def __repr__(self) -> str:
-        verdict = self.verdict or "no verdict"
-        return f"<Result of {self.run_record.get('case')}: {verdict}; {len(self.parameters)} parameters; {self.directory}>"
+        case, verdict = self.run_record.get("case"), self.verdict or "no verdict"
+        return f"<Result of {case}: {verdict}; {len(self.parameters)} parameters; {self.directory}>"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the verdict with its reasons, parameters, and fitness where there is a truth."""
