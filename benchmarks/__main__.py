@@ -24,6 +24,8 @@ from benchmarks.cases import Case, cases
 from benchmarks.scaling_figure import draw
 
 FOLDER = Path("outputs/bench")
+# Of the linear algebra, from the start of a process: what counts a run imports it before the run limits its threads.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 GROUPS = ("ndof", "duration_s", "topology")
 # A matrix product says what the machine can do: GFlop/s, the best of several.
 TIMED_PRODUCT = """
@@ -70,16 +72,15 @@ def counted(command: list[str], directory: Path) -> dict[str, float]:
     place = directory.with_suffix(".json")
     own = [f"hydra.run.dir={directory}", "threads=1"]
     counting = [sys.executable, "-m", "benchmarks.counted_run", str(place), *command, *own]
-    subprocess.run(counting, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(counting, check=True, stdout=subprocess.DEVNULL, env=os.environ | ONE_THREAD)
     found: dict[str, float] = json.loads(place.read_text())
     return found
 
 
 def product_rate() -> float:
     """Additions and multiplications of a matrix product, on one thread, per second: 1e9 of them."""
-    one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     done = subprocess.run(
-        [sys.executable, "-c", TIMED_PRODUCT], check=True, capture_output=True, text=True, env=os.environ | one
+        [sys.executable, "-c", TIMED_PRODUCT], check=True, capture_output=True, text=True, env=os.environ | ONE_THREAD
     )
     return float(done.stdout)
 
