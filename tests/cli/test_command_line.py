@@ -196,7 +196,7 @@ def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
     text = pinn_run("--help").out
     for part in (
         "usage: pinn-run",
-        "system: duffing, friction, linear",
+        "system: bouc_wen, duffing, friction, linear",
         "experiment=paper/sr_6dof_perturbed",
         "--multirun",
         "--config-dir",

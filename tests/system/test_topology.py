@@ -173,7 +173,7 @@ def test_unusable_structures_are_refused_in_one_line(setting, names, changes):
         (".speed", "given", {**LINE, "law": "friction", "F_c": 1.0}),
         (".speed", "> 0", {**LINE, "law": "friction", "F_c": 1.0, "speed": 0}),
         (".exponent", ">= 1", {**LINE, "law": "power_damping", "mu": 1.0, "exponent": 0.5}),
-        ("", "one of k_2, k_3", {**LINE, "law": "polynomial"}),
+        (".k_3", "given", {**LINE, "law": "polynomial"}),
         (".k_8", "left out", {**LINE, "law": "polynomial", "k_2": 1.0, "k_8": 1.0}),
     ],
 )
