@@ -147,7 +147,7 @@ def test_dofs_may_come_as_text_and_a_missing_map_as_null(rig):
 def test_the_config_lists_every_setting_and_reads_the_file(rig):
     of_csv = {name: value for name, value in OmegaConf.load(CONF).items() if name != "defaults"}
     settings = OmegaConf.merge(OmegaConf.load(SHARED), of_csv, {**SETTINGS, "holdout": [2]})
-    fields = set(MeasuredData.__dataclass_fields__) - {"base"}
+    fields = set(MeasuredData.__dataclass_fields__) - {"base", "responds"}
     assert set(settings) - {"_target_", "records"} == fields
     (own,) = data_of_records(settings)
     source = build(own, "data", base=rig)
