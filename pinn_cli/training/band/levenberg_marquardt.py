@@ -117,7 +117,7 @@ def minimise(
         equations: The least-squares problem.
         noise: Its weights.
         start: Where to begin.
-        iterations: Steps with a factor of their own at most.
+        iterations: Steps with a factor of their own at most, and steps that any one factor serves further.
         tolerance: Relative decrease of the loss below which it has converged.
         watch: Called with every loss term after each accepted step.
         cautious: Whether the last undamped step of a similar problem was refused.
@@ -128,7 +128,7 @@ def minimise(
     """
     descent = _Descent(equations, noise, start, tolerance, watch, cautious, near)
     for _ in range(iterations):
-        solution = descent.advance()
+        solution = descent.advance(iterations)
         if solution is not None:
             return solution
     return descent.ended(False)
@@ -171,10 +171,11 @@ class _Descent:
             self.point, self.loss, self.steps, converged, self.factorisations, factor, self.cautious, self.chord
         )
 
-    def advance(self) -> Solution | None:
-        """Steps with the last factor while they are quick, then one with a factor of its own; the end, if it is."""
+    def advance(self, most: int) -> Solution | None:
+        """At most so many steps with the last factor, while they are quick, then one with its own; the end, if it is."""
         system, room = self._assembled()
-        while self.chord is not None:
+        served = 0
+        while self.chord is not None and served < most:
             trial = self._trial(system, self.chord, room)
             if max(trial.promised, trial.gain) <= self.enough:
                 return self._settled(system, room)
@@ -182,6 +183,7 @@ class _Descent:
             if not (trial.gain >= KEPT * trial.promised and (self.creeps or trial.promised <= QUICK * self.promised)):
                 break
             self._accept(trial)
+            served += 1
             system, room = self._assembled()
         return self._factored(system, room)
 
