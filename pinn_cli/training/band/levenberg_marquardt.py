@@ -172,7 +172,7 @@ class _Descent:
         )
 
     def advance(self, most: int) -> Solution | None:
-        """At most so many steps with the last factor, while they are quick, then one with its own; the end, if it is."""
+        """At most so many steps with the last factor while they are quick, then one with its own; the end, if it is."""
         system, room = self._assembled()
         served = 0
         while self.chord is not None and served < most:
