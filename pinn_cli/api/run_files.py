@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -125,9 +126,18 @@ class RunFiles:
         """
         import pandas as pd
 
-        if name not in self.tables:
-            raise InputError("table", name, f"one of {', '.join(self.tables)}", suggestion(name, self.tables))
+        check_table(name, self.tables)
         return pd.read_csv(self.directory / f"{name}.csv")
 
     def _optional(self, name: str) -> pd.DataFrame | None:
         return self.table(name) if name in self.tables else None
+
+
+def check_table(name: str, tables: Sequence[str]) -> None:
+    """See that there is a table of that name.
+
+    Raises:
+        InputError: There is none.
+    """
+    if name not in tables:
+        raise InputError("table", name, f"one of {', '.join(tables)}", suggestion(name, tables))

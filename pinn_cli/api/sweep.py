@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.api.result import Result, as_html
-from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.api.run_files import check_table
 from pinn_cli.sweep.jobs import FINISHED, Job, Sweep
 
 if TYPE_CHECKING:
@@ -93,8 +92,7 @@ class SweepResult:
         """
         import pandas as pd
 
-        if name not in self.tables:
-            raise InputError("table", name, f"one of {', '.join(self.tables)}", suggestion(name, self.tables))
+        check_table(name, self.tables)
         if name in self._own:
             return pd.read_csv(self.directory / f"{name}.csv")
         parts = []

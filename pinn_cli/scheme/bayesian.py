@@ -18,7 +18,7 @@ from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.prior_settings import WIDE, checked_priors, read_priors, with_defaults
 from pinn_cli.scheme.problem import THROUGH, Problem
-from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
+from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, parameter_starts
 from pinn_cli.scheme.unknowns import POSITIVE, at_starts, check_used, checked_positive, unknown_parameters
 from pinn_cli.settings.errors import InputError
@@ -65,9 +65,8 @@ class Bayesian(Scheme):
         initial_motion: str = FREE,
         unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
-        self.unobserved, self.unknown, self.priors = unobserved, unknown, priors
-        self.quantities = sensor_quantities({"displacement": True, "velocity": True} if sensors is None else sensors)
-        self.load_cells = has_load_cells(sensors or {})
+        self.unknown, self.priors = unknown, priors
+        self.sensors = Sensors.chosen(sensors, 0.0, unobserved, default=("displacement", "velocity"))
         checked_priors(priors)
         self.positive = checked_positive(positive)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
@@ -76,7 +75,7 @@ class Bayesian(Scheme):
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
-        return observed_through(record, self.quantities, 0.0, self.unobserved, self.load_cells)
+        return self.sensors.observe(record)
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""

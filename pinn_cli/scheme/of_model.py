@@ -65,6 +65,18 @@ def _within(positive: bool, mean: float) -> float:
     return max(float(mean), 0.0) if positive else float(mean)
 
 
+def given(model: Model | None, scheme: str) -> Model:
+    """The model of a scheme that cannot do without.
+
+    Raises:
+        InputError: There is none.
+    """
+    if model is None:
+        hint = f"pinn-run model=outputs/... scheme={scheme} data=..."
+        raise InputError(SETTING, None, f"the directory of a finished run with scheme={scheme}", hint)
+    return model
+
+
 def only_one(records: Sequence[Record]) -> Record:
     """The record that a model is used on.
 

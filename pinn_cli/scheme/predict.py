@@ -14,7 +14,7 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import FREE
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
-from pinn_cli.scheme.of_model import problem_of_model
+from pinn_cli.scheme.of_model import given, problem_of_model
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, true_or_false, whole_number
@@ -49,11 +49,8 @@ class Predict(Scheme):
         draws: int = 200,
         measured_input: bool = False,
     ) -> None:
-        if model is None:
-            hint = "pinn-run model=outputs/... scheme=predict data=..."
-            raise InputError("model", None, "the directory of a finished run with scheme=predict", hint)
-        self.model = model
-        self.start = _checked_start(start, model.structure)
+        self.model = given(model, self.name)
+        self.start = _checked_start(start, self.model.structure)
         self.draws = whole_number("scheme.draws", draws, least=20, most=100_000)
         self.measured_input = true_or_false("scheme.measured_input", measured_input)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -55,18 +56,43 @@ def unobserved_dofs(ndof: int, fraction: float, unobserved: str | Sequence[int] 
     return sorted(set(dofs))
 
 
-def observed_through(
-    record: Record,
-    quantities: Sequence[str],
-    fraction: float,
-    unobserved: str | Sequence[int] | None,
-    load_cells: bool = True,
-) -> Record:
-    """A simulated record with sensors for the given quantities on the observed DOFs; see :func:`unobserved_dofs`."""
-    hidden = unobserved_dofs(record.ndof, fraction, unobserved)
-    observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
-    kept = record.keep(dict.fromkeys(quantities, observed))
-    return kept if load_cells else kept.without_load_cells()
+@dataclass(frozen=True)
+class Sensors:
+    """Of a simulated record.
+
+    Attributes:
+        quantities: Of the response that every observed DOF has a sensor for.
+        load_cells: Whether forced DOFs have one.
+        fraction, unobserved: Which DOFs are not observed, see :func:`unobserved_dofs`.
+    """
+
+    quantities: tuple[str, ...]
+    load_cells: bool
+    fraction: float
+    unobserved: str | Sequence[int] | None
+
+    @classmethod
+    def chosen(
+        cls,
+        sensors: Mapping[str, bool] | None,
+        fraction: float,
+        unobserved: str | Sequence[int] | None,
+        default: Sequence[str] = ("acceleration",),
+    ) -> Sensors:
+        """As a scheme's settings say; of ``default`` quantities where they name none.
+
+        Raises:
+            InputError: See :func:`sensor_quantities`.
+        """
+        quantities = sensor_quantities(dict.fromkeys(default, True) if sensors is None else sensors)
+        return cls(quantities, has_load_cells(sensors or {}), fraction, unobserved)
+
+    def observe(self, record: Record) -> Record:
+        """See :meth:`pinn_cli.scheme.base.Scheme.observe`."""
+        hidden = unobserved_dofs(record.ndof, self.fraction, self.unobserved)
+        observed = [dof for dof in range(1, record.ndof + 1) if dof not in hidden]
+        kept = record.keep(dict.fromkeys(self.quantities, observed))
+        return kept if self.load_cells else kept.without_load_cells()
 
 
 def _pattern(text: str, ndof: int) -> list[int]:

@@ -14,7 +14,7 @@ from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.of_model import only_one, problem_of_model
 from pinn_cli.scheme.problem import THROUGH, Problem
-from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
+from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import parameter_starts
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.structure import Structure
@@ -51,9 +51,7 @@ class SparseRecovery(Scheme):
         model: Model | None = None,
     ) -> None:
         self.model = model
-        self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
-        self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
-        self.load_cells = has_load_cells(sensors or {})
+        self.sensors = Sensors.chosen(sensors, unobserved_fraction, unobserved)
         self.parameter_uncertainty = checked_uncertainty(parameter_uncertainty)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
         self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
@@ -61,7 +59,7 @@ class SparseRecovery(Scheme):
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
-        return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved, self.load_cells)
+        return self.sensors.observe(record)
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`."""

@@ -16,7 +16,7 @@ from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.problem import THROUGH, Problem
-from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
+from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
 from pinn_cli.scheme.unknowns import (
     POSITIVE,
@@ -72,9 +72,7 @@ class StateParameter(Scheme):
         initial_motion: str = FREE,
         unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
-        self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
-        self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
-        self.load_cells = has_load_cells(sensors or {})
+        self.sensors = Sensors.chosen(sensors, unobserved_fraction, unobserved)
         self.unknown, self.initial = unknown, initial
         self.starts = checked_starts(starts)
         self.positive = checked_positive(positive)
@@ -86,7 +84,7 @@ class StateParameter(Scheme):
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
-        return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved, self.load_cells)
+        return self.sensors.observe(record)
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""

@@ -9,10 +9,9 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
-from pinn_cli.scheme.of_model import check_updatable, problem_of_model
+from pinn_cli.scheme.of_model import check_updatable, given, problem_of_model
 from pinn_cli.scheme.problem import THROUGH, Problem
-from pinn_cli.scheme.sensors import has_load_cells, observed_through, sensor_quantities
-from pinn_cli.settings.errors import InputError
+from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.structure import Structure
 
@@ -44,21 +43,16 @@ class Update(Scheme):
         initial_motion: str = FREE,
         unknown_force: str = GAUSSIAN_PROCESS,
     ) -> None:
-        if model is None:
-            hint = "pinn-run model=outputs/... scheme=update data=..."
-            raise InputError("model", None, "the directory of a finished run with scheme=update", hint)
-        check_updatable(model)
-        self.model = model
-        self.unobserved_fraction, self.unobserved = unobserved_fraction, unobserved
-        self.quantities = sensor_quantities({"acceleration": True} if sensors is None else sensors)
-        self.load_cells = has_load_cells(sensors or {})
+        self.model = given(model, self.name)
+        check_updatable(self.model)
+        self.sensors = Sensors.chosen(sensors, unobserved_fraction, unobserved)
         self.acceleration_through = one_of("scheme.acceleration_through", acceleration_through, THROUGH)
         self.initial_motion = one_of("scheme.initial_motion", initial_motion, CHOICES)
         self.unknown_force = one_of("scheme.unknown_force", unknown_force, UNKNOWN_FORCES)
 
     def observe(self, record: Record) -> Record:
         """See :meth:`Scheme.observe`."""
-        return observed_through(record, self.quantities, self.unobserved_fraction, self.unobserved, self.load_cells)
+        return self.sensors.observe(record)
 
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what is prescribed is the model's."""

@@ -11,7 +11,8 @@ What the model leaves out hides a part of each parameter, in the old records and
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -47,41 +48,66 @@ def found_changes(problem: Problem, known: ParameterKnowledge, solved: Problem |
     pull = together @ distance
     before = ParameterKnowledge(known.mean, prior.correlation, prior.told, prior.weight, prior.first_std)
     covariance = prior.correlation + np.diag((before.hidden**2 + known.hidden**2) / unit**2)
-    candidates = [i for i, p in enumerate(uncertain) if p.kind not in CALIBRATION_UNITS]
-    found: list[Change] = []
-    open_ = covariance.copy()
-    while True:
-        score, variance = _against(information, pull, open_)
-        square = np.divide(score**2, variance, out=np.zeros(len(score)), where=variance > 0)
-        left = [i for i in candidates if not any(uncertain[i] == change.parameter for change in found)]
-        if not left:
-            break
-        j = max(left, key=lambda i: square[i])
-        chance = min(1.0, len(candidates) * float(chdtrc(1, square[j])))
-        if not chance < IMPROBABLE:
-            break
-        odds = np.exp(0.5 * (square[left] - square[j]))
-        found.append(Change(uncertain[j], 0.0, 0.0, chance, float(1.0 / odds.sum())))
-        open_[j, j] += (_open(problem, j) / unit[j]) ** 2
-    found = [_sized(change, problem, information, pull, open_) for change in found]
-    chance = _as_a_whole(information, pull, open_)
+    comparison = _Comparison(problem, information, pull, covariance)
+    found = comparison.found()
+    chance = _as_a_whole(information, pull, comparison.opened(uncertain.index(change.parameter) for change in found))
     alone, alone_std = _by_itself(information, pull)
     hidden = np.hypot(unit * alone_std, known.hidden)
     prescribed = np.array([p.prescribed for p in uncertain])
     before_std = np.sqrt(unit**2 + before.hidden**2)
-    return Changes(
-        uncertain, tuple(found), chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden
-    )
+    return Changes(uncertain, found, chance, IMPROBABLE, prescribed, before_std, prescribed + unit * alone, hidden)
 
 
-def _sized(change: Change, problem: Problem, information: np.ndarray, pull: np.ndarray, open_: np.ndarray) -> Change:
-    """A change with its size, the other parameters that changed left open."""
-    assert problem.prior is not None
-    j = problem.uncertain.index(change.parameter)
-    own, unit = open_.copy(), problem.uncertain[j].prior_std
-    own[j, j] -= (_open(problem, j) / unit) ** 2
-    score, variance = _against(information, pull, own)
-    return replace(change, by=float(unit * score[j] / variance[j]), std=float(unit / np.sqrt(variance[j])))
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """A record against those before it; see the module, in prior standard deviations.
+
+    Attributes:
+        problem: With the prior of earlier records.
+        information: J (p, p).
+        pull: J d (p,).
+        covariance: C (p, p).
+    """
+
+    problem: Problem
+    information: np.ndarray
+    pull: np.ndarray
+    covariance: np.ndarray
+
+    def found(self) -> tuple[Change, ...]:
+        """One change after the other, the most certain one first, until what is left is chance; sized together."""
+        left = [i for i, p in enumerate(self.problem.uncertain) if p.kind not in CALIBRATION_UNITS]
+        count, moved = len(left), dict[int, tuple[float, float]]()
+        while left:
+            score, variance = self._against(moved)
+            square = np.divide(score**2, variance, out=np.zeros(len(score)), where=variance > 0)
+            j = max(left, key=lambda i: square[i])
+            chance = min(1.0, count * float(chdtrc(1, square[j])))
+            if not chance < IMPROBABLE:
+                break
+            moved[j] = chance, float(1.0 / np.exp(0.5 * (square[left] - square[j])).sum())
+            left.remove(j)
+        return tuple(self._sized(j, [i for i in moved if i != j], *told) for j, told in moved.items())
+
+    def _sized(self, j: int, others: Sequence[int], chance: float, share: float) -> Change:
+        """The change of a parameter, the others that changed left open."""
+        score, variance = self._against(others)
+        parameter = self.problem.uncertain[j]
+        by, std = score[j] / variance[j], 1.0 / np.sqrt(variance[j])
+        return Change(parameter, float(parameter.prior_std * by), float(parameter.prior_std * std), chance, share)
+
+    def opened(self, changed: Iterable[int]) -> np.ndarray:
+        """C (p, p) where these parameters may have become anything."""
+        out = self.covariance.copy()
+        for j in changed:
+            out[j, j] += (_open(self.problem, j) / self.problem.uncertain[j].prior_std) ** 2
+        return out
+
+    def _against(self, changed: Iterable[int]) -> tuple[np.ndarray, np.ndarray]:
+        """V^-1 d (p,) and the diagonal of V^-1 (p,) where these parameters may have become anything."""
+        right = np.column_stack((self.pull, self.information))
+        both = np.linalg.solve(np.eye(len(self.pull)) + self.information @ self.opened(changed), right)
+        return both[:, 0], np.diag(both[:, 1:])
 
 
 def released(problem: Problem, changes: Changes) -> Problem:
@@ -112,12 +138,6 @@ def _semidefinite(matrix: np.ndarray) -> np.ndarray:
     """Without what rounding has made negative."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2.0)
     return (vectors * values.clip(min=0.0)) @ vectors.T
-
-
-def _against(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """V^-1 d (p,) and the diagonal of V^-1 (p,)."""
-    both = np.linalg.solve(np.eye(len(pull)) + information @ covariance, np.column_stack((pull, information)))
-    return both[:, 0], np.diag(both[:, 1:])
 
 
 def _as_a_whole(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> float:

@@ -48,6 +48,12 @@ def solved(given: Case, rng: np.random.Generator, change: np.ndarray, hidden: fl
     return problem, known, measured
 
 
+def prior_covariance(problem: Problem) -> np.ndarray:
+    std = np.array([p.prior_std for p in problem.uncertain])
+    assert problem.prior is not None
+    return problem.prior.correlation * np.outer(std, std)
+
+
 def test_alone_is_what_the_record_says_by_itself():
     given = case()
     problem, known, measured = solved(given, np.random.default_rng(1), np.zeros(P))
@@ -93,9 +99,7 @@ def test_with_changed_parameters_released_it_says_the_same():
     problem, known, measured = solved(given, rng, change)
     changes = found_changes(problem, known)
     again = released(problem, changes)
-    std = np.array([p.prior_std for p in again.uncertain])
-    assert again.prior is not None
-    prior = again.prior.correlation * np.outer(std, std)
+    prior = prior_covariance(again)
     covariance = np.linalg.inv(np.linalg.inv(prior) + np.linalg.inv(given.R))
     mean = np.array([p.prescribed for p in problem.uncertain])
     peak = covariance @ (np.linalg.solve(prior, mean) + np.linalg.solve(given.R, measured))
@@ -165,10 +169,7 @@ def test_released_opens_the_changed_parameter_alone():
     changes = found_changes(problem, known)
     assert [found.parameter.index for found in changes.found] == [2]
     again = released(problem, changes)
-    std = np.array([p.prior_std for p in again.uncertain])
-    assert again.prior is not None
-    covariance = again.prior.correlation * np.outer(std, std)
-    opened = covariance - given.C
+    opened = prior_covariance(again) - given.C
     assert opened[2, 2] >= problem.uncertain[2].prescribed ** 2
     opened[2, 2] = 0.0
     np.testing.assert_allclose(opened, 0.0, atol=1e-9)
