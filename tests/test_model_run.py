@@ -12,6 +12,7 @@ import xarray as xr
 from calls import PinnRun
 from storeys import K, record, system, written
 
+from pinn_cli import load
 from pinn_cli.model.file import NAME, read_model
 from pinn_cli.report.figures.over_time import over_time_figure
 
@@ -62,6 +63,7 @@ def test_records_one_after_the_other(pinn_run: PinnRun, tmp_path: Path) -> None:
     )
     of_k_1 = table[table["parameter"] == "k_1"].set_index("record")
     assert of_k_1.loc[3, "std"] < of_k_1.loc[2, "std"]  # what did not change goes on being learned
+    assert load("third").plot.modes().axes  # of the model's structure, not of the one that system would be
 
     other = pinn_run(*system(), "system.ndof=2", "system.m=1", "system.c=1", "system.k=1", "model=first", *data["two"])
     assert other.status == 2
@@ -118,6 +120,7 @@ def test_a_prediction_without_a_response(pinn_run: PinnRun, tmp_path: Path) -> N
     assert len(pd.read_csv("next/peaks.csv")) == 15
     assert "verdict" not in json.loads(Path("next/run.json").read_text())
     assert not Path("next/model.npz").exists()
+    assert load("next").plot.response().axes
     again = pinn_run("model=next", "scheme=predict", *data)
     assert again.status == 2
     assert "has no model.npz" in again.err

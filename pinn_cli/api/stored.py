@@ -12,9 +12,10 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from pinn_cli.cli.config import resolved
+from pinn_cli.cli.reuse import chosen_model, structure_beside
 from pinn_cli.cli.source import SIMULATED, read_structure
 from pinn_cli.record.record import Record, Truth
-from pinn_cli.record.response import GROUND, QUANTITIES, Response
+from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.report.results import LABELS, Results, RunDescription
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.settings.yaml_file import read_yaml
@@ -38,8 +39,7 @@ def stored_results(result: RunFiles) -> Results:
     """
     true, prescribed, simulated = _structures(result.directory)
     data, history, run = result.response, result.history, result.run_record
-    rows = result.parameters[result.parameters["estimator"] == "pinn"]
-    parameters = [_parameter(row, prescribed, result) for _, row in rows.iterrows()]
+    parameters = _parameters(result, prescribed)
     correlation = None
     if "correlation" in result.tables:
         correlation = result.table("correlation").set_index("parameter").to_numpy(dtype=np.float64)
@@ -67,20 +67,26 @@ def _structures(directory: Path) -> tuple[Structure, Structure, bool]:
     config = resolved(read_yaml(directory / ".hydra" / "config.yaml"))
     check_classes(config)
     base = OmegaConf.select(read_yaml(directory / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
-    structure = read_structure(config, None if base is None else Path(str(base)))
+    place = None if base is None else Path(str(base))
+    model = chosen_model(config, place)
+    structure = read_structure(config, place) if model is None else structure_beside(model, config, place)
     true, prescribed = build(config.model_error, "model_error").structures(structure)
-    return true, prescribed, config.data.get("_target_") == SIMULATED
+    return true, prescribed if model is None else model.structure, config.data.get("_target_") == SIMULATED
 
 
-def _parameter(row: pd.Series[Any], prescribed: Structure, result: RunFiles) -> ParameterEstimate:
-    name, unknown = str(row["parameter"]), math.isfinite(row["start"])
+def _parameters(result: RunFiles, prescribed: Structure) -> list[ParameterEstimate]:
     known = {parameter.name: parameter for parameter in prescribed.every_parameter()}
+    prior_std = {}
+    if "identifiability" in result.tables:
+        prior_std = dict(result.table("identifiability").set_index("parameter")["prior_std"])
+    rows = result.parameters[result.parameters["estimator"] == "pinn"]
+    return [_parameter(row, known, float(prior_std.get(row["parameter"], math.nan))) for _, row in rows.iterrows()]
+
+
+def _parameter(row: pd.Series[Any], known: Mapping[str, Parameter], prior_std: float) -> ParameterEstimate:
+    name, unknown = str(row["parameter"]), math.isfinite(row["start"])
     kind = next((kind for kind in CALIBRATION_UNITS if name.startswith(f"{kind}_")), "")
     found = known.get(name) or Parameter(kind, 0, label=name.removeprefix(f"{kind}_"))
-    prior_std = math.nan
-    if "identifiability" in result.tables:
-        table = result.table("identifiability").set_index("parameter")["prior_std"]
-        prior_std = float(table.get(name, math.nan))
     given = float(row["start"] if unknown else row["prescribed"])
     believed = replace(found, prescribed=given, prior_std=prior_std, unknown=unknown)
     return ParameterEstimate(believed, row["estimate"], row["std"], row["lower_90"], row["upper_90"])
@@ -112,6 +118,7 @@ def _record(data: xr.Dataset) -> Record:
     return Record(
         **seen.measurable, unforced=unforced, intersample=data.attrs["intersample"],
         frame=data.attrs.get("frame", "absolute"), dofs=names, missing=missing,
+        responds=any(np.isfinite(getattr(seen, quantity)).any() for quantity in RESPONSE_QUANTITIES),
     )  # fmt: skip
 
 

@@ -67,7 +67,7 @@ class Predictor(TrainedNetwork):
         band = _Band(structure, record, response, members)
         summary = {"iterations": 0, "stop_reason": "predicted", "draws": len(draws)}
         return Estimate(
-            response, band.std, parameters, pd.DataFrame(), summary, correlation,
+            response, band.std, parameters, pd.DataFrame(columns=["iteration", "seconds"]), summary, correlation,
             connections=ConnectionHistories(band.elongation, band.elongation_std, band.force, band.force_std),
             peaks=tuple(band.peaks()),
         )  # fmt: skip
