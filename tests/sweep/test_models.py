@@ -128,7 +128,7 @@ def test_the_true_law_wins(record: Any, tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_the_evidence_is_that_of_the_model_not_of_the_features(record: Any) -> None:
     every = [
-        run("system=duffing", f"network.knots_per_period={knots}", *RIG, data=record, keep=False).record["training"]
+        run("system=duffing", f"network.knots_per_period={knots}", *RIG, data=record, keep=False).run_record["training"]
         for knots in (6, 10)
     ]
     coarse, fine = (found["model_log_evidence"] for found in every)
@@ -138,7 +138,7 @@ def test_the_evidence_is_that_of_the_model_not_of_the_features(record: Any) -> N
 
 def test_a_wider_prior_costs_what_it_is_wider(record: Any) -> None:
     evidence = [
-        run("system=linear", f"scheme.prior_width={width}", *RIG, data=record, keep=False).record["training"]
+        run("system=linear", f"scheme.prior_width={width}", *RIG, data=record, keep=False).run_record["training"]
         for width in (10.0, 100.0)
     ]
     narrow, wide = (found["model_log_evidence"] for found in evidence)

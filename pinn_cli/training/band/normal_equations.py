@@ -7,6 +7,8 @@ together give one small dense block.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import torch
 from scipy.sparse import csr_matrix
@@ -52,6 +54,7 @@ class NormalEquations(Residuals):
         self.ridge: float | np.ndarray | None = None
         self._tree: FrontTree | None = None
 
+    @cached_property
     def _own_features(self) -> dict[str, tuple[Segments, Tensor]]:
         """Residuals that touch their own DOF only, with rows that never change: their segments and features."""
         masks = observation_masks(self.target, self.problem.acceleration_through)
@@ -63,7 +66,7 @@ class NormalEquations(Residuals):
 
     def _gram(self, name: str, part: slice) -> Tensor:
         """Products of the features of some groups; features that are alive everywhere take long, and are kept."""
-        segments, features = self._own_features()[name]
+        segments, features = self._own_features[name]
         if len(self.windows(segments)) > 1:
             return features[part].mT @ features[part]
         if name not in self._grams:
@@ -138,7 +141,7 @@ class NormalEquations(Residuals):
 
     def _add(self, sums: RowSums, name: str, residual: Tensor, weight: Tensor, point: Point, part: slice) -> None:
         """Add the rows of one residual in some groups; the weight is (n,), or (I, S, n) of all groups."""
-        own = self._own_features()
+        own = self._own_features
         weight = weight if weight.ndim == 1 else weight[part]
         if name == "physics":
             averages = None if self.averages is None else self.averages.part(part)
