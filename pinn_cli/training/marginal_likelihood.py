@@ -48,7 +48,8 @@ class MarginalLikelihood(ParameterLikelihood):
 
     def evaluate(self, theta: np.ndarray, s: float) -> tuple[float, np.ndarray, float]:
         """See :meth:`ParameterLikelihood.evaluate`."""
-        inside = float(np.clip(s / self.reach, -1.0, 1.0))
+        within = min(max(s, -self.reach), self.reach)
+        inside = within / self.reach
         order = np.arange(len(self._level))
         powers = inside**order
         slopes = order * inside ** np.maximum(order - 1, 0) / self.reach
@@ -58,7 +59,7 @@ class MarginalLikelihood(ParameterLikelihood):
         turn = np.tensordot(slopes, self._precision, 1) @ away
         by_s = float(slopes @ self._level + pull @ (slopes @ self._peak) - 0.5 * away @ turn)
         # Beyond the table only its width is known: a Gaussian of the standard deviation of s goes on from its ends.
-        beyond = s - inside * self.reach
+        beyond = s - within  # exactly zero within: inside * reach is not, by rounding
         if beyond:
             by_s = -beyond / self.s_std**2
             value += 0.5 * by_s * beyond

@@ -60,6 +60,13 @@ def test_gradients_are_those_of_the_values(make, s):
         assert by_s * likelihood.s_std == pytest.approx(numeric[-1] * likelihood.s_std, rel=1e-5, abs=1e-4)
 
 
+def test_the_slope_has_no_holes_where_the_scale_over_the_tables_width_is_rounded():
+    likelihood, theta = marginal(), PEAK + STD
+    s = np.linspace(-5.9, 5.9, 1001) * S_STD
+    by_s = np.array([likelihood.evaluate(theta, place)[2] for place in s])
+    assert np.abs(np.diff(by_s, 2)).max() < 1e-3 * np.abs(by_s).max()
+
+
 @pytest.mark.parametrize("make", [marginal, unforced, conditional])
 def test_peak_and_curvature_are_those_at_the_noise_that_was_found(make):
     likelihood = make()
