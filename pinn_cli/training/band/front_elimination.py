@@ -43,30 +43,29 @@ class FrontElimination(ReadoutFactor):
         values = _scaled(tree, band, unit)
         values[: tree.size] += damping + ROUNDING_JITTER
         of_border = border.data * np.repeat(unit, np.diff(border.indptr))
-        # One piece of memory, which the system takes back whole.
-        kept = np.empty(tree.entries)
+        # One piece of memory, which the system takes back whole, and in which the columns are eliminated.
+        kept = np.zeros(tree.entries)
+        kept[tree.band_target] = values[tree.band_source]
+        kept[tree.border_target] = of_border[tree.border_source]
         pivots: list[np.ndarray] = []
         below: list[np.ndarray] = []
         gram, place = np.zeros((border.shape[1],) * 2), 0
         waiting: dict[int, np.ndarray] = {}
         for number, front in enumerate(tree.fronts):
-            k, rows = front.eliminated, front.rows
-            entries = np.zeros(rows * rows)
-            entries[front.band_target] = values[front.band_source]
-            entries[front.border_target] = of_border[front.border_source]
-            matrix = entries.reshape(rows, rows).T  # Fortran's order
+            k, m = front.eliminated, front.remaining
+            pivot = kept[place : place + k * k].reshape((k, k), order="F")
+            under = kept[place + k * k : place + front.entries].reshape((m, k), order="F")
+            place += front.entries
+            left = np.zeros((m, m), order="F")
             for child in front.children:
-                _add(matrix, waiting.pop(child), tree.fronts[child].runs)
-            pivot, failed = dpotrf(matrix[:k, :k], lower=1, clean=0)
-            if failed:
+                _add(pivot, under, left, waiting.pop(child), tree.fronts[child].runs)
+            if dpotrf(pivot, lower=1, clean=0, overwrite_a=1)[1]:
                 return None
-            under = dtrsm(1.0, pivot, matrix[k:, :k], side=1, lower=1, trans_a=1)
-            for store, part in ((pivots, pivot), (below, under)):
-                store.append(kept[place : place + part.size].reshape(part.shape, order="F"))
-                store[-1][...] = part
-                place += part.size
-            if rows > k:
-                waiting[number] = dsyrk(-1.0, under, beta=1.0, c=matrix[k:, k:], lower=1)
+            pivots.append(pivot)
+            below.append(under)
+            if m:
+                dtrsm(1.0, pivot, under, side=1, lower=1, trans_a=1, overwrite_b=1)
+                waiting[number] = dsyrk(-1.0, under, beta=1.0, c=left, lower=1, overwrite_c=1)
         for number, left in waiting.items():  # of the roots: parameters alone
             own = tree.fronts[number].parameters
             gram[np.ix_(own, own)] -= left
@@ -143,8 +142,7 @@ class FrontElimination(ReadoutFactor):
                 own -= gain.T @ across
                 whole[k:, k:], whole[k:, :k], whole[:k, k:] = left, across, across.T
             whole[:k, :k] = own
-            column, row = np.divmod(front.band_target, front.rows)
-            flat[front.band_source] = whole[row, column]
+            flat[front.band_source] = whole[front.band_row, front.band_column]
             for child in front.children:
                 known[child] = _taken(whole, self.tree.fronts[child])
         for line, offset in zip(out, self.tree.offsets.tolist(), strict=True):
@@ -172,11 +170,16 @@ def _scaled(tree: FrontTree, band: Diagonals, unit: np.ndarray) -> np.ndarray:
     return out.reshape(-1)
 
 
-def _add(matrix: np.ndarray, left: np.ndarray, runs: Runs) -> None:
-    """Add the lower half of what is left of a front to the front that it belongs to."""
+def _add(pivot: np.ndarray, under: np.ndarray, left: np.ndarray, more: np.ndarray, runs: Runs) -> None:
+    """Add the lower half of what is left of a front to the parts of the front that it belongs to."""
+    k = len(pivot)
     for i, (row, above, rows) in enumerate(runs):
         for column, there, columns in runs[: i + 1]:
-            matrix[above : above + rows, there : there + columns] += left[row : row + rows, column : column + columns]
+            part, at = (left, k) if there >= k else (under, 0) if above >= k else (pivot, 0)
+            down = above if part is pivot else above - k
+            part[down : down + rows, there - at : there - at + columns] += more[
+                row : row + rows, column : column + columns
+            ]
 
 
 def _taken(whole: np.ndarray, child: Front) -> np.ndarray:

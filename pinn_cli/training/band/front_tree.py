@@ -27,20 +27,23 @@ class Front:
         start, stop: Which weights are eliminated, as places in the order of elimination.
         left: (m,), the weights that are left, likewise, ascending.
         parameters: (q,), ascending.
-        band_target, band_source: Which entries of the front, in Fortran's order, are in the band, and which of the
-            band's values each is.
-        border_target, border_source: The same of the border's.
+        band_column, band_row, band_source: Which entries of the front are in the band, and which of the band's values
+            each is.
+        border_column, border_row, border_source: The same of the border's.
         children: Fronts that are added to this one.
-        runs: Of its own rows that are left, where they stand in the front that it is added to.
+        runs: Of its own rows that are left, where they stand in the front that it is added to; none holds both rows
+            that are eliminated there and others.
     """
 
     start: int
     stop: int
     left: np.ndarray
     parameters: np.ndarray
-    band_target: np.ndarray
+    band_column: np.ndarray
+    band_row: np.ndarray
     band_source: np.ndarray
-    border_target: np.ndarray
+    border_column: np.ndarray
+    border_row: np.ndarray
     border_source: np.ndarray
     children: list[int]
     runs: Runs = field(default_factory=list)
@@ -51,9 +54,19 @@ class Front:
         return self.stop - self.start
 
     @property
-    def rows(self) -> int:
-        """Of the front."""
-        return self.eliminated + len(self.left) + len(self.parameters)
+    def remaining(self) -> int:
+        """Rows of the front that are not eliminated."""
+        return len(self.left) + len(self.parameters)
+
+    @property
+    def entries(self) -> int:
+        """Numbers of its part of the factor: (k, k) among its k weights, and (remaining, k) below."""
+        return self.eliminated * (self.eliminated + self.remaining)
+
+    def places(self, column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        """Of entries in the k columns that are eliminated, where they stand in those, each part in Fortran's order."""
+        k = self.eliminated
+        return np.where(row < k, column * k + row, k * k + column * self.remaining + row - k)
 
 
 class FrontTree:
@@ -68,6 +81,8 @@ class FrontTree:
         order: (size,), the weights' places in the band in the order of elimination.
         offsets: (K,), ascending, the diagonals of the band that hold something.
         fronts: All of them.
+        band_target, band_source, border_target, border_source: Which of a factor's numbers come from which values of
+            the band and of the border.
     """
 
     def __init__(self, grid: Grid, root: Separated, border: csr_matrix) -> None:
@@ -88,6 +103,12 @@ class FrontTree:
             start, stop = stop, stop + len(node.weights)
             self.fronts.append(self._front(start, stop, children))
         self._place_children()
+        starts = np.cumsum([0] + [front.entries for front in self.fronts])[:-1]
+        pairs = list(zip(self.fronts, starts, strict=True))
+        self.band_target = np.concatenate([at + f.places(f.band_column, f.band_row) for f, at in pairs])
+        self.band_source = np.concatenate([front.band_source for front in self.fronts])
+        self.border_target = np.concatenate([at + f.places(f.border_column, f.border_row) for f, at in pairs])
+        self.border_source = np.concatenate([front.border_source for front in self.fronts])
 
     @property
     def size(self) -> int:
@@ -102,7 +123,7 @@ class FrontTree:
     @property
     def entries(self) -> int:
         """Numbers of a factor."""
-        return sum(front.eliminated * front.rows for front in self.fronts)
+        return sum(front.entries for front in self.fronts)
 
     def suits(self, border: csr_matrix) -> bool:
         """Whether another border has its entries at the same places."""
@@ -120,13 +141,10 @@ class FrontTree:
         left = left[left >= stop]
         touched = self.border.indices[entries]
         parameters = np.unique(np.concatenate([touched, *(child.parameters for child in inherited)]))
-        k, rows = stop - start, stop - start + len(left) + len(parameters)
+        k = stop - start
         at = np.where(row < stop, row - start, k + np.searchsorted(left, row))
-        own = np.repeat(np.arange(k), counts)
-        border_target = own * rows + k + len(left) + np.searchsorted(parameters, touched)
-        return Front(
-            start, stop, left, parameters, column * rows + at, source, border_target, entries.astype(np.int64), children
-        )
+        of_border = np.repeat(np.arange(k), counts), k + len(left) + np.searchsorted(parameters, touched)
+        return Front(start, stop, left, parameters, column, at, source, *of_border, entries.astype(np.int64), children)
 
     def _neighbours(self, weights: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Entries of the band in the columns of weights that are eliminated: column, row, and which of its values.
@@ -153,7 +171,7 @@ class FrontTree:
                 beyond = child.left >= front.stop
                 weights[beyond] += np.searchsorted(front.left, child.left[beyond])
                 parameters = k + len(front.left) + np.searchsorted(front.parameters, child.parameters)
-                child.runs = _runs(np.concatenate((weights, parameters)))
+                child.runs = _runs(np.concatenate((weights, parameters)), k)
 
 
 def _after_their_children(root: Separated) -> list[tuple[Separated, list[int]]]:
@@ -168,8 +186,9 @@ def _after_their_children(root: Separated) -> list[tuple[Separated, list[int]]]:
     return [(node, [place[id(child)] for child in node.children]) for node in order]
 
 
-def _runs(places: np.ndarray) -> Runs:
-    """Ascending places as ranges."""
-    starts = np.concatenate(([0], np.flatnonzero(np.diff(places) != 1) + 1)) if len(places) else places
+def _runs(places: np.ndarray, end: int) -> Runs:
+    """Ascending places as ranges, none of which goes on beyond an end."""
+    apart = np.flatnonzero((np.diff(places) != 1) | (places[1:] == end)) + 1
+    starts = np.concatenate(([0], apart)) if len(places) else places
     lengths = np.diff(np.append(starts, len(places)))
     return [(int(s), int(places[s]), int(n)) for s, n in zip(starts, lengths, strict=True)]
