@@ -57,6 +57,16 @@ def test_a_ruined_channel_is_named_with_what_ruined_it(frame, frame_record, kind
     assert told in found.text
 
 
+def test_what_leaves_most_of_the_misfit_is_no_cause(frame, frame_record):
+    """A law that is left out turns phases, as a delay does, and leaves more than that."""
+
+    def changed(x):
+        turned = np.fft.irfft(np.fft.rfft(x) * np.exp(0.1j), len(x))
+        return turned + 0.1 * x.std() * np.random.default_rng(0).standard_normal(len(x))
+
+    assert faults(frame, altered(frame_record, 2, changed)) == []
+
+
 def test_a_nonlinear_chain_is_simulated():
     structure = small_chain("duffing", 3)
     record = measure(structure, strength=2.0)
