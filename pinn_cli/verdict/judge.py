@@ -13,7 +13,7 @@ from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
 from pinn_cli.verdict.change_findings import change_findings
-from pinn_cli.verdict.channel_faults import channel_faults
+from pinn_cli.verdict.channel_faults import LEAST_GAIN, channel_faults
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.noise_findings import noise_findings
@@ -60,13 +60,19 @@ def judge(
     findings += change_findings(estimate) + input_findings(problem, estimate, structure)
     findings += sampling_findings(problem, estimate, structure)
     causes = channel_faults(prediction, excused) if prediction is not None else []
-    if not causes and not problem.identifies:
+    if not causes and not problem.identifies and _furthest(estimate) > LEAST_GAIN / 4:
         # A gain that believed parameters have made up for shows against the prescribed ones.
         prescribed = predicted(problem.structure, record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     if any(finding.word != "sound" for finding in findings) and not causes:
         causes = _causes(problem, structure, excused)
     return Verdict.of(own + causes + findings)
+
+
+def _furthest(estimate: Estimate) -> float:
+    """Largest change of a parameter from where it was prescribed, over its prescribed value."""
+    moved = [abs(p.estimate - p.prescribed) / abs(p.prescribed) for p in estimate.parameters if p.prescribed]
+    return max(moved, default=0.0)
 
 
 def _prediction(
