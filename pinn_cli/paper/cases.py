@@ -119,6 +119,11 @@ class PlannedRun:
         return f"{self.case}_{self.variant.name}"
 
     @property
+    def title(self) -> str:
+        """In words."""
+        return f"{self.case}, {self.variant.title}"
+
+    @property
     def overrides(self) -> tuple[str, ...]:
         """As `pinn-run` takes them."""
         return (f"experiment=paper/{self.case}", *self.variant.overrides)

@@ -16,11 +16,13 @@ from pinn_cli.paper.robustness.scored import read_scores, solve_missing
 from pinn_cli.paper.robustness.seed_sheets import seed_sheets
 from pinn_cli.paper.runs import make_runs, read_runs, run_case
 from pinn_cli.paper.tables import paper_tables, write_tables
+from pinn_cli.runs.cores import usable_cores
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from pinn_cli.paper.cases import PlannedRun
     from pinn_cli.paper.robustness.scored import Solver
     from pinn_cli.paper.runs import FinishedRun, Runner
 
@@ -35,7 +37,7 @@ def make_paper(output: Path, runner: Runner = run_case) -> int:
     Returns:
         0, or 1 if a run failed: what could be made without it is there nevertheless.
     """
-    runs, failures = make_runs(planned_runs(), output / "runs", runner)
+    runs, failures = _made(planned_runs(), output, runner)
     _write_all(runs, failures, output)
     return 1 if failures else 0
 
@@ -43,7 +45,7 @@ def make_paper(output: Path, runner: Runner = run_case) -> int:
 def make_table(name: str, output: Path, runner: Runner = run_case) -> int:
     """Make the runs of one table, where they are missing; write and print it; as `make_paper`."""
     chosen = [table for table in TABLES if table.name == name]
-    runs, failures = make_runs(planned_runs(chosen), output / "runs", runner)
+    runs, failures = _made(planned_runs(chosen), output, runner)
     tables = paper_tables(runs, chosen)
     write_tables(tables, output / "tables")
     print(f"\n{markdown(tables[0].sheet)}\n\n{output / 'tables' / name}.csv")
@@ -53,10 +55,14 @@ def make_table(name: str, output: Path, runner: Runner = run_case) -> int:
 def make_figures(output: Path, runner: Runner = run_case) -> int:
     """Make the runs that draw a figure, where they are missing, and copy the figures; as `make_paper`."""
     needed = {figure.run for figure in paper_figures()}
-    runs, failures = make_runs([run for run in planned_runs() if run.name in needed], output / "runs", runner)
+    runs, failures = _made([run for run in planned_runs() if run.name in needed], output, runner)
     _copy_figures(runs, output)
     print(output / "figures")
     return 1 if failures else 0
+
+
+def _made(planned: Sequence[PlannedRun], output: Path, runner: Runner) -> tuple[list[FinishedRun], list[str]]:
+    return make_runs(planned, output / "runs", runner, at_once=len(usable_cores()))
 
 
 def make_seeds(output: Path, solver: Solver = solve) -> int:

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -98,31 +99,40 @@ def run_case(run: PlannedRun, directory: Path) -> float:
     )
     if done.returncode != 0 or not results.exists():
         tail = "\n".join((done.stderr or done.stdout).splitlines()[-10:])
-        raise CaseFailedError(f"{run.case}, {run.variant.title}: exit status {done.returncode}\n{tail}")
+        raise CaseFailedError(f"{run.title}: exit status {done.returncode}\n{tail}")
     return time.perf_counter() - start
 
 
 def make_runs(
-    planned: Sequence[PlannedRun], directory: Path, runner: Runner = run_case
+    planned: Sequence[PlannedRun], directory: Path, runner: Runner = run_case, at_once: int = 1
 ) -> tuple[list[FinishedRun], list[str]]:
-    """Make the runs that are missing or out of date, one after the other, in ``<directory>/<case>_<variant>``.
+    """Make the runs that are missing or out of date in ``<directory>/<case>_<variant>``.
 
     Args:
-        planned: In the order in which they are made.
+        planned: In the order in which they are begun.
         directory: Of all runs; created where it is missing.
         runner: Makes one run in a directory and returns its seconds; raises `CaseFailedError` where it fails.
+        at_once: How many.
 
     Returns:
         The runs that are there, and what went wrong with the others.
     """
     failures = []
-    for number, run in enumerate(planned, start=1):
-        progress = f"[{number}/{len(planned)}] {run.case}, {run.variant.title}"
+    with ThreadPoolExecutor(at_once) as pool:
+        begun = [
+            pool.submit(_make_run, run, directory / run.name, runner, f"[{number}/{len(planned)}] {run.title}")
+            for number, run in enumerate(planned, start=1)
+        ]
         try:
-            _make_run(run, directory / run.name, runner, progress)
-        except CaseFailedError as error:
-            failures.append(str(error))
-            print(f"failed: {error}", file=sys.stderr, flush=True)
+            for made in begun:
+                try:
+                    made.result()
+                except CaseFailedError as error:
+                    failures.append(str(error))
+                    print(f"failed: {error}", file=sys.stderr, flush=True)
+        except BaseException:  # Ctrl-C, which those that run have had as well
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return read_runs(planned, directory), failures
 
 

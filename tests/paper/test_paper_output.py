@@ -214,7 +214,7 @@ def test_a_figure_of_a_run_needs_it(tmp_path):
 
 
 def test_an_interrupt_ends_with_130(tmp_path, monkeypatch, capsys):
-    def interrupted(*_):
+    def interrupted(*_, at_once):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pinn_cli.paper.commands.make_runs", interrupted)

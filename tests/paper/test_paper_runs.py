@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -42,6 +43,19 @@ def test_runs_that_are_up_to_date_are_not_made_again(tmp_path, runner, planned):
     again, _ = make_runs(planned, tmp_path, runner)
     assert runner.calls == [run.name for run in planned]
     assert [run.process_seconds for run in again] == [5.0] * 3
+
+
+def test_runs_are_made_at_once(tmp_path, runner, planned):
+    """Each waits for another one to have begun."""
+    together = threading.Barrier(2, timeout=20)
+
+    def waiting(run, directory):
+        together.wait()
+        return runner(run, directory)
+
+    finished, failures = make_runs(planned[:2], tmp_path, waiting, at_once=2)
+    assert [run.planned for run in finished] == planned[:2]
+    assert not failures
 
 
 @pytest.mark.parametrize("what", ["configuration", "code", "versions"])
