@@ -118,10 +118,11 @@ def make_runs(
         The runs that are there, and what went wrong with the others.
     """
     failures = []
+    digests = [run_digest(run.overrides) for run in planned]  # here: Hydra composes in one thread alone
     with ThreadPoolExecutor(at_once) as pool:
         begun = [
-            pool.submit(_make_run, run, directory / run.name, runner, f"[{number}/{len(planned)}] {run.title}")
-            for number, run in enumerate(planned, start=1)
+            pool.submit(_make_run, run, directory / run.name, digest, runner, f"[{number}/{len(planned)}] {run.title}")
+            for number, (run, digest) in enumerate(zip(planned, digests, strict=True), start=1)
         ]
         try:
             for made in begun:
@@ -148,8 +149,7 @@ def read_runs(planned: Sequence[PlannedRun], directory: Path) -> list[FinishedRu
     return found
 
 
-def _make_run(run: PlannedRun, directory: Path, runner: Runner, progress: str) -> None:
-    digest = run_digest(run.overrides)
+def _make_run(run: PlannedRun, directory: Path, digest: str, runner: Runner, progress: str) -> None:
     if finished_run(directory, digest) is not None:
         print(f"{progress}: up to date", flush=True)
         return
