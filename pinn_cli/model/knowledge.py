@@ -66,6 +66,19 @@ class EndState:
 
 
 @dataclass(frozen=True, eq=False)
+class HandOver:
+    """What is known where a later record goes on, from the samples up to there.
+
+    Attributes:
+        known: Of the parameters.
+        end: The state there.
+    """
+
+    known: ParameterKnowledge
+    end: EndState
+
+
+@dataclass(frozen=True, eq=False)
 class Levels:
     """Noise that was found.
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from pinn_cli.model.knowledge import EndState
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
@@ -38,6 +39,9 @@ class Problem:
         further: The same structure in further records, to be solved together with this one: what is uncertain in two
             of them is one parameter. Each has its own sensors, length, noise, initial motion and inputs.
         prior: What earlier records say of the uncertain parameters together; None: each is believed by itself.
+        initial_state: Where the motion of an earlier record ended, if this one goes on from there: its first sample is
+            that record's last. The parameters of ``with_parameters`` are the first of ``uncertain``.
+        hand_over: When a later record goes on, s: what is known from the samples up to that time is told as well.
     """
 
     structure: Structure
@@ -49,6 +53,8 @@ class Problem:
     inputs: Inputs = field(default_factory=Inputs)
     further: tuple[Problem, ...] = ()
     prior: JointPrior | None = None
+    initial_state: EndState | None = None
+    hand_over: float | None = None
 
     @classmethod
     def of_records(
@@ -98,7 +104,7 @@ class Problem:
     @property
     def initial_deviation(self) -> tuple[float, float] | None:
         """See :func:`pinn_cli.scheme.initial_motion.initial_deviation`."""
-        return initial_deviation(self.record, self.initial_motion)
+        return None if self.initial_state is not None else initial_deviation(self.record, self.initial_motion)
 
     @property
     def priors(self) -> tuple[Prior, ...]:

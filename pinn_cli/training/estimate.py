@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from pinn_cli.model.knowledge import EndState, ParameterKnowledge
+from pinn_cli.model.knowledge import EndState, HandOver, ParameterKnowledge
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 
@@ -217,6 +217,7 @@ class Estimate:
         disagreements: Of every record that was solved together with others; none of a lone one.
         known: Of ``parameters``, before bounds cut anything off; None where the training gives no covariance.
         end: Where the motion ended; None where the training does not say, or of several records.
+        handed_over: To a record that goes on before this one ends; None where there is none.
         changes: Of the structure since the records before, where it was looked for any.
         peaks: Of a prediction.
     """
@@ -235,6 +236,7 @@ class Estimate:
     disagreements: tuple[Disagreement, ...] = ()
     known: ParameterKnowledge | None = None
     end: EndState | None = None
+    handed_over: HandOver | None = None
     changes: Changes | None = None
     peaks: tuple[Peak, ...] = ()
 

@@ -21,6 +21,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.hand_over import handed_over
 from pinn_cli.training.band.inference import (
     ITERATIONS,
     TOLERANCE,
@@ -102,9 +103,11 @@ class GaussNewton(Training):
                 found = self._weighed(settings.solved_by(problem, network, run.device, history))
             else:
                 found = inferred(problem, design, settings, run.device, history)
+            handed = None if problem.hand_over is None else handed_over(found, settings, run.device, history)
         for equations, point in found.by_record:
             equations.network.readout.data = equations.readout(point)
-        estimate = replace(posterior_estimate(found.evidence, found.trained, history), rivals=found.rivals)
+        estimate = posterior_estimate(found.evidence, found.trained, history)
+        estimate = replace(estimate, rivals=found.rivals, handed_over=handed)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))

@@ -59,7 +59,7 @@ def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisa
 def _by_parameter(posterior: ReadoutPosterior, slope: Linearisation, connection: int) -> Tensor:
     """(I, S, p), the force by each uncertain parameter, per prior standard deviation; by its own, not by its memory."""
     equations = posterior.equations
-    structure, uncertain = equations.dynamics.structure, equations.problem.uncertain
+    structure, uncertain = equations.dynamics.structure, equations.uncertain
     held = torch.zeros((*slope.stiffness.shape[:2], len(uncertain)), dtype=slope.stiffness.dtype)
     for i, (parameter, scale) in enumerate(zip(uncertain, equations.scale.cpu().tolist(), strict=True)):
         members = structure.members.get(parameter.kind, np.array([], dtype=np.int64))

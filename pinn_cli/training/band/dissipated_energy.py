@@ -36,8 +36,8 @@ def dissipated_energy(posterior: ReadoutPosterior) -> tuple[np.ndarray, np.ndarr
 def _by_parameter(equations: NormalEquations, by_kind: dict[str, Tensor]) -> np.ndarray:
     """(p, C), J per prior standard deviation, from the slopes of every kind's members: each has one connection."""
     structure, scale = equations.dynamics.structure, equations.scale.cpu().numpy()
-    out = np.zeros((len(equations.problem.uncertain), len(structure.added)))
-    for row, parameter in enumerate(equations.problem.uncertain):
+    out = np.zeros((len(equations.uncertain), len(structure.added)))
+    for row, parameter in enumerate(equations.uncertain):
         if parameter.kind in by_kind:
             own = structure.added == structure.members[parameter.kind][parameter.index]
             out[row, own] = scale[row] * float(by_kind[parameter.kind][parameter.index])

@@ -37,7 +37,7 @@ def end_state(equations: NormalEquations, trained: Trained) -> EndState:
     own, crossed = factor.readout.last_covariance(rows)
     through = solve_triangular(factor.schur, crossed, lower=True)
     unit = equations.scale.cpu().numpy()
-    with_parameters = -unit[:, None] * (factor.corner_covariance @ crossed)
+    with_parameters = (-unit[:, None] * (factor.corner_covariance @ crossed))[: len(equations.problem.uncertain)]
     return EndState(
         float(equations.problem.record.time[-1]),
         rows.T @ _tail_of(trained.solution.point.unknowns, first),

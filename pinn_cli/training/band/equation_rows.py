@@ -15,7 +15,7 @@ from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.incidence import padded
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS, ParameterVector
-from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.subdomains import Subdomains
 
@@ -54,8 +54,7 @@ class RowPattern:
         self.offsets, self.coupled, self.reach = coupling.offsets, coupling.coupled, coupling.reach
         self.order, self.rank = coupling.order, coupling.rank
         self.own = self.offsets.index(0)
-        # Those of sensors are in no equation of motion.
-        self.kinds = tuple(kind for kind in vector.kinds if kind not in CALIBRATION_UNITS)
+        self.kinds = tuple(kind for kind in vector.kinds if kind not in OUTSIDE_THE_EQUATIONS)
         self.count = vector.places
         self._place_parameters(like)
         beside = np.where(self.coupled, coupling.neighbours, dynamics.size)
@@ -262,7 +261,7 @@ def own_by_parameter(
     none = acceleration.new_zeros((*acceleration.shape[:-1], 1))
     blocks = []
     for kind, by in spread.items():
-        if kind in CALIBRATION_UNITS:  # of sensors
+        if kind in OUTSIDE_THE_EQUATIONS:
             blocks.append(none * by)
         else:
             blocks.append(

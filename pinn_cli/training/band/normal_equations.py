@@ -50,7 +50,7 @@ class NormalEquations(Residuals):
         super().__init__(network, problem, device, known)
         self._grams: dict[str, Tensor] = {}
         self.sensor_rows = self._sensor_rows()
-        self.begins = initial_motion(network, problem, self.layout, self.target.observation_time)
+        self.begins = initial_motion(network, problem, self.layout, self.target.observation_time, self.beginning)
         self.ridge: float | np.ndarray | None = None
         self._tree: FrontTree | None = None
 
@@ -116,7 +116,7 @@ class NormalEquations(Residuals):
             out["gain"] = self._of_gains(point, noise)
         out["prior"] = float((point.parameters * self.prior_force(point.parameters, noise)).sum())
         if self.begins is not None:
-            out["initial"] = self.begins.loss(point.unknowns)
+            out["initial"] = self.begins.loss(point.unknowns, point.parameters)
         out["ridge"] = ridge_loss(self.ridge, point.unknowns)
         return out
 
@@ -185,14 +185,21 @@ class NormalEquations(Residuals):
 
     def prior_precision(self, noise: NoiseModel) -> Tensor:
         """(p, p), of all uncertain parameters together."""
-        alone, prior = self.precision(noise), self.problem.prior
-        if prior is None:
+        alone, joint = self.precision(noise), self._joint_precision
+        if joint is None:
             return torch.diag(alone)
-        return torch.as_tensor(prior.precision).to(self.scale) * torch.outer(alone, alone).sqrt()
+        return torch.as_tensor(joint).to(self.scale) * torch.outer(alone, alone).sqrt()
+
+    @property
+    def _joint_precision(self) -> np.ndarray | None:
+        """(p, p), of what earlier records say; None where there are none."""
+        if self.beginning is not None:
+            return self.beginning.precision
+        return None if self.problem.prior is None else self.problem.prior.precision
 
     def prior_force(self, parameters: Tensor, noise: NoiseModel) -> Tensor:
         """(p,), the prior's precision times parameters (p,): what pulls them back."""
-        if self.problem.prior is None:
+        if self._joint_precision is None:
             return self.precision(noise) * parameters
         return self.prior_precision(noise) @ parameters
 
@@ -202,11 +209,15 @@ class NormalEquations(Residuals):
             self.ridge = ridge_of(band.main, self.dynamics, self.layout)
         band.main[:] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
-        if self.begins is not None:
-            self.begins.add(band, torch.from_numpy(gradient), point.unknowns.cpu())
         corner = sums.corner[np.ix_(pick, pick)] + self.prior_precision(noise).cpu().numpy()
         slope = sums.slope[pick] + self.prior_force(point.parameters, noise).cpu().numpy()
         border = sums.border[:, pick]
+        if self.begins is not None:
+            at = point.unknowns.cpu(), point.parameters.cpu()
+            self.begins.add(band, torch.from_numpy(gradient), *at)
+            if self.beginning is not None:
+                self.begins.add_numbers(corner, slope, *at)
+                border = border + self.begins.border(len(slope))
         system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
         return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.equations import JointEquations
@@ -40,11 +41,14 @@ def parameter_posterior(
     """
     mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
     peak, covariance = mode + _newton_step(equations, trained), trained.factor.corner_covariance
+    uncertain, lower = _parameters(equations), equations.lower
+    own = slice(len(uncertain))  # what follows is about these alone: a first state is integrated out
+    mode, scale, peak, covariance, lower = mode[own], scale[own], peak[own], covariance[own, own], lower[own]
     known = ParameterKnowledge(
-        np.array([p.prescribed for p in equations.uncertain]) + scale * peak,
+        np.array([p.prescribed for p in uncertain]) + scale * peak,
         covariance * np.outer(scale, scale),
-        told[0] / scale,
-        told[1] / scale**2,
+        told[0][own] / scale,
+        told[1][own] / scale**2,
         scale,
     )
     prior = None if isinstance(equations, JointEquations) else equations.problem.prior
@@ -53,8 +57,8 @@ def parameter_posterior(
             known, told=known.told + prior.told, weight=known.weight + prior.weight, first_std=prior.first_std
         )
     misfit = known.hidden / scale
-    posterior = TruncatedGaussian(peak, covariance, equations.lower)
-    estimates = bounded_estimates(equations.uncertain, scale, mode, posterior, misfit)
+    posterior = TruncatedGaussian(peak, covariance, lower)
+    estimates = bounded_estimates(uncertain, scale, mode, posterior, misfit)
     whole = posterior.covariance + np.diag(misfit**2)
     unit = np.sqrt(np.diag(whole))
     return estimates, whole / np.outer(unit, unit), known
@@ -104,6 +108,13 @@ def parameter_force(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, i
     force = np.sqrt(total / segments.samples)[equations.vector.column]
     misfit = trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
     return force / max(misfit, LEAST_MISFIT), equations.network.count
+
+
+def _parameters(equations: NormalEquations | JointEquations) -> Sequence[Parameter]:
+    """The uncertain numbers that are parameters."""
+    if isinstance(equations, JointEquations) or equations.beginning is None:
+        return equations.uncertain
+    return equations.uncertain[: equations.beginning.parameters]
 
 
 def _newton_step(equations: NormalEquations | JointEquations, trained: Trained) -> np.ndarray:

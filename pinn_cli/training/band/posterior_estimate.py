@@ -50,7 +50,7 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
             own,
             history=table,
             summary=found | own.summary,
-            **_own_parameters(parameters, correlation, problem, columns),
+            **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]),
         )
         for own, problem, columns in zip(
             evidence.each_record(record_estimate, trained),

@@ -23,7 +23,8 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
+from pinn_cli.training.band.beginning import Beginning
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.layout import BandLayout
@@ -86,7 +87,9 @@ class Residuals(Bounded):
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
         local = isinstance(network, SplineNetwork)
+        self.beginning = Beginning.of(problem)
         prescribed = problem.structure.parameters | calibrations(problem.record.gauges)
+        prescribed |= {} if self.beginning is None else self.beginning.prescribed
         self.prescribed = {name: value.to(self.target.force) for name, value in prescribed.items()}
         self._place_parameters()
         self.pattern = RowPattern(self.dynamics, self.vector, self.target.force)
@@ -110,11 +113,12 @@ class Residuals(Bounded):
 
     def _place_parameters(self) -> None:
         like = self.target.force
-        self.vector = ParameterVector(self.prescribed, self.problem.uncertain)
+        self.uncertain = self.problem.uncertain if self.beginning is None else self.beginning.uncertain
+        self.vector = ParameterVector(self.prescribed, self.uncertain)
         self.scale = torch.as_tensor(self.vector.each("prior_std"), dtype=like.dtype, device=like.device)
-        self.uncertain, self.columns = self.problem.uncertain, [np.arange(len(self.problem.uncertain))]
-        # What is believed of a sensor has nothing to do with how well the structure is known.
-        alone = [p.unknown or p.kind in CALIBRATION_UNITS for p in self.problem.uncertain]
+        self.columns = [np.arange(len(self.uncertain))]
+        # What is believed of a sensor, or of a first state, has nothing to do with how well the structure is known.
+        alone = [p.unknown or p.kind in OUTSIDE_THE_EQUATIONS for p in self.uncertain]
         self.unknown = torch.as_tensor(alone, dtype=torch.bool, device=like.device)
         self.lower = self.vector.each("lower") / self.vector.each("prior_std")
         # 0 where a parameter is held fixed: its column then vanishes.

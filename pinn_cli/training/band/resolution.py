@@ -77,7 +77,7 @@ def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
     std = np.sqrt(np.diag(trained.factor.corner_covariance)) * equations.scale.cpu().numpy()
     known = [
         s / float(parameters[p.kind][p.index])
-        for s, p in zip(std, equations.problem.uncertain, strict=True)
+        for s, p in zip(std, equations.uncertain, strict=True)
         if p.kind in ("k", FACTOR) and float(parameters[p.kind][p.index]) > 0
     ]
     if not known:

@@ -10,9 +10,11 @@ import torch
 from small_problems import NONLINEARITIES, small_chain
 from structures import braced, hysteretic, modal, shuffled
 
+from pinn_cli.model.knowledge import EndState, Levels
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
@@ -102,15 +104,15 @@ def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseMod
     def weighted(unknowns, parameters):
         residuals = equations.residuals(Point(unknowns, parameters))
         rows = [(r * weights[name].sqrt()).flatten() for name, r in residuals.items()]
-        begins = [] if equations.begins is None else [equations.begins._residuals(unknowns).flatten()]
+        begins = [] if equations.begins is None else [equations.begins._residuals(unknowns, parameters).flatten()]
         return torch.cat([*rows, *begins])
 
     inputs = (point.unknowns, point.parameters)
     jacobian = torch.cat(torch.autograd.functional.jacobian(weighted, inputs, vectorize=True), -1)
     ridge = torch.as_tensor(equations.ridge).to(inputs[0]).expand_as(inputs[0])
-    prior = torch.cat((ridge, torch.full_like(inputs[1], noise.spread**-2)))
-    gradient = jacobian.T @ weighted(*inputs) + prior * torch.cat(inputs)
-    return (jacobian.T @ jacobian + torch.diag(prior)).numpy(), gradient.detach().numpy()
+    prior = torch.block_diag(torch.diag(ridge), equations.prior_precision(noise))
+    gradient = jacobian.T @ weighted(*inputs) + prior @ torch.cat(inputs)
+    return (jacobian.T @ jacobian + prior).numpy(), gradient.detach().numpy()
 
 
 def assert_agrees(equations: NormalEquations, noise: NoiseModel | None = None) -> None:
@@ -204,6 +206,32 @@ def test_functions_beside_the_motion(case, design):
     if inputs.loads:
         noise.response["force"], force = 0.5 + 0.1 * np.arange(4), np.full(dynamics.size, np.nan)
     assert_agrees(equations, replace(noise, force=force, innovation=driven))
+
+
+@pytest.mark.parametrize("structure", [small_chain(ndof=3), braced(), hysteretic()])
+def test_a_motion_that_goes_on(structure):
+    """Its first state is tied to the readout, and what is known of it to the parameters."""
+    problem = of_structure(structure, Spline(intervals=5)).problem
+    problem = replace(problem, inputs=Inputs(rate=4.0) if len(structure.memory) else Inputs())
+    p, states = len(problem.uncertain), 2 * structure.coordinates + len(structure.memory)
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(p + states, 2 * (p + states)))
+    unit = np.concatenate(([q.prior_std for q in problem.uncertain], rng.uniform(0.5, 2.0, states)))
+    correlation = np.corrcoef(root)
+    covariance = correlation * np.outer(unit, unit)
+    state = EndState(0.0, rng.normal(size=states), covariance[p:, p:], covariance[p:, :p])
+    nothing = np.zeros(p)
+    prior = JointPrior(correlation[:p, :p], unit[:p], nothing, nothing, Levels({}, np.nan, 1.0, np.nan, np.nan))
+    problem = replace(problem, prior=prior, initial_state=state)
+    network = Spline(intervals=5).build(problem.record, functions=problem.dynamics.size)
+    equations, record = NormalEquations(network, problem), problem.record
+    more = (0, problem.dynamics.size - record.ndof)
+    noise = noise_of(record)
+    noise = replace(noise, force=np.pad(noise.force, more, constant_values=np.nan) if more[1] > 0 else noise.force)
+    expected = np.linalg.inv(correlation)
+    found = equations.prior_precision(replace(noise, spread=1.0)).numpy()
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    assert_agrees(equations, replace(noise, spread=1.0))
 
 
 @pytest.mark.parametrize("structure", [small_chain(ndof=12), shuffled(12), braced(), hysteretic()])
