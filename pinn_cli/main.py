@@ -21,6 +21,7 @@ from pinn_cli.cli.inspecting import Inspected
 from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.records import check_records
 from pinn_cli.cli.terminal import Silence, Terminal
+from pinn_cli.cli.windows import windowed_run
 from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
 from pinn_cli.runs.identity import flattened
 from pinn_cli.runs.memory import collect_rarely, keep_imported
@@ -36,9 +37,12 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import RunContext, Watch
     from pinn_cli.validation.base import Setup
+    from pinn_cli.windows.run import WindowedRun
 
 
-def run(composed: DictConfig, began: float | None = None, terminal: Terminal | None = None) -> float | None:
+def run(
+    composed: DictConfig, began: float | None = None, terminal: Terminal | None = None, follows: bool = False
+) -> float | None:
     """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
 
     Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
@@ -47,6 +51,7 @@ def run(composed: DictConfig, began: float | None = None, terminal: Terminal | N
         composed: Its configuration.
         began: When the process of a single run did, by `time.perf_counter`; None: it is counted from now.
         terminal: Where a single run tells what it has found; None: standard output.
+        follows: Whether its record may still grow; it goes on with the windows that are there.
 
     Returns:
         Its validation score, for a sweeper that looks for the least; None without one.
@@ -59,15 +64,16 @@ def run(composed: DictConfig, began: float | None = None, terminal: Terminal | N
         collect_rarely()
     with stages("config"):
         resuming = asked_to_resume(composed, directory)
-        config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base)
+        config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base, follows)
     if config is not None:
         lock_directory()
     if config is None or _is_done(resuming, composed, directory, base):  # by the process that was in there
         leave_directory()
         return _judged(composed, directory, "finished before, nothing to do", terminal)
     finished = resuming and is_finished(directory, composed, base)
-    with nullcontext() if in_sweep else signs_of_life(stages):
-        prepared = None if finished else _prepare(config, directory, stages, in_sweep)
+    with nullcontext() if in_sweep or follows else signs_of_life(stages):
+        how = resuming, in_sweep, follows
+        prepared = None if finished else _prepare(config, directory, stages, how, terminal)
         text = _tracked(config, composed, stages, resuming, prepared, terminal)
     return _judged(composed, directory, text, terminal)
 
@@ -100,7 +106,7 @@ def _tracked(
     composed: DictConfig,
     stages: Stages,
     resuming: bool,
-    prepared: Prepared | None,
+    prepared: Prepared | WindowedRun | None,
     terminal: Terminal,
 ) -> str:
     """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
@@ -111,10 +117,13 @@ def _tracked(
     name, which = f"{config.case}/{directory.name}", config.identity.configuration
     tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
     with follow(config.tracking, tracked_run, resuming) as tracked:
-        take_directory([] if prepared is None else _outdated(prepared))
+        take_directory(_outdated(prepared))
         text = f"finished before; tracking={config.tracking.name} has it now" if prepared is None else ""
-        if prepared is not None:
+        if isinstance(prepared, Prepared):
             _carry_out(config, directory, stages, prepared, tracked.row, terminal)
+        elif prepared is not None:
+            settle_directory()
+            text = prepared.carry_out(stages, tracked.row)
         with stages("tracking"):
             tracked.results()
     return text
@@ -150,8 +159,17 @@ class Prepared:
     in_sweep: bool
 
 
-def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool) -> Prepared:
+def _prepare(
+    config: RunConfig, directory: Path, stages: Stages, how: tuple[bool, bool, bool], terminal: Terminal
+) -> Prepared | WindowedRun:
     """Everything that may find fault with the input; nothing is written.
+
+    Args:
+        config: Of the run.
+        directory: Of it.
+        stages: Likewise.
+        how: Whether it goes on, is a job of a sweep, and follows its record.
+        terminal: Who is told.
 
     Raises:
         InputError: No run can use it.
@@ -160,9 +178,18 @@ def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool)
         from pinn_cli.runs.run_checkpoints import open_checkpoints
         from pinn_cli.training.estimate import RunContext
         from pinn_cli.validation.base import Setup
+    goes_on, in_sweep, follows = how
+    progress = sys.stderr.isatty() and not in_sweep
+    if config.source.windows is not None:
+        context = RunContext(config.device, config.seed, directory, progress)
+        drawn = config.figures if config.figures is not None else not in_sweep
+        say = partial(_told, terminal)
+        return windowed_run(
+            config, directory, context, stages, goes_on=goes_on, drawn=drawn, say=say, follows=follows
+        )  # fmt: skip
     prepared = prepare_problem(config, stages)
     checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)
-    context = RunContext(config.device, config.seed, directory, sys.stderr.isatty() and not in_sweep, checkpoints)
+    context = RunContext(config.device, config.seed, directory, progress, checkpoints)
     setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
     for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
         for problem in prepared.problem.by_record:
@@ -174,8 +201,16 @@ def _prepare(config: RunConfig, directory: Path, stages: Stages, in_sweep: bool)
     return Prepared(prepared, context, setup, in_sweep)
 
 
-def _outdated(prepared: Prepared) -> list[str]:
+def _told(terminal: Terminal, line: str) -> None:
+    """Say a line at once: what follows it may take long."""
+    terminal.say(line)
+    sys.stdout.flush()
+
+
+def _outdated(prepared: Prepared | WindowedRun | None) -> list[str]:
     """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not go on from."""
+    if not isinstance(prepared, Prepared):
+        return [] if prepared is None else [RESULT]
     checkpoints = prepared.context.checkpoints
     return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
 
@@ -253,7 +288,7 @@ def _linear_response(config: RunConfig, true: Structure) -> Response | None:
 
 def main() -> None:
     """The command: exits with the status listed in `pinn_cli.cli.command_line`."""
-    sys.exit(execute(partial(run, began=LOADED), inspect))
+    sys.exit(execute(partial(run, began=LOADED), inspect, partial(run, began=LOADED, follows=True)))
 
 
 if __name__ == "__main__":

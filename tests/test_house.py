@@ -7,8 +7,8 @@ PACKAGE = Path(__file__).parents[1] / "pinn_cli"
 # From the ground up. A room may import those before it, and itself. The two pages that lie in no room stand among them.
 ROOMS = (
     "settings", "runs", "system", "record", "model", "network", "scheme", "physics", "training", "baseline",
-    "posterior", "validation", "verdict", "report", "inspection", "tracking", "sweep", "search", "cli", "paper", "main",
-    "api",
+    "posterior", "validation", "verdict", "report", "windows", "inspection", "tracking", "sweep", "search",
+    "cli", "paper", "main", "api",
 )  # fmt: skip
 
 

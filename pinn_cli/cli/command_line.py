@@ -22,7 +22,7 @@ from contextlib import AbstractContextManager, suppress
 
 import hydra
 
-from pinn_cli.cli import inspecting
+from pinn_cli.cli import following, inspecting
 from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.jobs import Jobs, Reported, Task
@@ -44,19 +44,20 @@ STATUS_DEFECT, STATUS_INPUT, STATUS_INTERRUPTED, STATUS_PIPE = 1, 2, 130, 141
 LOST_WORKERS = ("TerminatedWorkerError", "BrokenProcessPool")
 
 
-def execute(task: Task, look: Task | None = None) -> int:
+def execute(task: Task, look: Task | None = None, follow: Task | None = None) -> int:
     """Run a task under the command line that the process was started with.
 
     Args:
         task: Called with the composed configuration, without its `hydra` node; once per job of a sweep.
         look: The same, where the command line says `inspect`; None: it must not.
+        follow: The same, where it says `follow`.
 
     Returns:
         The exit status, as listed at the top of this file.
     """
     jobs = Jobs(task, Terminal(), full_error=os.environ.get("HYDRA_FULL_ERROR") == "1")
     try:
-        perform(jobs, look, watched(in_time=True))
+        perform(jobs, look, watched(in_time=True), follow)
     except KeyboardInterrupt as stop:
         jobs.terminal.complain(f"interrupted{f'; {jobs.hint}' if jobs.hint else ''}")
         return stop.status if isinstance(stop, Interruption) else STATUS_INTERRUPTED
@@ -79,13 +80,14 @@ def execute(task: Task, look: Task | None = None) -> int:
     return jobs.status
 
 
-def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None]) -> None:
+def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], follow: Task | None = None) -> None:
     """Do what `sys.argv` says, whoever put it there: a shell or a caller in Python.
 
     Args:
         jobs: Of this start; says afterwards what became of them.
         look: See :func:`execute`.
         watch: What is done about signals meanwhile.
+        follow: See :func:`execute`.
 
     Raises:
         InputError: Nothing can use the input; nothing is left of it.
@@ -99,6 +101,8 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None]) 
         options = read_options(sys.argv)
         if look is not None and inspecting.taken_out(sys.argv, options):
             jobs.task = look
+        if follow is not None and following.taken_out(sys.argv, options):
+            jobs.task, jobs.goes_on_by = follow, "the same command"
         with watch:
             if options.help:
                 jobs.terminal.say(help_text(options.config_dir))
@@ -133,7 +137,7 @@ def _note_how_to_go_on(jobs: Jobs) -> None:
     if ended is not None:
         jobs.hint = f"to go on: the same command again; for what there is: {collect_command(ended[0].directory)}"
         return
-    jobs.hint = how_to_go_on(jobs.directory) if jobs.directory and jobs.begun else ""
+    jobs.hint = how_to_go_on(jobs.directory, jobs.goes_on_by) if jobs.directory and jobs.begun else ""
     jobs.refused = not jobs.begun
 
 

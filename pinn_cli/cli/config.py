@@ -55,6 +55,7 @@ NODES = (
     "baseline",
     "tracking",
     "report",
+    "follow",
 )
 
 # Where the file of a training, a user's own perhaps, does not say.
@@ -115,12 +116,13 @@ class RunConfig:
     model: Model | None = None
 
     @classmethod
-    def read(cls, config: DictConfig, base: Path | None = None) -> RunConfig:
+    def read(cls, config: DictConfig, base: Path | None = None, follows: bool = False) -> RunConfig:
         """Check a composed configuration and build what it describes; threads are limited from here on.
 
         Args:
             config: As composed by Hydra, without its `hydra` node.
             base: The folder that relative paths of data start from; None: the current one.
+            follows: Whether its record may still grow.
 
         Raises:
             InputError: At the first setting that no run can use.
@@ -128,7 +130,8 @@ class RunConfig:
         config = resolved(config)
         _check_names(config)
         check_classes(config)
-        identity, resume, checkpoint_every_s = Identity.of(config, base), _resume(config), _checkpoint_every_s(config)
+        identity, resume = Identity.of(config, base, grows=follows), _resume(config)
+        checkpoint_every_s = _checkpoint_every_s(config)
         case, seed, device, threads = _case(config), _seed(config), _device(config), _threads(config)
         prepare_process(threads)
         _check_available(device)
@@ -136,7 +139,7 @@ class RunConfig:
         model = chosen_model(config, base)
         structure = read_structure(config, base) if model is None else structure_beside(model, config, base)
         config = numbered(config, structure.labels)
-        source = read_source(config, structure, model_error, seed, base)
+        source = read_source(config, structure, model_error, seed, base, follows)
         names = ("scheme", "network", "training", "posterior", "validation")
         estimation = {name: build(config[name], name, model=model) for name in names}
         check_use(model, estimation["scheme"], estimation["validation"], config.model)

@@ -48,6 +48,7 @@ class Jobs:
         hint: What to do about it.
         reasons: Why every job of a sweep was refused.
         directory: Of the last run, or of the sweep that has ended.
+        goes_on_by: What goes on with an interrupted run; "": `pinn-run resume=...`.
     """
 
     def __init__(self, task: Task, terminal: Terminal, full_error: bool = False, of_hydra: Sequence[str] = ()) -> None:
@@ -61,6 +62,7 @@ class Jobs:
         self.stored: StoredRun | None = None
         self.directory: Path | None = None
         self.begun = False
+        self.goes_on_by = ""
 
     def __call__(self, config: DictConfig) -> float | None:
         """Run one job; what it returns reaches Hydra's sweeper: a score, or None where there is none."""
@@ -82,7 +84,7 @@ class Jobs:
                     note_failure(self.directory, overrides, failure.Failure.of(error))
                 elif isinstance(error, Reported) and not in_sweep:
                     self.error = error
-                    self.hint = how_to_go_on(self.directory) if isinstance(error, WriteError) else ""
+                    self.hint = how_to_go_on(self.directory, self.goes_on_by) if isinstance(error, WriteError) else ""
                     self.refused = isinstance(error, InputError)
                 elif error is raised:
                     raise

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 SETTING = "data.records"
 # What all records have in common.
-COMMON = ("_target_", "kind", "format", "records", "validation")
+COMMON = ("_target_", "kind", "format", "records", "validation", "window", "overlap")
+# Of these, what is said of the run, not of a record.
+OF_THE_RUN = ("window", "overlap")
 
 
 def data_of_records(data: DictConfig) -> list[DictConfig]:
@@ -31,6 +33,8 @@ def data_of_records(data: DictConfig) -> list[DictConfig]:
     """
     plain: Any = OmegaConf.to_container(data)
     entries = plain.pop("records", None)
+    for name in OF_THE_RUN:
+        plain.pop(name, None)
     if entries is None or entries == []:
         return [OmegaConf.create(plain)]
     if not isinstance(entries, list):

@@ -18,6 +18,7 @@ from pinn_cli.settings.instantiation import build, construct
 if TYPE_CHECKING:
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.record.validation_data import ValidationData, ValidationRecord
+    from pinn_cli.record.windows import RecordWindows
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
 
@@ -38,6 +39,7 @@ class Source:
         validate: From the true chain and what the estimator sees to the data that the identified system is tried on;
             None: there are none.
         further: Of the other records, where several are solved together.
+        windows: The record window by window, where it is solved so; ``measure`` then has the whole of it.
     """
 
     measure: Callable[[Structure], Measurements]
@@ -45,6 +47,7 @@ class Source:
     snr_db: float | None
     validate: Callable[[Structure, Record], ValidationRecord] | None = None
     further: tuple[Callable[[Structure], Measurements], ...] = ()
+    windows: RecordWindows | None = None
 
     def measurements(self, true: Structure) -> list[Measurements]:
         """Those of every record."""
@@ -119,9 +122,22 @@ def _named_record(measured: Any, connections: Sequence[str], true: Structure) ->
 
 
 def read_source(
-    config: DictConfig, structure: Structure, model_error: ModelError, seed: int, base: Path | None
+    config: DictConfig,
+    structure: Structure,
+    model_error: ModelError,
+    seed: int,
+    base: Path | None,
+    follows: bool = False,
 ) -> Source:
     """Where the record comes from.
+
+    Args:
+        config: Of the run.
+        structure: That it is about.
+        model_error: What differs between the true and the prescribed one.
+        seed: Of the noise.
+        base: The folder that relative paths of data start from.
+        follows: Whether a measured record may still grow.
 
     Raises:
         InputError: A setting that no record can have.
@@ -143,14 +159,52 @@ def read_source(
         seen = measured if held is None else [held.seen]
         first, *further = (partial(_named_record, each, connections) for each in seen)
         validate = None if held is None else partial(_validation_record, held, connections)
-        return Source(first, False, None, validate, tuple(further))
+        windows = _windows_of(config, seen[0], connections, follows)
+        return Source(first, False, None, validate, tuple(further), windows)
     simulation = construct(Simulation, config.simulation, "simulation")
     noise = construct(Noise, config.noise, "noise", seed=seed)
     check_size(simulation, structure, noise.repeats)
     span = {"ndof": structure.ndof, "duration": simulation.duration, "samples": simulation.samples}
     excitation = build(config.excitation, "excitation", base=base, **span)
-    simulated = build(config.data, "data", excitation=excitation, simulation=simulation, noise=noise)
-    return Source(lambda true: named(simulated.measure, true, true.labels), simulated=True, snr_db=noise.snr_db)
+    (data,) = data_of_records(config.data)
+    simulated = build(data, "data", excitation=excitation, simulation=simulation, noise=noise)
+    return Source(
+        lambda true: named(simulated.measure, true, true.labels),
+        simulated=True,
+        snr_db=noise.snr_db,
+        windows=_windows_of(config, simulated, [], follows),
+    )
+
+
+def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: bool) -> RecordWindows | None:
+    """The windows that `data.window` asks for; None where it asks for none."""
+    from pinn_cli.record.growing_windows import GrowingWindows, Patience
+    from pinn_cli.record.measured_data import MeasuredData
+    from pinn_cli.record.simulated import Simulated
+    from pinn_cli.record.windows import MeasuredWindows, SimulatedWindows, checked_lengths
+
+    window, overlap = config.data.get("window"), config.data.get("overlap")
+    if window is None:
+        if follows:
+            raise InputError("data.window", None, "given with follow, in seconds", "a record is followed by windows")
+        if overlap is not None:
+            raise InputError("data.overlap", overlap, "null without data.window", "both are in seconds")
+        return None
+    lengths = checked_lengths(window, overlap)
+    if follows and not isinstance(data, MeasuredData):
+        hint = "follow reads a file that grows, or a folder into which files arrive"
+        raise InputError("data", config.data.get("kind"), "csv or another format of files with follow", hint)
+    if isinstance(data, Simulated):
+        return SimulatedWindows(data, *lengths)
+    if not isinstance(data, MeasuredData):
+        hint = "a class of your own measures it as a whole"
+        raise InputError("data.window", window, f"null with data={config.data.get('kind')}", hint)
+    if data.decimate > 1:
+        hint = "its filter would have an edge in every window"
+        raise InputError("data.decimate", data.decimate, "1 with data.window", hint)
+    if follows:
+        return GrowingWindows(data, connections, *lengths, construct(Patience, config.follow, "follow"))
+    return MeasuredWindows(data, connections, *lengths)
 
 
 def _validation_record(

@@ -83,16 +83,22 @@ def read_model(given: Any, base: Path | None = None) -> Model:
     if not (directory / NAME).is_file():
         raise InputError(SETTING, given, ALLOWED, f"it has no {NAME}: it is a prediction, or of an earlier release")
     try:
-        model = _read(directory / NAME)
+        model = stored_model(directory)
     except (OSError, KeyError, ValueError, TypeError, IndexError, AttributeError, zipfile.BadZipFile) as error:
         raise InputError(SETTING, given, ALLOWED, f"{NAME} in it cannot be read: {error}") from error
     if model.verdict == "failed":
         hint = f"the verdict on that run is failed: {model.reason}"
         raise InputError(SETTING, given, "a run whose verdict is not failed", hint)
-    return replace(model, directory=directory)
+    return model
 
 
-def _read(file: Path) -> Model:
+def stored_model(directory: Path) -> Model:
+    """What lies in a directory as ``model.npz``, whatever else does.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, zipfile.BadZipFile: It is damaged.
+    """
+    file = directory / NAME
     with zipfile.ZipFile(file) as archive:
         if sum(member.file_size for member in archive.infolist()) > MOST_UNPACKED:
             raise ValueError("it is larger than any model")
@@ -117,6 +123,7 @@ def _read(file: Path) -> Model:
         str(words["verdict"]),
         str(words["reason"]),
         arrays.get("draws"),
+        directory,
     )
 
 

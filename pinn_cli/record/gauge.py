@@ -152,9 +152,9 @@ class Gauge:
         unknown = {kind: replace(self.of(kind), value=v) for kind, v in values.items() if self.of(kind).unknown}
         return replace(self, calibration={**self.calibration, **unknown}) if unknown else self
 
-    def until(self, time: float) -> Gauge:
-        """The same without samples after a time, s."""
-        kept = self.time <= time
+    def between(self, first: float, last: float) -> Gauge:
+        """The same with the samples between two times, s, alone."""
+        kept = (self.time >= first) & (self.time <= last)
         return replace(self, time=self.time[kept], values=self.values[kept])
 
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.clock import TIME_UNITS
+from pinn_cli.record.arriving import Arriving
+from pinn_cli.record.clock import TIME_UNITS, Clock
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
@@ -111,19 +112,20 @@ class MeasuredData:
         self._check_sensors()
         self._check_columns_differ()
 
-    def measure(self, ndof: int, connections: Sequence[str] = ()) -> Measurements:
+    def measure(self, ndof: int, connections: Sequence[str] = (), clock: Clock | None = None) -> Measurements:
         """The record of the channels that are not held out, and as the truth those that are; the rest of it is NaN.
 
         Args:
             ndof: DOFs of the structure.
             connections: Names of its connections.
+            clock: The file's columns, where they have been read; None: they are read now.
 
         Raises:
             InputError: A DOF outside 1..ndof; a file, column or cell that cannot be used; too few samples; a response
                 sensor that reads one value throughout.
         """
         self._check_dofs(ndof)
-        found = self._read(connections)
+        found = self._read(connections, self.clock() if clock is None else clock)
         time = found.time
         seen, truth = Response.unknown(time, ndof), Response.unknown(time, ndof)
         forced = [
@@ -165,9 +167,35 @@ class MeasuredData:
             short.append(DataChannel(f"data.{GROUND}", ground, ground, GROUND))
         return (*short, *self.channels)
 
-    def _read(self, connections: Sequence[str]) -> Sampled:
+    def clock(self) -> Clock:
+        """The columns of the file that are used, and when they were sampled.
+
+        Raises:
+            InputError: The file, or one of its columns, cannot be read.
+        """
+        return self._files.read({channel.setting: channel.column for channel in self._every_channel})
+
+    def arriving(self) -> Arriving:
+        """The same of a file that grows, or of a folder into which files arrive.
+
+        Raises:
+            InputError: There are several files that are one.
+        """
+        if len(self._paths) > 1:
+            hint = "their samples stand on one clock: join them, or let files arrive in a folder"
+            raise InputError("data.path", f"{len(self._paths)} files", "a file that grows, or a folder", hint)
+        return Arriving(self._files, {channel.setting: channel.column for channel in self._every_channel})
+
+    def used(self, clock: Clock) -> np.ndarray:
+        """(N,), s, the times between start and stop.
+
+        Raises:
+            InputError: There are too few.
+        """
+        return clock.time[slice(*self._window(clock.time))]
+
+    def _read(self, connections: Sequence[str], clock: Clock) -> Sampled:
         """The channels of the window after decimation."""
-        clock = self._files.read({channel.setting: channel.column for channel in self._every_channel})
         window = self._window(clock.time)
         return sampled(self._every_channel, clock, window, self.decimate, connections, self.intersample)
 

@@ -241,15 +241,20 @@ class Record:
         return replace(self, force=np.where(self.unforced, self.force, np.nan), gauges=gauges)
 
     def until(self, samples: int) -> Record:
-        """The record's first samples; the scatter of repeats, which is known of the whole, is shared out evenly."""
-        histories = {name: getattr(self, name)[:samples] for name in ("time", *QUANTITIES)}
+        """The record's first samples; see :meth:`part`."""
+        return self.part(0, samples)
+
+    def part(self, first: int, stop: int) -> Record:
+        """Samples first to stop (excluded); the scatter of repeats is known of the whole, and is shared out evenly."""
+        histories = {name: getattr(self, name)[first:stop] for name in ("time", *QUANTITIES)}
         if self.ground_acceleration is not None:
-            histories[GROUND] = self.ground_acceleration[:samples]
-        repeats = self.repeats
+            histories[GROUND] = self.ground_acceleration[first:stop]
+        repeats, samples = self.repeats, len(histories["time"])
         if repeats is not None:
             left = samples / repeats.samples
             repeats = replace(repeats, samples=samples, square={q: left * s for q, s in repeats.square.items()})
-        gauges = tuple(gauge.until(histories["time"][-1]) for gauge in self.gauges)
+        ends = float(histories["time"][0]) if first else -np.inf, float(histories["time"][-1])
+        gauges = tuple(gauge.between(*ends) for gauge in self.gauges)
         return replace(self, **histories, repeats=repeats, gauges=tuple(g for g in gauges if len(g.time)))
 
 

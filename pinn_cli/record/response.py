@@ -5,7 +5,7 @@ Arrays are numpy float64 (time, dof), SI units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,11 @@ class Response:
         if self.coordinates is not None:
             motion = self.coordinates[sample, 0], self.coordinates[sample, 1]
         return [*motion] if self.hidden is None else [*motion, self.hidden[sample]]
+
+    def part(self, first: int, stop: int) -> Response:
+        """The samples first to stop (excluded)."""
+        histories: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Response(**{name: x if x is None else x[first:stop] for name, x in histories.items()})
 
     @classmethod
     def unknown(cls, time: np.ndarray, ndof: int) -> Response:

@@ -83,6 +83,17 @@ def fitness_table(
     scores = {
         quantity: _scores(getattr(estimate, quantity), getattr(truth, quantity), quantity) for quantity in QUANTITIES
     }
+    return fitness_rows(scores, observed, labels)
+
+
+def fitness_rows(scores: Mapping[str, np.ndarray], observed: np.ndarray, labels: Mapping[str, object]) -> pd.DataFrame:
+    """The table of :func:`fitness_table` from scores that have been found.
+
+    Args:
+        scores: Quantity to both formulas of every DOF, (2, dof).
+        observed: (dof,) bool: DOFs with any response sensor.
+        labels: The leading columns.
+    """
     rows = [
         (group, quantity, *_mean_of_filled(scores[quantity][:, members]))
         for group, members in groups(observed).items()

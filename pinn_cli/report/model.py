@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,7 +44,7 @@ def model_of(results: Results, verdict: Verdict | None) -> Model:
         tuple(every[i] for i in own),
         known.of(own),
         _levels(results),
-        estimate.end,
+        None if estimate.end is None else replace(estimate.end, with_parameters=estimate.end.with_parameters[:, own]),
         verdict.word if verdict else "",
         next((finding.text for finding in reasons), ""),
         None if draws is None else draws[:, own],

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.central_interval import HALF_WIDTH_90
 
 if TYPE_CHECKING:
     from pinn_cli.model.model import Model
+    from pinn_cli.system.parameters import Parameter
     from pinn_cli.training.estimate import Changes, Estimate
 
 FILE = "parameters_over_time.csv"
@@ -35,21 +38,38 @@ def parameters_over_time(model: Model, estimate: Estimate, run: str) -> pd.DataF
         much if nothing else did that is not named, and ``chance`` the probability that uncertainty alone makes so much
         of it. None where nothing was compared.
     """
-    changes = estimate.changes
-    if changes is None:
+    if estimate.changes is None:
         return None
-    before = _history(model)
-    number = int(before["record"].max()) + 1
+    before = history(model)
+    own = _rows(int(before["record"].max()) + 1, run, estimate, model.parameters)
+    return pd.concat([before, own], ignore_index=True)
+
+
+def window_rows(number: int, run: str, estimate: Estimate) -> pd.DataFrame:
+    """The rows of one window of a record, with the same columns.
+
+    Args:
+        number: Of the window, among the records before it and the windows.
+        run: What it is called.
+        estimate: Of it.
+    """
+    own = [found.parameter for found in estimate.parameters if found.kind not in CALIBRATION_UNITS]
+    return _rows(number, run, estimate, own)
+
+
+def _rows(number: int, run: str, estimate: Estimate, wanted: Collection[Parameter]) -> pd.DataFrame:
+    """Those of one record, of the parameters that are wanted."""
+    changes = estimate.changes
     rows = [
         _row(number, run, found.name, found.parameter.unit, (found.estimate, found.std, found.lower_90, found.upper_90))
-        | _compared(changes, i)
+        | ({} if changes is None else _compared(changes, i))
         for i, found in enumerate(estimate.parameters)
-        if found.parameter in model.parameters
+        if found.parameter in wanted
     ]
-    return pd.concat([before, pd.DataFrame(rows, columns=list(COLUMNS))], ignore_index=True)
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def _history(model: Model) -> pd.DataFrame:
+def history(model: Model) -> pd.DataFrame:
     """The rows of earlier records: those that lie beside the model, or of a first one the model's own."""
     file = model.directory / FILE
     if file.is_file():

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pinn_cli.posterior.result import PosteriorResult
-    from pinn_cli.report.results import Results
+    from pinn_cli.report.results import Results, RunDescription
     from pinn_cli.verdict.finding import Verdict
 
 PACKAGES = (
@@ -44,7 +44,7 @@ def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, 
         verdict: Where there is one.
         seconds: By stage.
     """
-    run = results.run
+    run, observed = results.run, observed_digest(own.record for own in results.by_record)
     baseline = {"name": run.baseline, **results.baseline.summary} if results.baseline else None
     records = [own.estimate.summary for own in results.by_record] if results.further else None
     optional = {
@@ -54,21 +54,37 @@ def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, 
         "validation": _score(results),
     }
     return {
+        **run_facts(run, results.estimate.summary, observed, seconds),
+        **{name: entry for name, entry in optional.items() if entry is not None},
+        **(verdict.record() if verdict else {}),
+    }
+
+
+def run_facts(
+    run: RunDescription, summary: Mapping[str, Any], observed: str, seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    """What is said of every run.
+
+    Args:
+        run: Which one.
+        summary: Of its training.
+        observed: Digest of the samples that it was given.
+        seconds: By stage.
+    """
+    return {
         "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
-        "training": {"dtype": "float64", **results.estimate.summary},
+        "training": {"dtype": "float64", **summary},
         "peak_memory_mib": peak_memory_mib(),
         "seed": run.seed,
         "device": device_name(run.device),
         "threads": run.threads,
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "configuration": run.configuration,
-        "observed": observed_digest(own.record for own in results.by_record),
+        "observed": observed,
         "git_revision": git_revision(),
         "versions": package_versions(),
         "platform": platform.platform(),
-        **{name: entry for name, entry in optional.items() if entry is not None},
-        **(verdict.record() if verdict else {}),
     }
 
 

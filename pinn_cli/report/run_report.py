@@ -174,7 +174,7 @@ class RunReport:
         verdict, (tables, baseline, further) = self.verdict, self.tables
         with self.stages("report"):
             self.records.each(RecordReport.write)
-            _write_tables(results, tables.above(baseline), directory)
+            write_tables(results, tables.above(baseline), directory)
             if further:
                 rows = list(zip(results.by_record, (tables, *further), self.verdicts, strict=True))
                 write_table(records_table(rows), directory / "records.csv")
@@ -212,7 +212,8 @@ def _with_posterior(results: Results) -> Results:
     return replace(sampled(results), further=tuple(map(sampled, results.further)))
 
 
-def _write_tables(results: Results, tables: EstimatorTables, directory: Path) -> None:
+def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> None:
+    """Write the tables of a run that all its records have in common: parameters, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
     parameters, correlation = estimate.parameters, estimate.correlation
     files: dict[str, Any] = {"parameters": tables.parameters, "history": estimate.history}

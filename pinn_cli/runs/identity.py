@@ -16,10 +16,13 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from pinn_cli.settings.paths import located
 
 # Where and how a run is made, which may differ from one start of it to the next.
-LEFT_OUT = ("device", "threads", "resume", "figures", "report", "strict", "tracking", "training.checkpoint_every_s")
+LEFT_OUT = (
+    "device", "threads", "resume", "figures", "report", "strict", "tracking", "training.checkpoint_every_s", "follow",
+)  # fmt: skip
 # Files that are read: their content counts, not their name.
 FILES = ("data.path", "data.validation.path", "excitation.path", "system.path", "system.M", "system.K", "system.C")
 PACKAGES = ("pinn-cli", "torch", "numpy", "scipy")
+WINDOWS = ("data.window", "data.overlap")
 
 
 @dataclass(frozen=True)
@@ -36,20 +39,27 @@ class Identity:
     versions: dict[str, str]
 
     @classmethod
-    def of(cls, config: DictConfig, base: Path | None = None) -> Identity:
+    def of(cls, config: DictConfig, base: Path | None = None, grows: bool = False) -> Identity:
         """Of a composed configuration.
 
         Args:
             config: Resolvable, without its `hydra` node.
             base: The folder that relative paths of data start from; None: the current one.
+            grows: Whether the record does: it then goes by its name.
         """
         settings = {name: value for name, value in flattened(config).items() if not is_left_out(name)}
         settings.pop("model", None)
+        for name in WINDOWS:
+            if settings.get(name) == "null":  # as before there were any
+                settings.pop(name)
         records = OmegaConf.select(config, "data.records")
         records = records if isinstance(records, ListConfig) else []
         for name in (*FILES, *(f"data.records[{i}].path" for i in range(len(records)))):
             path = OmegaConf.select(config, name)
             paths = path if isinstance(path, ListConfig) else [] if path is None else [path]
+            if grows and name == "data.path":
+                settings[name] = ", ".join(str(located(str(path), base)) for path in paths)
+                continue
             contents = [_content(located(str(path), base)) for path in paths]
             if contents and all(contents):
                 settings[name] = ", ".join(map(str, contents))

@@ -29,8 +29,9 @@ from pinn_cli.settings.yaml_file import read_yaml
 
 AUTO, NEVER, RESULT = "auto", "never", "run.json"
 ALLOWED = "null, auto, never, or the directory of a run"
-# What a run that goes on takes up, in its directory: checkpoints of a training in steps, and finished chains of NUTS.
-KEPT = ("checkpoint.pt", "checkpoint.previous.pt", "chains")
+# What a run that goes on takes up, in its directory: checkpoints of a training in steps, finished chains of NUTS, and
+# windows of a record.
+KEPT = ("checkpoint.pt", "checkpoint.previous.pt", "chains", "windows")
 # What may be given with it: where and how a run is made, not what it computes.
 BESIDE = tuple(name for name in LEFT_OUT if name != "resume")
 
@@ -206,10 +207,15 @@ def _has_fixed_directory() -> bool:
     return "${now:" not in hydra["sweep" if sweep else "run"]["dir"]  # type: ignore[index,call-overload]
 
 
-def how_to_go_on(directory: Path) -> str:
-    """What an interrupted run tells its user: whether it kept anything to go on from, and the command."""
+def how_to_go_on(directory: Path, command: str = "") -> str:
+    """What an interrupted run tells its user: whether it kept anything to go on from, and the command.
+
+    Args:
+        directory: Of the run.
+        command: That goes on with it; "": :func:`resume_command`.
+    """
     kept = any((directory / name).exists() for name in KEPT)
-    return f"{'to go on' if kept else 'nothing is kept of it; to start over'}: {resume_command(directory)}"
+    return f"{'to go on' if kept else 'nothing is kept of it; to start over'}: {command or resume_command(directory)}"
 
 
 def resume_command(directory: Path) -> str:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
+from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
@@ -19,11 +20,13 @@ class Scheme(ABC):
         name: What the tables call it.
         looks_for_changes: Whether a record is compared with those before it.
         predicts: Whether there is no response to estimate from.
+        has_windows: Whether it has a :meth:`next_problem`.
     """
 
     name: ClassVar[str]
     looks_for_changes: ClassVar[bool] = False
     predicts: ClassVar[bool] = False
+    has_windows: ClassVar[bool] = False
 
     @abstractmethod
     def observe(self, record: Record) -> Record:
@@ -50,6 +53,20 @@ class Scheme(ABC):
         if len(records) > 1:
             raise InputError("data.records", f"{len(records)} records", f"one record with scheme={self.name}")
         return self.problem(prescribed, records[0])
+
+    def next_problem(self, model: Model, record: Record) -> Problem:
+        """The problem of a record that goes on where an earlier one handed over: a window, and the next.
+
+        Args:
+            model: What is known there, of parameters, motion and noise.
+            record: Its first sample is that at which it was handed over.
+
+        Raises:
+            InputError: The scheme has one window at a time.
+        """
+        raise InputError(
+            "data.window", record.duration, f"null with scheme={self.name}", "it solves a record as a whole"
+        )
 
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
         """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.

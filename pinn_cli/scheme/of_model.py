@@ -10,6 +10,7 @@ import numpy as np
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.initial_motion import FREE
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.scheme.problem import Problem
@@ -58,6 +59,19 @@ def problem_of_model(
         inputs=inputs_of(model.structure, record, unknown_force),
         prior=prior.with_independent([p.prior_std for p in sensors]),
     )
+
+
+def problem_going_on(model: Model, record: Record, acceleration_through: str, unknown_force: str) -> Problem:
+    """The problem of a record that goes on where another one handed over.
+
+    Args:
+        model: What is known there.
+        record: Begins there.
+        acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
+        unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
+    """
+    problem = problem_of_model(model, record, True, acceleration_through, FREE, unknown_force)
+    return replace(problem, initial_state=model.end)
 
 
 def _within(positive: bool, mean: float) -> float:

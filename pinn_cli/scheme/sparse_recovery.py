@@ -12,7 +12,7 @@ from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.of_model import only_one, problem_of_model
+from pinn_cli.scheme.of_model import only_one, problem_going_on, problem_of_model
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import parameter_starts
@@ -38,6 +38,7 @@ class SparseRecovery(Scheme):
     """
 
     name = "sparse_recovery"
+    has_windows = True
 
     def __init__(
         self,
@@ -76,6 +77,10 @@ class SparseRecovery(Scheme):
             records = [self._calibrated(prescribed, records[0])]
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         return Problem.of_records(prescribed, records, uncertain, through, begins, self.unknown_force)
+
+    def next_problem(self, model: Model, record: Record) -> Problem:
+        """See :meth:`Scheme.next_problem`."""
+        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
 
     def _calibrated(self, prescribed: Structure, record: Record) -> Record:
         """The record whose sensors' unknown gains and delays start where they fit the prescribed structure."""

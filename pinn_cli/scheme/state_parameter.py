@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
+from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
@@ -15,6 +16,7 @@ from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.missing_values import check_given
+from pinn_cli.scheme.of_model import problem_going_on
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
@@ -56,6 +58,7 @@ class StateParameter(Scheme):
     """
 
     name = "state_parameter"
+    has_windows = True
 
     def __init__(
         self,
@@ -108,6 +111,10 @@ class StateParameter(Scheme):
             structure = at_starts(prescribed, unknown)
             problems.append(Problem.of_records(structure, [own, *further], uncertain, *settings))
         return replace(problems[0], alternatives=tuple(problems[1:]))
+
+    def next_problem(self, model: Model, record: Record) -> Problem:
+        """See :meth:`Scheme.next_problem`."""
+        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
 
     def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""

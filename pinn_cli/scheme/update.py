@@ -9,7 +9,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
-from pinn_cli.scheme.of_model import check_updatable, given, problem_of_model
+from pinn_cli.scheme.of_model import check_updatable, given, problem_going_on, problem_of_model
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.settings.legal_values import one_of
@@ -31,6 +31,7 @@ class Update(Scheme):
     """
 
     name = "update"
+    has_windows = True
     looks_for_changes = True
 
     def __init__(
@@ -58,3 +59,7 @@ class Update(Scheme):
         """See :meth:`Scheme.problem`; what is prescribed is the model's."""
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
         return problem_of_model(self.model, record, True, *settings)
+
+    def next_problem(self, model: Model, record: Record) -> Problem:
+        """See :meth:`Scheme.next_problem`."""
+        return problem_going_on(model, record, self.acceleration_through, self.unknown_force)

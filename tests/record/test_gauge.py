@@ -110,7 +110,7 @@ def test_a_search_may_start_elsewhere_where_a_number_is_unknown_and_nowhere_else
 
 
 def test_samples_until_a_time():
-    kept = shown(1.0, 0.0, 0.0, 0.0).until(3.0)
+    kept = shown(1.0, 0.0, 0.0, 0.0).between(-np.inf, 3.0)
     assert (len(kept.time), len(kept.values), kept.start) == (101, 101, 2.0)
 
 

@@ -65,7 +65,20 @@ class CsvFormat(FileFormat):
 
     def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         """See :class:`FileFormat`."""
-        text = _below(path, read_text(path, encoding=self.encoding), self.names_line)
+        return self.table(path, read_text(path, encoding=self.encoding), wanted)
+
+    def table(self, path: Path, text: str, wanted: Mapping[str, str] | None = None) -> Table:
+        """The columns of a text.
+
+        Args:
+            path: Of its file, for errors.
+            text: From the file's first line on.
+            wanted: See :meth:`read`.
+
+        Raises:
+            InputError: See :meth:`read`.
+        """
+        text = _below(path, text, self.names_line)
         dialect = _dialect(path, text, self.separator, self.decimal)
         header = list(map(str, _frame(path, text, dialect, nrows=0).columns))
         asked = {f"column {name!r}": name for name in header} if wanted is None else wanted

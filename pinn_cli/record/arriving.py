@@ -1,0 +1,262 @@
+"""A record that is still being measured: a file that grows, or a folder into which files arrive.
+
+What has come is read once. Of text whole lines are taken: what stands behind the last line's end is still being
+written. A file in another format is read again whenever it has changed.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pinn_cli.record.clock import Clock
+from pinn_cli.record.files.base import FileFormat
+from pinn_cli.record.files.csv import CsvFormat
+from pinn_cli.record.files.formats import format_of
+from pinn_cli.record.files.table import Table
+from pinn_cli.record.measured_files import MeasuredFiles
+from pinn_cli.settings.errors import InputError
+
+SETTING = "data.path"
+# Bytes of text that are taken up before anybody may look at them.
+MOST_AT_ONCE = 2**24
+# Lines of text before which nobody can say how its cells are separated.
+ENOUGH_LINES = 3
+
+
+class Reader(ABC):
+    """A file that may not be whole yet.
+
+    Args:
+        path: Of the file.
+        wanted: Setting to the name of the column that it asks for.
+    """
+
+    def __init__(self, path: Path, wanted: Mapping[str, str]) -> None:
+        self.path, self.wanted, self.rows = path, wanted, 0
+
+    @abstractmethod
+    def more(self, complete: bool) -> Table | None:
+        """The rows that have come since this was asked last; None where there are none.
+
+        Args:
+            complete: Whether nobody writes to the file any more.
+
+        Raises:
+            InputError: The file cannot be read.
+        """
+
+
+class TextReader(Reader):
+    """Rows of text, line by line."""
+
+    def __init__(self, path: Path, wanted: Mapping[str, str], text: CsvFormat) -> None:
+        super().__init__(path, wanted)
+        self.format, self.head, self.place = text, b"", 0
+
+    def more(self, complete: bool) -> Table | None:
+        """See :meth:`Reader.more`."""
+        content = self._whole_lines(complete)
+        if content is None:
+            return None
+        text = (self.head + content).decode(self.format.encoding or "utf-8-sig", errors="replace")
+        table = self.format.table(self.path, text, self.wanted)
+        if not self.head:
+            lines = content.splitlines(keepends=True)
+            self.head = b"".join(lines[: (table.first_line or 1) - 1])
+        found = replace(table, first_line=(table.first_line or 0) + self.rows)
+        self.place, self.rows = self.place + len(content), self.rows + len(table)
+        return found if len(table) else None
+
+    def _whole_lines(self, complete: bool) -> bytes | None:
+        """What lies between the last place and the end of a line; None where that is too little."""
+        try:
+            with self.path.open("rb") as file:
+                size = file.seek(0, 2)
+                if size < self.place:
+                    hint = "it is shorter than it was: let what measures it append to it, or begin another file"
+                    raise InputError(SETTING, self.path, "a file that grows", hint)
+                file.seek(self.place)
+                content = file.read(MOST_AT_ONCE)
+        except OSError as error:
+            raise InputError(SETTING, self.path, "a file that can be read", error.strerror or str(error)) from error
+        whole = complete and self.place + len(content) == size
+        end = len(content) if whole else content.rfind(b"\n") + 1
+        content = content[:end]
+        few = not self.head and not complete and content.count(b"\n") < self.format.names_line + ENOUGH_LINES
+        return None if few or not content.strip() else content
+
+
+class WholeReader(Reader):
+    """Rows of a file that is read as a whole, as often as it changes."""
+
+    def __init__(self, path: Path, wanted: Mapping[str, str], own: FileFormat) -> None:
+        super().__init__(path, wanted)
+        self.format = own
+        self._seen: tuple[int, int] | None = None
+        self._error: InputError | None = None
+
+    def more(self, complete: bool) -> Table | None:
+        """See :meth:`Reader.more`; what cannot be read is an error once it has not changed for a while."""
+        stat = self.path.stat()
+        state = stat.st_size, stat.st_mtime_ns
+        if state == self._seen and not (complete and self._error):
+            if self._error is not None:
+                raise self._error
+            return None
+        self._seen, self._error = state, None
+        try:
+            table = self.format.read(self.path, self.wanted)
+        except InputError as error:
+            if complete:
+                raise
+            self._error = error
+            return None
+        first, self.rows = self.rows, len(table)
+        return _rows(table, slice(first, None)) if len(table) > first else None
+
+
+def reader_of(path: Path, wanted: Mapping[str, str], chosen: FileFormat) -> Reader:
+    """What reads a file."""
+    own = format_of(path, chosen)
+    return TextReader(path, wanted, own) if isinstance(own, CsvFormat) else WholeReader(path, wanted, own)
+
+
+@dataclass
+class _Clocks:
+    """Times of the file that is being read, on the record's clock.
+
+    Attributes:
+        shift: s, from the file's own clock to the record's.
+        first, last: Of its times, on the record's clock.
+        count: How many there were.
+    """
+
+    shift: float = 0.0
+    first: float = np.nan
+    last: float = -np.inf
+    count: int = 0
+
+    @property
+    def next(self) -> float:
+        """The time of a sample one step after the last one."""
+        return self.last + (self.last - self.first) / max(self.count - 1, 1)
+
+
+class Arriving:
+    """Samples in the order in which they were taken, of which those that nobody needs any more are forgotten.
+
+    Files of a folder follow each other by their names. A file whose clock begins anew goes on one step after the last
+    sample of the one before; one whose clock has gone on is taken at its word. A file is complete when the next one is
+    there.
+
+    Args:
+        files: A file or a folder, and how its times are told.
+        wanted: Setting to the name of the column that it asks for, that of the times left out.
+    """
+
+    def __init__(self, files: MeasuredFiles, wanted: Mapping[str, str]) -> None:
+        self.files, self.wanted = files, dict(wanted)
+        (self.path,) = files.paths
+        self.readers: list[Reader] = []
+        self.table = Table(self.path, {name: np.zeros(0) for name in set(wanted.values())})
+        self.time = np.zeros(0)
+        self.samples = 0
+        self._clocks = _Clocks()
+
+    def read(self) -> bool:
+        """Take up what has come; whether there was anything.
+
+        Raises:
+            InputError: A file cannot be used.
+        """
+        paths, before = self._paths(), self.samples
+        for i, path in enumerate(paths):
+            if i < len(self.readers) - 1:
+                continue
+            if i == len(self.readers):
+                column = self.files.time_column(path)
+                asked = self.wanted if column is None else {"data.time": column, **self.wanted}
+                self.readers.append(reader_of(path, asked, self.files.format))
+                self._begin_file()
+            table = self.readers[i].more(complete=i + 1 < len(paths))
+            if table is not None:
+                self._append(table)
+        return self.samples > before
+
+    @property
+    def clock(self) -> Clock:
+        """The samples that are kept."""
+        return Clock(self.table, "", self.time, several=True)
+
+    def forget_before(self, time: float) -> None:
+        """No sample before a time, s, is needed any more."""
+        first = int(np.searchsorted(self.time, time))
+        self.table, self.time = _rows(self.table, slice(first, None)), self.time[first:]
+
+    def _paths(self) -> list[Path]:
+        if not self.path.is_dir():
+            return [self.path] if self.path.exists() else []
+        found = sorted(entry for entry in self.path.iterdir() if self._is_record(entry))
+        known = [reader.path for reader in self.readers]
+        if found[: len(known)] != known:
+            late = next((path for path in found if path not in known), self.path)
+            allowed = "files that arrive in the order of their names, and stay"
+            raise InputError(SETTING, late.name, allowed, f"{known[-1].name} was there before")
+        return found
+
+    def _is_record(self, entry: Path) -> bool:
+        """Whether an entry of the folder is a file of the record; one that is being copied has another name yet."""
+        suffixes = (*self.files.format.suffixes, *self.files.format.other_suffixes)
+        return entry.is_file() and not entry.name.startswith(".") and entry.suffix.lower() in suffixes
+
+    def _begin_file(self) -> None:
+        if self._clocks.count:
+            self._clocks = _Clocks(self._clocks.next, np.nan, self._clocks.last, 0)
+
+    def _append(self, table: Table) -> None:
+        clocks, own = self._clocks, self._own_times(table)
+        if clocks.count == 0:
+            goes_on = clocks.last == -np.inf or own[0] > clocks.last
+            clocks.shift = 0.0 if goes_on else clocks.shift - own[0]
+            clocks.first = own[0] + clocks.shift
+        time = own + clocks.shift
+        if len(self.time) and time[0] <= self.time[-1]:
+            allowed = f"a time after the one before it, {self.time[-1]:.9g} s"
+            raise InputError(f"{table.path.name}, first new line", f"{time[0]:.9g} s", allowed)
+        clocks.last, clocks.count = float(time[-1]), clocks.count + len(time)
+        kept, self.samples = len(self.time), self.samples + len(time)
+        columns = {name: np.concatenate((values, table.columns[name])) for name, values in self.table.columns.items()}
+        odd = {name: dict(cells) for name, cells in self.table.odd_cells.items()}
+        for name, cells in table.odd_cells.items():
+            odd.setdefault(name, {}).update({kept + row: text for row, text in cells.items()})
+        self.table = Table(table.path, columns, odd, self.table.hints or table.hints)
+        self.time = np.concatenate((self.time, time))
+
+    def _own_times(self, table: Table) -> np.ndarray:
+        """(N,), s, as the file has them."""
+        if self.files.sampling_rate is not None:
+            return (self.samples + np.arange(len(table))) / self.files.sampling_rate
+        column = self.files.time_column(table.path)
+        if column is not None:
+            return Clock.by_column(table, column, self.files.time_unit).time
+        if table.time is None:
+            raise InputError("data.sampling_rate", None, "given, in Hz, or data.time, a column of times")
+        return table.time
+
+
+def _rows(table: Table, part: slice) -> Table:
+    """Some rows of a table, from one on."""
+    first = part.start
+    columns = {name: values[part] for name, values in table.columns.items()}
+    odd = {
+        name: {row - first: text for row, text in cells.items() if row >= first}
+        for name, cells in table.odd_cells.items()
+    }
+    line = None if table.first_line is None else table.first_line + first
+    time = None if table.time is None else table.time[part]
+    return replace(table, columns=columns, odd_cells=odd, time=time, first_line=line)

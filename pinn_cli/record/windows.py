@@ -1,0 +1,256 @@
+"""A long record window by window: where windows begin, and what was measured in each.
+
+    |<------ window ------>|
+    |             |<------ window ------>|
+    |             |        |    |<------ window ------>|
+               hand-over       hand-over
+
+A window hands over to the next one where that begins, an overlap before its own end. What it says of the motion up to
+there knows of the samples behind it as well, so that no part of the response lies at an edge.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pinn_cli.record.clock import Clock
+from pinn_cli.record.measured_data import MeasuredData
+from pinn_cli.record.record import MINIMUM_SAMPLES, Measurements, Truth
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.settings.errors import InputError
+from pinn_cli.settings.legal_values import non_negative_number, positive_number
+from pinn_cli.system.structure import Structure
+
+SETTING, OVERLAP = "data.window", "data.overlap"
+# Of a window, where nobody says how much of it the next one begins with.
+OVERLAP_SHARE = 1.0 / 6.0
+# Of a window at most: what three windows have in common would be in two of them for nothing.
+LARGEST_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Window:
+    """One window of a record.
+
+    Attributes:
+        number: Counted from 1.
+        start, stop: Times of its first and last sample, s.
+        hand_over: Time of the first sample of the next one, s; None of the last window.
+    """
+
+    number: int
+    start: float
+    stop: float
+    hand_over: float | None = None
+
+    @property
+    def name(self) -> str:
+        """As people say it."""
+        return f"window {self.number} ({self.start:.9g} to {self.stop:.9g} s)"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the windows of a record begin: at whole numbers of samples from its first one.
+
+    Attributes:
+        first: Time of the first sample, s.
+        step: From sample to sample, s.
+        length, overlap: Of the windows, in samples from the first of each to the last.
+    """
+
+    first: float
+    step: float
+    length: int
+    overlap: int
+
+    @classmethod
+    def of(cls, length: float, overlap: float | None, first: float, step: float) -> Grid:
+        """Of windows so many seconds long.
+
+        Raises:
+            InputError: They hold too few samples.
+        """
+        samples = round(length / step)
+        if samples + 1 < MINIMUM_SAMPLES:
+            allowed = f"at least {MINIMUM_SAMPLES} samples, {MINIMUM_SAMPLES * step:g} s here"
+            raise InputError(SETTING, length, allowed, "it is in seconds")
+        return cls(first, step, samples, round((OVERLAP_SHARE * length if overlap is None else overlap) / step))
+
+    def window(self, number: int) -> Window:
+        """A window that is no last one."""
+        start = (number - 1) * (self.length - self.overlap)
+        after = start + self.length - self.overlap
+        return Window(number, self._time(start), self._time(start + self.length), self._time(after))
+
+    def last(self, number: int, stop: float) -> Window | None:
+        """What is left for a last window of a record that ends at ``stop``, s; None if those before have it all."""
+        before, own = self.window(number - 1), self.window(number)
+        left = round((stop - own.start) / self.step) + 1
+        if (number > 1 and stop <= before.stop + 0.5 * self.step) or left < MINIMUM_SAMPLES:
+            return None
+        return Window(number, own.start, stop)
+
+    def is_reached(self, window: Window, time: float) -> bool:
+        """Whether a record that has come to a time, s, has the whole window."""
+        return time > window.stop - 0.5 * self.step
+
+    def _time(self, sample: int) -> float:
+        return self.first + sample * self.step
+
+
+def checked_lengths(window: object, overlap: object) -> tuple[float, float | None]:
+    """``data.window`` and ``data.overlap``, s.
+
+    Raises:
+        InputError: One is no usable number, or the overlap is too long.
+    """
+    length = positive_number(SETTING, window)
+    if overlap is None:
+        return length, None
+    own = non_negative_number(OVERLAP, overlap)
+    if own > LARGEST_SHARE * length:
+        allowed = f"at most half of {SETTING}={length:g}"
+        raise InputError(OVERLAP, own, allowed, "the next window begins so long before the end of this one")
+    return length, own
+
+
+class RecordWindows(ABC):
+    """A record that is read window by window.
+
+    Args:
+        length: Of a window, s.
+        overlap: Of two, s; None: `OVERLAP_SHARE` of the length.
+    """
+
+    def __init__(self, length: float, overlap: float | None) -> None:
+        self.length, self.overlap = length, overlap
+
+    @abstractmethod
+    def after(self, done: int) -> Iterator[Window]:
+        """The windows that follow on the first so many, each as soon as it is there.
+
+        Raises:
+            InputError: The record cannot be read, or has no window.
+        """
+
+    @abstractmethod
+    def measure(self, true: Structure, window: Window) -> Measurements:
+        """The record of a window, with every sensor that exists, and the truth as far as it is known.
+
+        Args:
+            true: The structure.
+            window: Of :meth:`after`.
+
+        Raises:
+            InputError: A cell that cannot be used, a sensor that shows one value throughout.
+        """
+
+    def _all(self, time: np.ndarray) -> list[Window]:
+        """The windows of a record that is there as a whole."""
+        grid = grid_of(self.length, self.overlap, time)
+        found: list[Window] = []
+        while grid.is_reached(grid.window(len(found) + 1), float(time[-1])):
+            found.append(grid.window(len(found) + 1))
+        last = grid.last(len(found) + 1, float(time[-1]))
+        if last is None:
+            found[-1] = replace(found[-1], hand_over=None)
+            return found
+        return [*found, last]
+
+
+def grid_of(length: float, overlap: float | None, time: np.ndarray) -> Grid:
+    """The windows of a record that begins with some times (N,), s: those of its first window or more.
+
+    Raises:
+        InputError: There are too few.
+    """
+    own = time[: int(np.searchsorted(time, time[0] + length, side="right"))]
+    if len(own) < MINIMUM_SAMPLES:
+        hint = f"the first {length:g} s hold {len(own)} samples"
+        raise InputError(SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
+    return Grid.of(length, overlap, float(own[0]), float(np.median(np.diff(own))))
+
+
+def window_of(
+    data: MeasuredData, clock: Clock, window: Window, step: float, names: list[str], ndof: int
+) -> Measurements:
+    """What was measured in a window of a file.
+
+    Args:
+        data: What is what in it.
+        clock: Its columns, and when they were sampled.
+        window: Which part.
+        step: From sample to sample, s.
+        names: Of the structure's connections.
+        ndof: Of the structure.
+    """
+    ends = replace(data, start=window.start - 0.5 * step, stop=window.stop + 0.5 * step)
+    return ends.measure(ndof, names, clock)
+
+
+class MeasuredWindows(RecordWindows):
+    """Windows of files; their columns are read once, and a window of them is used at a time.
+
+    Args:
+        data: What is what in them.
+        connections: Names of the structure's.
+        length, overlap: See :class:`RecordWindows`.
+    """
+
+    def __init__(self, data: MeasuredData, connections: list[str], length: float, overlap: float | None) -> None:
+        super().__init__(length, overlap)
+        self.data, self.connections = data, connections
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The columns, and when they were sampled."""
+        return self.data.clock()
+
+    @cached_property
+    def time(self) -> np.ndarray:
+        """(N,), s, of the part that is used."""
+        return self.data.used(self.clock)
+
+    def after(self, done: int) -> Iterator[Window]:
+        """See :meth:`RecordWindows.after`."""
+        yield from self._all(self.time)[done:]
+
+    def measure(self, true: Structure, window: Window) -> Measurements:
+        """See :meth:`RecordWindows.measure`."""
+        step = grid_of(self.length, self.overlap, self.time).step
+        return window_of(self.data, self.clock, window, step, self.connections, true.ndof)
+
+
+class SimulatedWindows(RecordWindows):
+    """Windows of a simulated record, which is simulated once.
+
+    Args:
+        simulated: How.
+        length, overlap: See :class:`RecordWindows`.
+    """
+
+    def __init__(self, simulated: Simulated, length: float, overlap: float | None) -> None:
+        super().__init__(length, overlap)
+        self.simulated = simulated
+        self._whole: Measurements | None = None
+
+    def after(self, done: int) -> Iterator[Window]:
+        """See :meth:`RecordWindows.after`."""
+        simulation = self.simulated.simulation
+        yield from self._all(np.linspace(0.0, simulation.duration, simulation.samples))[done:]
+
+    def measure(self, true: Structure, window: Window) -> Measurements:
+        """See :meth:`RecordWindows.measure`."""
+        if self._whole is None:
+            self._whole = self.simulated.measure(true)
+        record, truth = self._whole.record, self._whole.truth
+        first, stop = np.searchsorted(
+            record.time, (window.start - 0.5 * record.step, window.stop + 0.5 * record.step)
+        ).tolist()
+        return Measurements(record.part(first, stop), Truth(truth.response.part(first, stop), truth.parameters))

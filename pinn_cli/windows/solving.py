@@ -1,0 +1,210 @@
+"""One window: its problem, its solution, the files that it leaves, and what it hands over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pinn_cli.model.model import Model
+from pinn_cli.record.record import Measurements, Record
+from pinn_cli.record.windows import Window
+from pinn_cli.report.model import model_of, write_run_model
+from pinn_cli.report.observed import observed_digest
+from pinn_cli.report.over_time import FILE, window_rows
+from pinn_cli.report.parameters import identifiability_warnings
+from pinn_cli.report.record_report import RecordReport
+from pinn_cli.report.results import Results, RunDescription
+from pinn_cli.report.run_report import write_tables
+from pinn_cli.runs.stages import Stages
+from pinn_cli.runs.writing import write_table
+from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError, InputError
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.base import Estimator
+from pinn_cli.training.calibrated_record import as_calibrated
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.whittle.spectral_model import is_spectral
+from pinn_cli.verdict.finding import Verdict
+from pinn_cli.windows.store import WindowStore
+
+SETTING = "data.window"
+
+
+@dataclass(frozen=True, eq=False)
+class WindowSolver:
+    """What all windows of a run have in common.
+
+    Attributes:
+        run: Which run it is.
+        scheme: What is asked.
+        first, later: What solves the first window, and those that go on.
+        true: The structure that a simulated record comes from.
+        prescribed: The model that the estimator is given.
+        measure: From a window to what was measured in it.
+        observe: What of that the estimator may see.
+        simulated: Whether the truth is known.
+        model: What the run began with; None: no earlier run.
+        context: What estimators are given.
+        earlier: How many records there were before, of which the model knows.
+    """
+
+    run: RunDescription
+    scheme: Scheme
+    first: Estimator
+    later: Estimator
+    true: Structure
+    prescribed: Structure
+    measure: Callable[[Window], Measurements]
+    observe: Callable[[Record], Record]
+    simulated: bool
+    model: Model | None
+    context: RunContext
+    earlier: int = 0
+
+    def posed(self, window: Window, before: Model | None) -> tuple[Problem, Measurements]:
+        """The problem of a window, and what was measured in it.
+
+        Args:
+            window: Which.
+            before: What the window before handed over; None of the first.
+
+        Raises:
+            InputError: It cannot be solved.
+        """
+        measured = self.measure(window)
+        record = self.observe(measured.record)
+        if before is None:
+            problem = self.scheme.joint_problem(self.prescribed, [record])
+        else:
+            problem = self.scheme.next_problem(before, record)
+            if not _goes_on(problem):
+                problem = replace(problem, initial_state=None)
+        _check_sensors(problem)
+        return replace(problem, hand_over=window.hand_over), measured
+
+    def solve(self, window: Window, before: Model | None, store: WindowStore, stages: Stages) -> None:
+        """Solve a window and leave all that is known of it in its folder.
+
+        Raises:
+            DivergenceError: It cannot be solved.
+        """
+        try:
+            with stages("problem"):
+                problem, measured = self.posed(window, before)
+            with stages("estimate"):
+                estimate = (self.first if before is None else self.later).solve(problem, self.context)
+        except (DivergenceError, InputError) as error:
+            raise DivergenceError(f"{window.name}: {error}") from error
+        report = _Report(self, window, problem, measured, estimate, before)
+        verdict = report.write(store, stages)
+        content = report.content(verdict, self.beliefs(problem, store, window))
+        store.conclude(window, report.handed_over(verdict), content)
+
+    def beliefs(self, problem: Problem, store: WindowStore, window: Window) -> list[list[Any]]:
+        """Of every parameter what was prescribed before the first window."""
+        if window.number == 1:
+            return [[p.name, p.prescribed, p.prior_std] for p in problem.uncertain]
+        found: list[list[Any]] = store.entry(1)["beliefs"]
+        return found
+
+
+def _goes_on(problem: Problem) -> bool:
+    """Whether the motion goes on from the state that was handed over.
+
+    It does not across a gap, and of a motion under forces that nobody measured spectra say all that is to be known.
+    """
+    state, record = problem.initial_state, problem.record
+    near = state is not None and abs(state.time - float(record.time[0])) < 0.5 * record.step
+    return near and not is_spectral(problem)
+
+
+def _check_sensors(problem: Problem) -> None:
+    """Refuse what is one number of all windows, and would be learned in each anew.
+
+    Raises:
+        InputError: Naming the channel.
+    """
+    for parameter in problem.uncertain:
+        if parameter.kind in ("gain", "delay"):
+            setting = f"data.channels.{parameter.label}.{parameter.kind}"
+            hint = f"learn it from a part of the record: data.start, data.stop, without {SETTING}"
+            raise InputError(setting, "in doubt", f"a number with {SETTING}", hint)
+
+
+@dataclass(frozen=True, eq=False)
+class _Report:
+    """What is reported of one window."""
+
+    solver: WindowSolver
+    window: Window
+    problem: Problem
+    measured: Measurements
+    estimate: Estimate
+    before: Model | None
+
+    def write(self, store: WindowStore, stages: Stages) -> Verdict | None:
+        """Write its files; the verdict on it."""
+        folder, results = store.folder(self.window.number), self._results()
+        report = RecordReport(results, folder, None, ())
+        with stages("verdict"):
+            verdict = report.verdict()
+        with stages("report"):
+            report.write()
+            believed = self.believed(results, self.solver.beliefs(self.problem, store, self.window))
+            ours, _ = RecordReport(believed, folder, None, ()).every_table
+            write_tables(believed, ours, folder)
+            number = self.window.number
+            write_table(window_rows(number + self.solver.earlier, f"window_{number}", self.estimate), folder / FILE)
+            write_run_model(results, verdict, folder)
+        return verdict
+
+    def content(self, verdict: Verdict | None, beliefs: list[list[Any]]) -> dict[str, object]:
+        """What ``window.json`` says."""
+        changes = self.estimate.changes
+        changed = [] if changes is None else [change.parameter.name for change in changes.found]
+        record = self.problem.record
+        found: dict[str, object] = {"changed": changed, "training": self.estimate.summary}
+        found |= {"observed": observed_digest([record]), "step": record.step, "doubts": self._doubts(beliefs)}
+        first = {"beliefs": beliefs} if self.window.number == 1 else {}
+        return {**(verdict.record() if verdict else {}), **found, **first}
+
+    def _doubts(self, beliefs: list[list[Any]]) -> list[str]:
+        """What is to be told of parameters that are not well known."""
+        estimate = self.believed(self._results(), beliefs).estimate
+        return list(identifiability_warnings(estimate.parameters, estimate.correlation, estimate.changes is not None))
+
+    def handed_over(self, verdict: Verdict | None) -> Model | None:
+        """The model that the next window begins with; None where there is no next one."""
+        handed = self.estimate.handed_over
+        if handed is None:
+            return None
+        results = self._results()
+        own = replace(results.estimate, known=handed.known, end=handed.end)
+        return model_of(replace(results, estimate=own), verdict)
+
+    def _results(self) -> Results:
+        solver = self.solver
+        record = as_calibrated(self.problem.record, self.estimate)
+        problem = replace(self.problem, record=record)
+        true = solver.true if solver.simulated else None
+        return Results(
+            solver.run, solver.prescribed, record, self.measured.truth, self.estimate, problem=problem, true=true,
+            model=self.before or solver.model,
+        )  # fmt: skip
+
+    @staticmethod
+    def believed(results: Results, beliefs: Sequence[Sequence[Any]]) -> Results:
+        """The results with what was prescribed before the first window in their tables."""
+        given = {name: (prescribed, std) for name, prescribed, std in beliefs}
+
+        def at_first(parameter: Parameter) -> Parameter:
+            if parameter.name not in given:
+                return parameter
+            prescribed, std = given[parameter.name]
+            return replace(parameter, prescribed=prescribed, prior_std=std)
+
+        found = [replace(one, parameter=at_first(one.parameter)) for one in results.estimate.parameters]
+        return replace(results, estimate=replace(results.estimate, parameters=found))
