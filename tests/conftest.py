@@ -7,6 +7,7 @@ import os
 import random
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ def pinn_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.Capt
         monkeypatch.setattr(sys, "argv", ["pinn-run", *arguments])
         capfd.readouterr()
         try:
-            status = execute(task, inspect)
+            status = execute(task, inspect, partial(run, follows=True))
         except SystemExit as end:
             status = int(end.code or 0)
         captured = capfd.readouterr()

@@ -44,7 +44,8 @@ def commands(page: Path) -> Iterator[str]:
 EVERY = sorted(
     {" ".join(shlex.split(line, comments=True)[1:]): line for page in PAGES for line in commands(page)}.values()
 )
-RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run inspect", line)]
+RUNS = [line for line in EVERY if not re.search(r"--help|\b(resume|collect)=|^pinn-run (inspect|follow)", line)]
+FOLLOWED = [line for line in EVERY if line.startswith("pinn-run follow")]
 LOOKS = [line for line in EVERY if line.startswith("pinn-run inspect")]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from documented_commands import (
     EVERY,
+    FOLLOWED,
     LOOKS,
     MY_STRUCTURE,
     RIG,
@@ -24,7 +25,9 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
+from pinn_cli.cli.windows import check_windows
 from pinn_cli.inspection.inspection import inspect_record
+from pinn_cli.record.growing_windows import GrowingWindows
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.function_space import training as over_all_weights
@@ -85,7 +88,16 @@ def test_a_documented_look_is_had(line: str, rig: Path) -> None:
     assert inspect_record(looked_at.signals, looked_at.time, [], looked_at.frequencies).command
 
 
+@pytest.mark.parametrize("line", FOLLOWED)
+def test_a_documented_record_can_be_followed(line: str, rig: Path) -> None:
+    with initialize_config_module("pinn_cli.conf", version_base="1.3"):
+        composed = compose("config", overrides=first_job(shlex.split(line)[2:]))
+    config = RunConfig.read(composed, rig, follows=True)
+    check_windows(config)
+    assert isinstance(config.source.windows, GrowingWindows)
+
+
 def test_there_are_commands_to_test() -> None:
     assert len(RUNS) > 25
-    others = [line for line in EVERY if line not in (*RUNS, *LOOKS)]
+    others = [line for line in EVERY if line not in (*RUNS, *LOOKS, *FOLLOWED)]
     assert all(re.search(r"pinn-run (--help|(resume|collect)=\S+)( +#.*)?$", line) for line in others), others

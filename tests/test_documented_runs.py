@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from calls import PinnRun
 from documented_commands import (
+    FOLLOWED,
     LOOKS,
     MY_STRUCTURE,
     RIG,
@@ -37,22 +38,25 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         subprocess.run([sys.executable, "-c", script], cwd=folder, check=True)
     shutil.copy(RIG, folder / "rig.csv")
     shutil.copy(RIG, folder / "second.csv")
+    (folder / "arriving").mkdir()
+    shutil.copy(RIG, folder / "arriving" / "rig.csv")
     write_configuration(folder)
     return folder
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", [line for line in (*RUNS, *LOOKS) if not HOURS.search(line)])
+@pytest.mark.parametrize("line", [line for line in (*RUNS, *LOOKS, *FOLLOWED) if not HOURS.search(line)])
 def test_a_documented_command_runs(line: str, measured: Path, pinn_run: PinnRun) -> None:
     if package := missing_package(line):
         pytest.skip(f"{package} is not installed")
     arguments = [argument for argument in shlex.split(line, comments=True)[1:] if argument != "--multirun"]
-    options = arguments[:1] if arguments[:1] == ["inspect"] else []
+    options = [argument for argument in arguments[:1] if argument in ("inspect", "follow")]
     if "--config-dir" in arguments:
         place = arguments.index("--config-dir")
         options += arguments[place : place + 2]
         del arguments[place : place + 2]
-    overrides = [a for a in arguments if a != "inspect" and not OF_SWEEPS.search(a)]
+    overrides = [a for a in arguments if a not in options and not OF_SWEEPS.search(a)]
+    overrides += ["follow.until_idle=0.2", "follow.poll=0.1"] if options == ["follow"] else []
     # A search is of what its experiment runs.
     overrides = [re.sub(r",search/\w+|^experiment=search/\w+$", "", override) for override in overrides]
     shutil.copytree(measured, Path.cwd(), dirs_exist_ok=True)

@@ -11,7 +11,7 @@ WIDTH = 120
 _BEFORE = """\
 pinn-run: the response of a structural chain where there is no sensor, its parameters, and how far to trust both
 
-usage: pinn-run [inspect] [GROUP=OPTION ...] [SETTING=VALUE ...]
+usage: pinn-run [inspect | follow] [GROUP=OPTION ...] [SETTING=VALUE ...]
 
 Examples
   pinn-run                                             6-DOF Duffing chain, sensors on DOFs 1 and 2, SNR 50 dB
@@ -21,6 +21,8 @@ Examples
     its settings; or data=mat, uff, parquet, tdms, hdf5, netcdf (docs/how-to/own-record.md)
   pinn-run inspect data=csv data.path=rig.csv          look at a record first: gaps, noise, natural frequencies, a
     command to go on with
+  pinn-run follow data=csv data.path=rig.csv data.window=60 ...    a record that is still being measured
+    (docs/how-to/follow.md)
   pinn-run baseline=kalman_smoother                    the same problem by a Kalman smoother, in the same tables
   pinn-run --multirun noise.snr_db=50,20,10 'seed=range(10)'    a sweep; the same command again goes on with it
   pinn-run --multirun hydra/launcher=joblib 'seed=range(10)'    on all cores; pinn-run collect=SWEEP: what there is so

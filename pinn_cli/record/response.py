@@ -5,7 +5,7 @@ Arrays are numpy float64 (time, dof), SI units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,7 @@ class Response:
     def part(self, first: int, stop: int) -> Response:
         """The samples first to stop (excluded)."""
         histories: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Response(**{name: x if x is None else x[first:stop] for name, x in histories.items()})
+        return replace(self, **{name: x[first:stop] for name, x in histories.items() if x is not None})
 
     @classmethod
     def unknown(cls, time: np.ndarray, ndof: int) -> Response:

@@ -29,6 +29,8 @@ from pinn_cli.system.structure import Structure
 SETTING, OVERLAP = "data.window", "data.overlap"
 # Of a window, where nobody says how much of it the next one begins with.
 OVERLAP_SHARE = 1.0 / 6.0
+# Of the steps between samples, over their median: longer ones are gaps.
+GAP = 1.5
 # Of a window at most: what three windows have in common would be in two of them for nothing.
 LARGEST_SHARE = 0.5
 
@@ -174,7 +176,10 @@ def grid_of(length: float, overlap: float | None, time: np.ndarray) -> Grid:
     if len(own) < MINIMUM_SAMPLES:
         hint = f"the first {length:g} s hold {len(own)} samples"
         raise InputError(SETTING, length, f"windows of at least {MINIMUM_SAMPLES} samples", hint)
-    return Grid.of(length, overlap, float(own[0]), float(np.median(np.diff(own))))
+    steps = np.diff(own)
+    # Times are printed with few digits: one step is off by much, all together are not. Gaps are no steps.
+    step = float(np.mean(steps[steps < GAP * np.median(steps)]))
+    return Grid.of(length, overlap, float(own[0]), step)
 
 
 def window_of(

@@ -107,7 +107,9 @@ class WindowedRun:
         return [place]
 
     def _entries(self) -> list[dict[str, Any]]:
-        return [self.store.entry(number) for number in range(1, self.store.done + 1)]
+        """What is known of all windows; the last one hands over to none yet."""
+        found = [self.store.entry(number) for number in range(1, self.store.done + 1)]
+        return [*found[:-1], found[-1] | {"hand_over": None}]
 
     def _table(self) -> pd.DataFrame:
         """One row per window: the content of ``windows.csv``."""
@@ -146,15 +148,8 @@ class WindowedRun:
         return "\n\n".join(text for text in texts if text)
 
     def _pieces(self, entries: Sequence[dict[str, Any]]) -> list[Piece]:
-        """Of every window what is its own: of the last one all, also where it could have handed over."""
-        return [
-            Piece(
-                self.store.folder(entry["number"]),
-                None if i == len(entries) else entry["hand_over"],
-                entry["step"],
-            )
-            for i, entry in enumerate(entries, start=1)
-        ]
+        """Of every window what is its own."""
+        return [Piece(self.store.folder(entry["number"]), entry["hand_over"], entry["step"]) for entry in entries]
 
     def _export(self) -> None:
         if not self.exports:

@@ -148,7 +148,7 @@ def test_the_config_lists_every_setting_and_reads_the_file(rig):
     of_csv = {name: value for name, value in OmegaConf.load(CONF).items() if name != "defaults"}
     settings = OmegaConf.merge(OmegaConf.load(SHARED), of_csv, {**SETTINGS, "holdout": [2]})
     fields = set(MeasuredData.__dataclass_fields__) - {"base", "responds"}
-    assert set(settings) - {"_target_", "records"} == fields
+    assert set(settings) - {"_target_", "records", "window", "overlap"} == fields
     (own,) = data_of_records(settings)
     source = build(own, "data", base=rig)
     assert source.measure(3).record.observed.tolist() == [True, False, True]

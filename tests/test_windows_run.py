@@ -1,0 +1,164 @@
+"""Runs by windows, through the whole program."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from calls import SMALL, PinnRun
+from storeys import K, record, system, written
+
+KNOWN = (*system(1.02 * K), "scheme.parameter_uncertainty=0.05", "figures=false")
+UNKNOWN = (*system(1.1 * K), "scheme=state_parameter", "scheme.unknown=[k_*]", "scheme.starts=given", "figures=false")
+WINDOWS = ("data.window=4", "data.overlap=1")
+TABLES = ("parameters.csv", "parameters_over_time.csv", "windows.csv", "fitness.csv", "residuals.csv", "drift.csv")
+
+
+def parameters(run: str) -> pd.DataFrame:
+    return pd.read_csv(f"{run}/parameters.csv").set_index("parameter")
+
+
+def test_windows_come_to_what_the_whole_record_says(pinn_run: PinnRun, tmp_path: Path) -> None:
+    each = record(3, duration=10.02)
+    data = written(each.record, tmp_path / "one.csv")
+    whole = pinn_run(*KNOWN, *data, "hydra.run.dir=whole")
+    assert whole.status == 0, whole.err
+    done = pinn_run(*KNOWN, *data, *WINDOWS, "hydra.run.dir=parts")
+    assert done.status == 0, done.err
+    assert "window 2, 3 to 7 s: sound" in done.out
+    assert done.out.strip().splitlines()[-2:] == ["verdict: sound", str(tmp_path / "parts")]
+    ours, theirs = parameters("parts"), parameters("whole")
+    assert list(ours.index) == list(theirs.index)
+    assert (ours["prescribed"] == theirs["prescribed"]).all()
+    assert ((ours["estimate"] - theirs["estimate"]).abs() < 0.5 * theirs["std"]).all()
+    # Nothing is counted twice. A window of 4 s tells less of what the model leaves out, which hides more of dampers.
+    wider = ours["std"] / theirs["std"]
+    assert wider.between(0.95, 2.0).all()
+    assert (wider.filter(like="k") < 1.35).all()
+    with xr.open_dataset("parts/response.nc") as a, xr.open_dataset("whole/response.nc") as b:
+        np.testing.assert_allclose(a["time"], b["time"])
+        error, others = (each_["displacement"] - each.truth.displacement for each_ in (a, b))
+        assert 0.75 < float((np.abs(error) < 1.645 * a["displacement_std"]).mean()) <= 1.0
+        assert float((error**2).mean()) < 1.1 * float((others**2).mean())
+        assert set(a.variables) == set(b.variables)
+    told = json.loads(Path("parts/run.json").read_text())
+    assert [w["number"] for w in told["windows"]] == [1, 2, 3]
+    assert (told["verdict"], told["windows"][-1]["hand_over"]) == ("sound", None)
+    table = pd.read_csv("parts/parameters_over_time.csv")
+    assert table["record"].unique().tolist() == [1, 2, 3]
+    assert not table["changed"].any()
+    assert (np.diff(table[table["parameter"] == "k_2"]["std"].to_numpy()) < 0.0).all()
+
+    follow_what_grows(pinn_run, tmp_path, data)
+
+
+def follow_what_grows(pinn_run: PinnRun, tmp_path: Path, data: tuple[str, ...]) -> None:
+    """It ends when nothing comes, goes on when more does, and comes to the same numbers."""
+    lines = (tmp_path / "one.csv").read_text().splitlines(keepends=True)
+    growing = tmp_path / "growing.csv"
+    follow = [argument.replace("one.csv", "growing.csv") for argument in ("follow", *KNOWN, *data, *WINDOWS)]
+    follow += ["follow.until_idle=0.1", "follow.poll=0.05"]
+    for text in ("".join(lines[:300]) + lines[300][:5], "".join(lines)):
+        growing.write_text(text)
+        done = pinn_run(*follow)
+        assert done.status == 0, done.err
+    assert done.directory == tmp_path / "outputs/default/follow"
+    assert "window 1," not in done.out
+    assert "window 3," in done.out
+    for name in TABLES:
+        assert (done.directory / name).read_bytes() == Path("parts", name).read_bytes(), name
+    other = pinn_run(*follow, "seed=3")
+    assert other.status == 2
+    assert "windows of another run lie there" in other.err
+
+
+@pytest.mark.slow
+def test_windows_that_are_there_are_not_solved_again(pinn_run: PinnRun, tmp_path: Path) -> None:
+    data = written(record(3, duration=10.02).record, tmp_path / "one.csv")
+    first = pinn_run(*KNOWN, *data, *WINDOWS, "hydra.run.dir=run")
+    assert first.status == 0, first.err
+    kept = {name: Path("run", name).read_bytes() for name in TABLES}
+    shutil.rmtree("run/windows/0003")
+    Path("run/run.json").unlink()
+    Path("run/windows/0003").mkdir()
+    Path("run/windows/0003/.response.4711.partial.nc").write_text("half")
+    again = pinn_run("resume=run")
+    assert again.status == 0, again.err
+    assert "window 2" not in again.out
+    assert "window 3" in again.out
+    assert {name: Path("run", name).read_bytes() for name in TABLES} == kept
+    assert not list(Path("run").rglob("*.partial.*"))
+    assert "nothing to do" in pinn_run("resume=run").out
+    known = parameters("run")
+    more = pinn_run("model=run", *written(record(4).record, tmp_path / "two.csv"), *WINDOWS, "hydra.run.dir=next")
+    assert more.status == 0, more.err
+    assert (parameters("next")["std"] < known["std"]).all()
+
+
+@pytest.mark.slow
+def test_a_simulated_record_by_windows(pinn_run: PinnRun) -> None:
+    """Its truth is known: fitness is that of the whole record."""
+    common = (*SMALL, "figures=false", "noise.snr_db=30", "scheme.unobserved=[2]")
+    done = pinn_run(*common, "data.window=5", "hydra.run.dir=run")
+    assert done.status == 0, done.err
+    assert pinn_run(*common, "hydra.run.dir=whole").status == 0
+    fitness = [pd.read_csv(f"{run}/fitness.csv").set_index(["group", "quantity"]) for run in ("run", "whole")]
+    assert fitness[0].index.equals(fitness[1].index)
+    ours, theirs = (table.loc[("all", "displacement"), "fitness_percent"] for table in fitness)
+    assert ours > theirs - 1.0
+    assert parameters("run")["true"].notna().all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("scheme=bayesian",), "scheme=bayesian: must be"),
+        (("network=mlp",), "network=mlp: must be"),
+        (("baseline=kalman_smoother",), "baseline=kalman_smoother: must be"),
+        (("validation=heldout",), "validation=heldout: must be"),
+        (("data.overlap=3",), "data.overlap=3.0: must be at most half"),
+    ],
+)
+def test_what_windows_have_not(pinn_run: PinnRun, arguments: tuple[str, ...], told: str) -> None:
+    done = pinn_run(*SMALL, "data.window=5", *arguments)
+    assert done.status == 2
+    assert told in done.err
+    assert len(done.err.strip().splitlines()) == 1
+    assert not Path("outputs").exists()
+
+
+def test_what_a_measured_record_by_windows_has_not(pinn_run: PinnRun, tmp_path: Path) -> None:
+    data = written(record(3).record, tmp_path / "one.csv")
+    file = tmp_path / "one.csv"
+    file.write_text("".join(f"{line},{'a4' if i == 0 else i}\n" for i, line in enumerate(file.read_text().split())))
+    doubtful = "data.channels={roof: {sensor: displacement, column: a4, dof: 2, gain: {uncertainty: 0.05, value: 1}}}"
+    for own, told in (
+        (("data.decimate=2",), "data.decimate=2"),
+        (("data.validation={start: 6, stop: 9}",), "data.validation"),
+        ((doubtful,), "data.channels.roof.gain"),
+    ):
+        done = pinn_run(*KNOWN, *data, *WINDOWS, *own)
+        assert done.status == 2, done.out
+        assert told in done.err
+    done = pinn_run(*KNOWN, *data, "data.overlap=2")
+    assert done.status == 2
+    assert "null without data.window" in done.err
+
+
+def test_a_record_that_is_followed_has_windows(pinn_run: PinnRun, tmp_path: Path) -> None:
+    data = written(record(3).record, tmp_path / "one.csv")
+    for arguments, told in (
+        ((*KNOWN, *data), "given with follow, in seconds"),
+        ((*SMALL, "data.window=5"), "csv or another format of files with follow"),
+        ((*KNOWN, *data, *WINDOWS, "resume=auto"), "left out with follow"),
+        ((*KNOWN, *data, *WINDOWS, "--multirun"), "left out with follow"),
+        ((*KNOWN, *data, *WINDOWS, "follow.poll=0"), "follow.poll=0"),
+    ):
+        done = pinn_run("follow", *arguments)
+        assert done.status == 2, told
+        assert told in done.err
