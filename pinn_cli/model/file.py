@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
+from pinn_cli.model.misfit import Misfit
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
 from pinn_cli.runs.reading import MOST_BYTES
@@ -26,7 +27,7 @@ from pinn_cli.system.structure import Structure
 NAME, SETTING = "model.npz", "model"
 ALLOWED = "null, or the directory of a finished run"
 # Of the file's layout.
-VERSION = 1
+VERSION = 2
 # Of the arrays when unpacked: a file that somebody made to be far larger than it looks is not read.
 MOST_UNPACKED = 16 * MOST_BYTES
 # Of a parameter, what the structure itself does not say.
@@ -45,11 +46,14 @@ def write_model(model: Model, directory: Path) -> Path:
         "reason": model.reason,
     }
     arrays = {f"structure_{name}": values for name, values in arrays.items()}
-    arrays |= {f"parameters_{field.name}": getattr(model.known, field.name) for field in fields(ParameterKnowledge)}
+    known = {field.name: getattr(model.known, field.name) for field in fields(ParameterKnowledge)}
+    arrays |= {f"parameters_{name}": np.asarray(values) for name, values in known.items() if values is not None}
     arrays |= {f"sigma_{quantity}": np.asarray(values) for quantity, values in model.levels.sensors.items()}
     arrays |= {f"level_{name}": np.array(getattr(model.levels, name)) for name in LEVELS}
     if model.end is not None:
         arrays |= {f"end_{field.name}": np.asarray(getattr(model.end, field.name)) for field in fields(EndState)}
+    if model.misfit is not None:
+        arrays |= {f"misfit_{field.name}": np.asarray(getattr(model.misfit, field.name)) for field in fields(Misfit)}
     if model.draws is not None:
         arrays["draws"] = model.draws
     content = BytesIO()
@@ -108,12 +112,14 @@ def stored_model(directory: Path) -> Model:
     if words["version"] != VERSION:
         raise ValueError(f"its layout is number {words['version']}, and {VERSION} is known here")
     structure = structure_of(words, _of("structure_", arrays))
-    known = ParameterKnowledge(**_of("parameters_", arrays))
+    of_parameters = _of("parameters_", arrays)
+    spread = float(of_parameters.pop("spread"))
+    known = replace(ParameterKnowledge(**of_parameters), spread=spread)  # type: ignore[arg-type]
     _check(known, len(words["parameters"]))
     means = zip(words["parameters"], known.mean, known.first_std, strict=True)
     parameters = tuple(_parameter(structure, own, mean, std) for own, mean, std in means)
     levels = Levels(_of("sigma_", arrays), **{k: float(v) for k, v in _of("level_", arrays).items()})
-    end = _of("end_", arrays)
+    end, misfit = _of("end_", arrays), _of("misfit_", arrays)
     return Model(
         structure,
         parameters,
@@ -124,12 +130,22 @@ def stored_model(directory: Path) -> Model:
         str(words["reason"]),
         arrays.get("draws"),
         directory,
+        misfit=_misfit(misfit, structure.coordinates) if misfit else None,
     )
+
+
+def _misfit(arrays: Mapping[str, np.ndarray], coordinates: int) -> Misfit:
+    history = arrays["history"]
+    if history.ndim != 2 or history.shape[1] != coordinates or len(history) < 2 or not np.isfinite(history).all():
+        raise ValueError("the force that it leaves out is none of its coordinates")
+    return Misfit(float(arrays["step"]), history, float(arrays["acting"]), float(arrays["rest"]))
 
 
 def _check(known: ParameterKnowledge, count: int) -> None:
     shapes = {(count,)} if count else {(0,)}
     vectors = {values.shape for values in (known.mean, known.told, known.weight, known.first_std)}
+    if known.prescribed is not None:
+        vectors |= {known.prescribed.shape}
     if vectors != shapes or known.covariance.shape != (count, count):
         raise ValueError(f"its {count} parameters have arrays of other sizes")
 

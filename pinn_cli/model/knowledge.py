@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,11 @@ class ParameterKnowledge:
         covariance: (p, p), of what noise leaves open.
         told: (p,), per unit: sum over the records of the values that tell times the force of one unit over the misfit.
         weight: (p,), per square unit: the same with the square of that ratio.
-        first_std: (p,), what the prior before the first of these records allowed.
+        first_std: (p,), what the prior before the first of these records allowed; of prescribed parameters their common
+            spread was counted in it.
+        prescribed: (p,), the mean of that prior of every parameter that shares the common spread, NaN of all others;
+            None: none does.
+        spread: That was found, in ``first_std``.
     """
 
     mean: np.ndarray
@@ -28,6 +32,28 @@ class ParameterKnowledge:
     told: np.ndarray
     weight: np.ndarray
     first_std: np.ndarray
+    prescribed: np.ndarray | None = None
+    spread: float = 1.0
+
+    @property
+    def sharing(self) -> np.ndarray:
+        """(p,) bool: the parameters that share the common spread."""
+        return np.zeros(len(self.mean), bool) if self.prescribed is None else np.isfinite(self.prescribed)
+
+    def with_spread(self, spread: float) -> ParameterKnowledge:
+        """The same under another common spread: what the records say stays, and the first prior is another one."""
+        sharing = self.sharing
+        if not sharing.any() or spread == self.spread:
+            return self
+        assert self.prescribed is not None
+        unit = np.where(sharing, self.first_std, np.sqrt(np.diag(self.covariance)))
+        pull = np.where(sharing, np.nan_to_num(self.prescribed) - self.mean, 0.0) / unit
+        precision = np.linalg.inv(self.covariance / np.outer(unit, unit))
+        values, vectors = np.linalg.eigh(precision - np.diag(sharing / self.spread**2))
+        records = (vectors * values.clip(min=0.0)) @ vectors.T  # what rounding has made negative says nothing
+        covariance = np.linalg.inv(records + np.diag(sharing / spread**2))
+        moved = covariance @ (pull * (spread**-2 - self.spread**-2))
+        return replace(self, mean=self.mean + unit * moved, covariance=covariance * np.outer(unit, unit), spread=spread)
 
     @property
     def hidden(self) -> np.ndarray:
@@ -45,7 +71,9 @@ class ParameterKnowledge:
         """Of some parameters, the others integrated out."""
         each = (self.mean, self.told, self.weight, self.first_std)
         mean, told, weight, first = (values[chosen] for values in each)
-        return ParameterKnowledge(mean, self.covariance[np.ix_(chosen, chosen)], told, weight, first)
+        prescribed = None if self.prescribed is None else self.prescribed[chosen]
+        covariance = self.covariance[np.ix_(chosen, chosen)]
+        return ParameterKnowledge(mean, covariance, told, weight, first, prescribed, self.spread)
 
 
 @dataclass(frozen=True, eq=False)

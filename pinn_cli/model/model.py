@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
+from pinn_cli.model.misfit import Misfit
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +25,7 @@ class Model:
         parameters: Those that were uncertain, p of them; ``prescribed`` is their mean.
         known: Of them; its covariance is NaN where the training told no standard deviations.
         draws: (D, p), of a sampled posterior; None without one.
+        misfit: The force that the model leaves out; None where the training does not say.
         levels: Noise that was found.
         end: Where the motion ended; None where nobody knows.
         verdict: On the run, and the first reason for it; "" without one.
@@ -40,3 +42,4 @@ class Model:
     reason: str
     draws: np.ndarray | None = None
     directory: Path = Path()
+    misfit: Misfit | None = None

@@ -21,6 +21,43 @@ MOST_STEPS = 40_000
 
 
 @dataclass(frozen=True, eq=False)
+class Replay:
+    """A force that acted once and acts on every member from another place of it on, with either sign.
+
+    Its end is its beginning backwards. So members have its spectrum and what its columns have in common, and nothing
+    of when it came.
+
+    Attributes:
+        history: (L, n), N, in the equations of the coordinates; L at least 2.
+        rate: Samples of it for every one of the new record.
+        first: (H,), place in it at which a member begins, from 0 to 2 (L - 1).
+        sign: (H,).
+    """
+
+    history: np.ndarray
+    rate: float
+    first: np.ndarray
+    sign: np.ndarray
+
+    @classmethod
+    def drawn(cls, history: np.ndarray, rate: float, count: int, seed: int) -> Replay:
+        """Places and signs at random."""
+        random = np.random.default_rng([seed, 3])
+        first = random.integers(0, 2 * (len(history) - 1), count)
+        return cls(history, rate, first, random.choice([-1.0, 1.0], count))
+
+    def at(self, samples: np.ndarray) -> np.ndarray:
+        """(M, H, n) at samples (M,) of the new record."""
+        last = len(self.history) - 1
+        place = (self.first + self.rate * samples[:, None]) % (2 * last)
+        place = np.minimum(place, 2 * last - place)
+        before = np.minimum(place.astype(np.int64), last - 1)
+        share = (place - before)[..., None]
+        out: np.ndarray = self.history[before] * (1.0 - share) + self.history[before + 1] * share
+        return self.sign[:, None] * out
+
+
+@dataclass(frozen=True, eq=False)
 class Members:
     """What differs from member to member, H of them.
 
@@ -30,12 +67,14 @@ class Members:
         sources: (P, n), N: independent white forces, a row for what one standard deviation of each puts into the
             equations of the coordinates at a sample. Between samples they go in straight lines.
         seed: Of their values.
+        replay: A force beside them; None: there is none.
     """
 
     parameters: Mapping[str, np.ndarray]
     start: np.ndarray
     sources: np.ndarray
     seed: int
+    replay: Replay | None = None
 
 
 def spread_of(members: Members, structure: Structure, record: Record, about: Response) -> Response:
@@ -72,16 +111,22 @@ def followed_members(
     substeps = substeps_needed(structure, record.step)
     samples = min(len(record.time), MOST_STEPS // substeps)
     ensemble = _Ensemble(structure, members, record)
-    random, (count, sources) = np.random.default_rng(members.seed), (len(members.start), members.sources)
-    state, last = members.start, random.standard_normal((1, count, len(sources))) @ sources
+    random = np.random.default_rng(members.seed)
+    state, last = members.start, _drawn(members, random, 0, 1)
     for first in range(0, samples - 1, CHUNK):
         stop = min(first + CHUNK, samples - 1) + 1
-        more = random.standard_normal((stop - first - 1, count, len(sources))) @ sources
-        noise = np.concatenate((last, more))
+        noise = np.concatenate((last, _drawn(members, random, first + 1, stop)))
         states, load = ensemble.followed(state, noise, first, stop, substeps)
         ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
         yield slice(first, stop), ensemble.motion(states, load, ground), states
         state, last = states[-1], noise[-1:]
+
+
+def _drawn(members: Members, random: np.random.Generator, first: int, stop: int) -> np.ndarray:
+    """(M, H, n), the members' own forces at the samples first to stop (excluded)."""
+    sources = members.sources
+    forces: np.ndarray = random.standard_normal((stop - first, len(members.start), len(sources))) @ sources
+    return forces if members.replay is None else forces + members.replay.at(np.arange(first, stop))
 
 
 class _Ensemble:

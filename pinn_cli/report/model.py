@@ -11,7 +11,7 @@ import numpy as np
 from pinn_cli.model.file import write_model
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
 from pinn_cli.model.model import Model
-from pinn_cli.record.response import QUANTITIES
+from pinn_cli.record.response import GROUND, QUANTITIES
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.record_scales import force_and_velocity_scale
@@ -48,6 +48,7 @@ def model_of(results: Results, verdict: Verdict | None) -> Model:
         verdict.word if verdict else "",
         next((finding.text for finding in reasons), ""),
         None if draws is None else draws[:, own],
+        misfit=estimate.misfit,
     )
 
 
@@ -79,9 +80,9 @@ def _of_intervals(estimate: Estimate) -> ParameterKnowledge:
 def _levels(results: Results) -> Levels:
     summary, record = results.estimate.summary, results.record
     sensors = {}
-    for quantity in QUANTITIES:
+    for quantity, channels in (*((quantity, record.ndof) for quantity in QUANTITIES), (GROUND, 1)):
         found = summary.get(f"sigma_{quantity}")
-        if isinstance(found, list) and len(found) == record.ndof:
+        if isinstance(found, list) and len(found) == channels:
             sensors[quantity] = np.array([np.nan if sigma is None else sigma for sigma in found], dtype=float)
     force = np.nan if results.problem is None else force_and_velocity_scale(results.problem)[0]
     discrepancy, features = (

@@ -109,15 +109,10 @@ def _compared(changes: Changes, i: int) -> dict[str, Any]:
 
 
 def changes_text(changes: Changes | None) -> str:
-    """What a run prints of changes; "" where nothing was compared."""
-    if changes is None:
+    """What a run prints of changes; "" where nothing was compared, and of a contradiction: the verdict tells it."""
+    if changes is None or (not changes.found and changes.chance < changes.improbable):
         return ""
     if not changes.found:
-        if changes.chance < changes.improbable:
-            return (
-                "the record contradicts the earlier ones, and no one parameter explains it"
-                f" (probability of that by chance: {_probability(changes.chance)})"
-            )
         return f"no change since the earlier records (probability of such differences by chance: {changes.chance:.2g})"
     lines = []
     for change in changes.found:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pinn_cli.system.parameters import Parameter
-    from pinn_cli.training.estimate import ParameterEstimate
+    from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 PARAMETER_COLUMNS = (
     "parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90",
@@ -77,6 +78,21 @@ def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:
     return any(p.unknown for p in parameters)
 
 
+def before_any_record(estimate: Estimate) -> list[ParameterEstimate]:
+    """The parameters beside what was believed of them before the first record that they were learned from.
+
+    The prior of an update is what earlier records say. That it narrows little says nothing of how well all determine
+    a parameter.
+    """
+    if estimate.changes is None or estimate.known is None:
+        return estimate.parameters
+    first = estimate.known.first_std
+    return [
+        replace(p, parameter=replace(p.parameter, prior_std=float(std)))
+        for p, std in zip(estimate.parameters, first, strict=True)
+    ]
+
+
 def identifiability_table(
     parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None, labels: Mapping[str, object]
 ) -> pd.DataFrame:
@@ -122,25 +138,22 @@ def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.n
     return table
 
 
-def identifiability_warnings(
-    parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None, updated: bool = False
-) -> list[str]:
+def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> list[str]:
     """What a reader must know before trusting the unknown parameters, one sentence each; none if all is well.
 
     Args:
         parameters: p of them; only the unknown ones are judged.
         correlation: (p, p), in their order; None where the training gives none.
-        updated: Whether their priors are what earlier records say, on which they may lean.
     """
     unknown = [p for p in parameters if p.unknown]
     if unknown and not any(np.isfinite(p.std) for p in unknown):
         return ["this training gives no standard deviations: nothing tells how far to trust the unknown ones"]
-    own = [warning for p in unknown for warning in _own_warning(p, updated)]
+    own = [warning for p in unknown for warning in _own_warning(p)]
     shared = dict.fromkeys(warning for _, warning in _inseparable(parameters, correlation))
     return [*own, *shared]
 
 
-def _own_warning(p: ParameterEstimate, updated: bool = False) -> list[str]:
+def _own_warning(p: ParameterEstimate) -> list[str]:
     """The gravest thing to be said of one parameter, regardless of the others; nothing if it is well determined."""
     ratio, relative = _ratio(p.std, p.prior_std), _ratio(p.std, p.estimate)
     of_value, of_prior = (
@@ -154,13 +167,13 @@ def _own_warning(p: ParameterEstimate, updated: bool = False) -> list[str]:
         return [f"{p.name} is held at its lower bound of 0: {known}"]
     if not p.unknown and ratio > LEANS_ON_PRIOR:
         return [f"{p.name} rests on its prescribed value: its standard deviation is {of_prior}"]
-    if ratio > PRIOR_UNTOUCHED and not updated:
+    if ratio > PRIOR_UNTOUCHED:
         return [f"the record says nearly nothing about {p.name}: its standard deviation is still {of_prior}"]
     if abs(p.estimate) <= HALF_WIDTH_90 * p.std or p.lower_90 <= 0.0 <= p.upper_90:
         return [f"{p.name} cannot be told from zero: {of_value}"]
     if relative > POORLY_DETERMINED:
         return [f"{p.name} is poorly determined: {of_value}"]
-    if ratio > LEANS_ON_PRIOR and not updated:
+    if ratio > LEANS_ON_PRIOR:
         return [f"{p.name} leans on its prior: the record narrows its standard deviation only to {of_prior}"]
     return []
 

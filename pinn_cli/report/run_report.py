@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 from pinn_cli.report.model import write_run_model
 from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.report.over_time import FILE, changes_text, parameters_over_time
-from pinn_cli.report.parameters import any_unknown, correlation_table, identifiability_table, parameter_table
+from pinn_cli.report.parameters import (
+    any_unknown,
+    before_any_record,
+    correlation_table,
+    identifiability_table,
+    parameter_table,
+)
 from pinn_cli.report.peaks import peak_table, peaks_text
 from pinn_cli.report.posterior import diagnostics_table, parameter_estimates, posterior_correlation
 from pinn_cli.report.record_report import RecordReport, record_folder, records_table
@@ -223,7 +229,7 @@ def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> 
     if results.score is not None:
         files["score"] = results.score.table
     if any_unknown(parameters):
-        files["identifiability"] = identifiability_table(parameters, correlation, labels)
+        files["identifiability"] = identifiability_table(before_any_record(estimate), correlation, labels)
         if correlation is not None:
             files["correlation"] = correlation_table(parameters, correlation)
     for name, table in files.items():

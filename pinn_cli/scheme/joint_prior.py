@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pinn_cli.model.knowledge import Levels
+from pinn_cli.model.knowledge import Levels, ParameterKnowledge
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +19,7 @@ class JointPrior:
         correlation: (p, p).
         first_std: (p,), what the prior before the first record allowed, in the parameters' units.
         told, weight: See :class:`pinn_cli.model.knowledge.ParameterKnowledge`; of the records before this one.
+        prescribed, spread: Likewise; of the first prior.
         levels: Noise that the last record was found to have: near it this one's is looked for.
     """
 
@@ -27,6 +28,21 @@ class JointPrior:
     told: np.ndarray
     weight: np.ndarray
     levels: Levels
+    prescribed: np.ndarray | None = None
+    spread: float = 1.0
+
+    @classmethod
+    def of(cls, known: ParameterKnowledge, levels: Levels) -> JointPrior:
+        """What earlier records say."""
+        std = np.sqrt(np.diag(known.covariance))
+        correlation = known.covariance / np.outer(std, std)
+        return cls(correlation, known.first_std, known.told, known.weight, levels, known.prescribed, known.spread)
+
+    def known(self, mean: np.ndarray, std: np.ndarray) -> ParameterKnowledge:
+        """The same as knowledge, with the parameters' means and standard deviations (p,)."""
+        covariance = self.correlation * np.outer(std, std)
+        before = self.told, self.weight, self.first_std, self.prescribed, self.spread
+        return ParameterKnowledge(mean, covariance, *before)
 
     @cached_property
     def precision(self) -> np.ndarray:
@@ -47,4 +63,5 @@ class JointPrior:
             first_std=np.concatenate((self.first_std, std)),
             told=np.concatenate((self.told, nothing)),
             weight=np.concatenate((self.weight, nothing)),
+            prescribed=None if self.prescribed is None else np.append(self.prescribed, np.full(more, np.nan)),
         )

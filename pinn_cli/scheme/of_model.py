@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
@@ -47,8 +48,8 @@ def problem_of_model(
         for p, mean, s in zip(model.parameters, known.mean, std, strict=True)
     ]
     nothing = np.zeros(count)
-    told, weight, first = (known.told, known.weight, known.first_std) if updates else (nothing, nothing, std)
-    prior = JointPrior(covariance / np.outer(std, std), first, told, weight, model.levels)
+    before = known if updates else ParameterKnowledge(known.mean, covariance, nothing, nothing, std)
+    prior = JointPrior.of(before, model.levels)
     sensors = sensor_parameters(record)
     return Problem(
         model.structure.with_values({p: p.prescribed for p in own}),

@@ -117,13 +117,17 @@ def released(problem: Problem, changes: Changes) -> Problem:
     unit = np.array([p.prior_std for p in uncertain])
     covariance = prior.correlation * np.outer(unit, unit)
     told, weight, first = prior.told.copy(), prior.weight.copy(), prior.first_std.copy()
+    prescribed = None if prior.prescribed is None else prior.prescribed.copy()
     for change in changes.found:
         j = uncertain.index(change.parameter)
         covariance[j, j] += _open(problem, j) ** 2
         told[j] = weight[j] = 0.0
+        if prescribed is not None:
+            prescribed[j] = np.nan
         first[j] = max(first[j], _open(problem, j))
     std = np.sqrt(np.diag(covariance))
-    again = replace(prior, correlation=covariance / np.outer(std, std), told=told, weight=weight, first_std=first)
+    correlation = covariance / np.outer(std, std)
+    again = replace(prior, correlation=correlation, told=told, weight=weight, first_std=first, prescribed=prescribed)
     freed = tuple(replace(p, prior_std=float(s)) for p, s in zip(uncertain, std, strict=True))
     return replace(problem, uncertain=freed, prior=again)
 

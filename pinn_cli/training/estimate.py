@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.model.knowledge import EndState, HandOver, ParameterKnowledge
+from pinn_cli.model.misfit import Misfit
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
 
@@ -220,6 +221,7 @@ class Estimate:
         handed_over: To a record that goes on before this one ends; None where there is none.
         changes: Of the structure since the records before, where it was looked for any.
         peaks: Of a prediction.
+        misfit: The force that the model leaves out; None where the training does not say.
     """
 
     response: Response
@@ -239,6 +241,7 @@ class Estimate:
     handed_over: HandOver | None = None
     changes: Changes | None = None
     peaks: tuple[Peak, ...] = ()
+    misfit: Misfit | None = None
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:

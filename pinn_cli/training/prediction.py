@@ -9,13 +9,16 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.model.model import Model
-from pinn_cli.record.ensemble import Members, followed_members
+from pinn_cli.record.ensemble import Members, Replay, followed_members
+from pinn_cli.record.input_force import input_force
 from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import TooStiffError, resimulate
-from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS, Response
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import TrainedNetwork
@@ -62,8 +65,11 @@ class Predictor(TrainedNetwork):
         parameters, correlation = _estimates(problem), None if problem.prior is None else problem.prior.correlation
         draws = self._draws(parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
-        sources = _sources(problem, self.model, self.scheme.measured_input, response)
-        members = Members(drawn_structures(structure, parameters, draws), state, sources, run.seed)
+        white, replay = _left_out(problem, self.model, response, len(draws), run.seed)
+        rows = [*(white * np.eye(structure.coordinates))] if white else []
+        rows += _input_noise(problem, self.model) if self.scheme.measured_input else []
+        sources = np.array(rows).reshape(-1, structure.coordinates)
+        members = Members(drawn_structures(structure, parameters, draws), state, sources, run.seed, replay)
         band = _Band(structure, record, response, members)
         summary = {"iterations": 0, "stop_reason": "predicted", "draws": len(draws)}
         return Estimate(
@@ -149,20 +155,34 @@ def _estimates(problem: Problem) -> list[ParameterEstimate]:
     ]  # fmt: skip
 
 
-def _sources(problem: Problem, model: Model, measured: bool, response: Response) -> np.ndarray:
-    """(P, n), see :class:`pinn_cli.record.ensemble.Members`: the discrepancy, and the noise of measured forces.
+def _left_out(problem: Problem, model: Model, response: Response, count: int, seed: int) -> tuple[float, Replay | None]:
+    """What the model leaves out: a white force on every coordinate, N per sample, and one that acted on the record.
 
-    The discrepancy is as large a part of the force as it was, and has the same power at every frequency.
+    Both are as large a part of the inputs as they were. A white one has the same power at every frequency, at any rate.
     """
+    record, levels, misfit = problem.record, model.levels, model.misfit
+    finer = float(np.sqrt(levels.step / record.step))
+    if misfit is not None:
+        acting = float(np.sqrt(np.mean(input_force(problem.structure, record) ** 2)))
+        part = acting / misfit.acting if misfit.acting > 0.0 else 1.0
+        replay = Replay.drawn(part * misfit.history.astype(float), record.step / misfit.step, count, seed)
+        return part * finer * misfit.rest, replay
+    if not (np.isfinite(levels.discrepancy) and levels.force > 0.0):
+        return 0.0, None
+    moved = replace(record, acceleration=response.acceleration, responds=True)  # what a moving ground comes to
+    force, _ = force_and_velocity_scale(replace(problem, record=moved))
+    return levels.discrepancy * force / levels.force * finer, None
+
+
+def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
+    """A row (n,) for the noise of every measured input: what its spectrum shows, or the run found."""
     structure, record, levels = problem.structure, problem.record, model.levels
-    n, rows = structure.coordinates, []
-    if np.isfinite(levels.discrepancy) and levels.force > 0.0:
-        moved = replace(record, acceleration=response.acceleration, responds=True)  # what a moving ground comes to
-        force, _ = force_and_velocity_scale(replace(problem, record=moved))
-        size = levels.discrepancy * force / levels.force * np.sqrt(levels.step / record.step)
-        rows = [*(size * np.eye(n))]
-    felt = np.eye(n) if structure.shapes is None else structure.shapes.matrix
-    sigma = levels.sensors.get(FORCE)
-    if measured and sigma is not None:
-        rows += [float(s) * felt[dof] for dof, s in enumerate(sigma) if np.isfinite(s) and not record.unforced[dof]]
-    return np.array(rows).reshape(-1, n)
+    felt = np.eye(structure.coordinates) if structure.shapes is None else structure.shapes.matrix
+    nothing = np.full(record.ndof, np.nan)
+    loaded = np.flatnonzero(~record.unforced)
+    inputs = [(felt[dof], record.force[:, dof], levels.sensors.get(FORCE, nothing)[dof]) for dof in loaded]
+    if record.ground_acceleration is not None:
+        pushed = structure.parameters_like(np.empty(0))[MASS] * structure.with_ground
+        inputs.append((pushed, record.ground_acceleration, levels.sensors.get(GROUND, nothing)[0]))
+    shown = [(column, visible_floor(samples, record.step) or found) for column, samples, found in inputs]
+    return [float(sigma) * column for column, sigma in shown if np.isfinite(sigma)]

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.changes import found_changes, released
+from pinn_cli.training.common_spread import common_spread, under_spread
 from pinn_cli.training.estimate import Changes, Estimate, RunContext
 
 # Solutions at most until the changes that one finds are those that it was solved with.
 ROUNDS = 3
+# Relative change of what prescribed parameters are off in common from which on it is worth another solution.
+WORTHWHILE = 0.05
 
 
 @dataclass(frozen=True)
@@ -23,16 +28,30 @@ class UpdatedNetwork(TrainedNetwork):
         A parameter that changed much is pulled by the others' prior as well: only a solution with it left open says by
         how much it changed, and whether another one did.
         """
+        if problem.prior is None:
+            return super().solve(problem, run)
+        problem, estimate = self._under_their_spread(problem, run)
         solved, changes = problem, None
-        for _ in range(ROUNDS):
-            estimate = super().solve(solved, run)
-            if estimate.known is None or problem.prior is None:
+        for number in range(ROUNDS):
+            estimate = estimate if number == 0 else super().solve(solved, run)
+            if estimate.known is None:
                 return estimate
             before, changes = changes, found_changes(problem, estimate.known, solved)
             if _names(changes) == _names(before):
                 break
             solved = released(problem, changes)
         return replace(estimate, changes=changes)
+
+    def _under_their_spread(self, problem: Problem, run: RunContext) -> tuple[Problem, Estimate]:
+        """The problem and its solution under the common spread that all records together ask for."""
+        estimate = super().solve(problem, run)
+        if estimate.known is None or problem.prior is None or problem.initial_state is not None:
+            return problem, estimate  # a state that is handed over goes with what was handed over of the parameters
+        spread = common_spread(estimate.known)
+        if abs(np.log(spread / problem.prior.spread)) < WORTHWHILE:
+            return problem, estimate
+        problem = under_spread(problem, spread)
+        return problem, super().solve(problem, run)
 
 
 def _names(changes: Changes | None) -> set[str]:

@@ -174,7 +174,7 @@ class _Report:
     def _doubts(self, beliefs: list[list[Any]]) -> list[str]:
         """What is to be told of parameters that are not well known."""
         estimate = self.believed(self._results(), beliefs).estimate
-        return list(identifiability_warnings(estimate.parameters, estimate.correlation, estimate.changes is not None))
+        return list(identifiability_warnings(estimate.parameters, estimate.correlation))
 
     def handed_over(self, verdict: Verdict | None) -> Model | None:
         """The model that the next window begins with; None where there is no next one."""

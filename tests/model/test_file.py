@@ -13,6 +13,7 @@ from structures import braced
 
 from pinn_cli.model.file import NAME, read_model, write_model
 from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
+from pinn_cli.model.misfit import MOST_KEPT, Misfit
 from pinn_cli.model.model import Model
 from pinn_cli.settings.errors import InputError
 
@@ -29,7 +30,8 @@ def model() -> Model:
     )  # fmt: skip
     levels = Levels({"acceleration": np.array([0.1, np.nan, 0.2])}, 0.3, 0.01, 5.0, 7.5)
     end = EndState(2.0, np.arange(6.0), np.eye(6), np.ones((6, 2)))
-    return Model(structure, parameters, known, levels, end, "questionable", "why", np.ones((4, 2)))
+    misfit = Misfit.of(0.01, np.arange(12.0).reshape(4, 3), 5.0, 0.25)
+    return Model(structure, parameters, known, levels, end, "questionable", "why", np.ones((4, 2)), misfit=misfit)
 
 
 def run(directory: Path, content: Model | None = None, finished: bool = True) -> Path:
@@ -57,6 +59,16 @@ def test_what_goes_in_comes_out(tmp_path):
     assert back.end is not None
     np.testing.assert_array_equal(back.end.mean, np.arange(6.0))
     np.testing.assert_array_equal(back.draws, np.ones((4, 2)))
+    assert back.misfit is not None
+    np.testing.assert_array_equal(back.misfit.history, np.arange(12.0).reshape(4, 3))
+    assert (back.misfit.step, back.misfit.acting, back.misfit.rest) == (0.01, 5.0, 0.25)
+
+
+def test_of_a_long_history_the_end_is_kept():
+    long = np.broadcast_to(np.arange(MOST_KEPT, dtype=float)[:, None], (MOST_KEPT, 4))
+    kept = Misfit.of(0.01, long, 1.0, 0.0).history
+    assert kept.shape == (MOST_KEPT // 4, 4)
+    assert kept[-1, 0] == MOST_KEPT - 1
 
 
 def refusal(given: object, base: Path) -> str:
@@ -99,6 +111,8 @@ def damaged(file: Path, **changes: object) -> None:
         {"structure_value_k": None},
         {"structure_group_0_indices": np.array([7, 8, 9])},
         {"draws": np.array([object()], dtype=object)},
+        {"misfit_history": np.zeros((4, 2))},
+        {"misfit_history": np.full((4, 3), np.nan)},
     ],
 )
 def test_a_damaged_file_is_refused(tmp_path, changes):

@@ -9,7 +9,7 @@ import pytest
 from small_problems import small_chain
 from structures import braced, hysteretic, modal
 
-from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.ensemble import Members, Replay, spread_of
 from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES
@@ -82,6 +82,32 @@ def test_white_forces_move_an_oscillator_as_the_textbook_says():
     np.testing.assert_allclose(variance, [sigma**2 * step / (4.0 * 25.0), sigma**2 * step / 4.0], rtol=0.1)
     again = spread_of(members, structure, record, resimulate(structure, record, None))
     np.testing.assert_array_equal(found.displacement, again.displacement)
+
+
+def test_a_force_is_replayed_from_other_places_on():
+    history = np.column_stack((np.arange(5.0), -np.arange(5.0)))
+    replay = Replay(history, 0.5, np.array([0, 3]), np.array([1.0, -1.0]))
+    found = replay.at(np.arange(12))
+    np.testing.assert_allclose(found[:, 0, 0], [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 3.5, 3, 2.5])
+    np.testing.assert_allclose(found[:, 1, 0], [-3, -3.5, -4, -3.5, -3, -2.5, -2, -1.5, -1, -0.5, 0, -0.5])
+    np.testing.assert_array_equal(found[..., 1], -found[..., 0])
+    drawn = Replay.drawn(history, 1.0, 400, 0)
+    assert set(drawn.first) == set(range(8))
+    assert 150 < (drawn.sign > 0).sum() < 250
+
+
+def test_a_replayed_resonance_moves_an_oscillator_more_than_white_noise_of_its_size():
+    structure = build_chain(1, Linear(), m=1.0, c=0.2, k=25.0)
+    time = np.linspace(0.0, 40.0, 2001)
+    still = np.zeros((2001, 1))
+    record = Record(time, still, np.full_like(still, np.nan), np.full_like(still, np.nan), still, np.array([False]))
+    parameters = {kind: np.tile(x, (32, 1)) for kind, x in structure.parameters_like(np.empty(0)).items()}
+    history = np.sin(5.0 * np.arange(100_000) * record.step)[:, None]
+    replay = Replay.drawn(history, 1.0, 32, 0)
+    members = Members(parameters, np.zeros((32, 2)), np.zeros((0, 1)), 1, replay)
+    found = spread_of(members, structure, record, resimulate(structure, record, None)).displacement
+    late = time > 30.0  # 1 / (c omega) of the textbook, root mean square
+    assert np.sqrt(np.mean(found[late] ** 2)) == pytest.approx(1.0 / (0.2 * 5.0) / np.sqrt(2.0), rel=0.1)
 
 
 def test_what_comes_after_too_many_steps_is_unknown(monkeypatch):

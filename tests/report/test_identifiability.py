@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_estimates import parameter_estimate
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.report.parameters import (
     IDENTIFIABILITY_COLUMNS,
     WELL_DETERMINED,
     any_unknown,
+    before_any_record,
     correlation_table,
     identifiability_table,
     identifiability_warnings,
@@ -76,10 +79,20 @@ def test_the_gravest_thing_is_told_of_each(given, told):
     assert line.startswith(told)
 
 
-@pytest.mark.parametrize("std", [8.3, 6.0])
-def test_a_parameter_may_lean_on_earlier_records(std):
-    assert identifiability_warnings([parameter("k_2", 60.0, std)], None)
-    assert identifiability_warnings([parameter("k_2", 60.0, std)], None, updated=True) == []
+def test_an_update_is_judged_by_what_was_believed_before_the_first_record(make_case):
+    last = [parameter("k_2", 60.0, 6.0), parameter("k_3", 60.0, 8.0), parameter("c_1", 10.0, 0.9, 0.9, unknown=False)]
+    assert len(identifiability_warnings(last, None)) == 2  # each leans on what the records before say
+    nothing = np.zeros(3)
+    known = ParameterKnowledge(nothing, np.eye(3), nothing, nothing, np.array([600.0, 10.0, 9.0]))
+    update = SimpleNamespace(parameters=last, known=known, changes=object())
+    judged = before_any_record(update)
+    (line,) = identifiability_warnings(judged, None)
+    assert line.startswith("the record says nearly nothing about k_3: its standard deviation is still 80 %")
+    table = identifiability_table(judged, None, make_case().labels)
+    assert table["prior_std"].tolist() == [600.0, 10.0, 9.0]
+    assert table["verdict"][0] == table["verdict"][2] == WELL_DETERMINED
+    update.changes = None
+    assert before_any_record(update) is last
 
 
 def test_prescribed_parameters_are_not_warned_of(make_case):

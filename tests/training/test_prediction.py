@@ -9,6 +9,7 @@ import pytest
 from storeys import C, K, M, record, response
 
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
+from pinn_cli.model.misfit import Misfit
 from pinn_cli.model.model import Model
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
@@ -83,6 +84,45 @@ def test_discrepancy_and_noise_of_a_measured_force_widen_the_bands():
     wrong = predicted(model(0.001, discrepancy=200.0), force_alone(), draws=40)
     last = [np.sqrt(np.mean(each.std.displacement**2)) for each in (quiet, noisy, wrong)]
     assert last[0] < 0.8 * last[1] < last[2]
+
+
+def with_misfit(history: np.ndarray, acting: float, rest: float = 0.0, step: float = 0.02) -> Model:
+    return replace(model(), misfit=Misfit.of(step, history, acting, rest))
+
+
+def test_the_force_that_was_left_out_acts_again_as_large_a_part_of_the_input():
+    seen = force_alone(duration=4.0)
+    acting, moved = float(np.sqrt(np.mean(seen.force**2))), response(9).acceleration
+    history = 100.0 * moved / np.sqrt(np.mean(moved**2))  # as of wrong masses
+
+    def spread(given: Model) -> float:
+        return float(np.sqrt(np.mean(predicted(given, seen, draws=20).std.displacement ** 2)))
+
+    usual = spread(with_misfit(history, acting))
+    assert spread(with_misfit(history, 2.0 * acting)) == pytest.approx(0.5 * usual, rel=1e-6)
+    white = spread(model(discrepancy=100.0))
+    assert usual > 1.5 * white  # it has most of its power where the structure answers
+    assert spread(with_misfit(0.0 * history, acting, rest=100.0)) == pytest.approx(
+        spread(with_misfit(0.0 * history, 0.0, rest=100.0)), rel=1e-6
+    )
+
+
+def test_noise_of_a_measured_ground_and_what_a_channel_shows_of_it():
+    rng = np.random.default_rng(0)
+    seen = force_alone(duration=4.0)
+    still, moved = np.zeros_like(seen.force), np.sin(3.0 * seen.time)
+    seen = replace(seen, force=still, unforced=np.ones(3, dtype=bool), ground_acceleration=moved)
+    known = model()
+    known = replace(known, levels=replace(known.levels, sensors={"ground_acceleration": np.array([0.05])}))
+
+    def spread(record: Record) -> float:
+        found = predicted(known, record, draws=20, measured_input=True)
+        return float(np.sqrt(np.mean(found.std.displacement**2)))
+
+    of_the_run = spread(seen)
+    assert of_the_run > 0.0
+    noisy = replace(seen, ground_acceleration=moved + 0.1 * rng.standard_normal(len(moved)))
+    assert spread(noisy) == pytest.approx(2.0 * of_the_run, rel=0.2)
 
 
 def test_what_is_no_prediction_is_refused():

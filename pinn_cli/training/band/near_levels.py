@@ -13,6 +13,7 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY, Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.noise_levels import floor, updated
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
@@ -42,7 +43,8 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
         return None
     force, _ = force_and_velocity_scale(problem)
     rate = (levels.step / problem.record.step * equations.refinement) ** 0.5
-    discrepancy = max(levels.discrepancy * rate * force / levels.force, LEAST_START * force)
+    known = levels.discrepancy * rate * force / levels.force
+    discrepancy = max(known, LEAST_START * force)
     if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
         return None
     response = {quantity: _known_where(own, levels.sensors.get(quantity)) for quantity, own in noise.response.items()}
@@ -55,9 +57,23 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
                 return None
             point = softer.solution.point
         trained = evidence.train(own.with_discrepancy(discrepancy), point)
+        if trained is not None and trained.solution.converged:
+            trained = _as_driven(evidence, trained, known) or trained
     except DivergenceError:
         return None
     return trained if trained is not None and trained.solution.converged else None
+
+
+def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trained | None:
+    """The solution under what drives the ground and forces in this record; None where neither is unknown.
+
+    Sensors come after that: under another drive they would be taken for noisier or better than they are, and a short
+    record does not tell enough of them to find back.
+    """
+    if trained.noise.innovation is None:
+        return None
+    driven = updated(evidence, trained, floor(evidence, trained)).innovation
+    return evidence.train(replace(trained.noise, discrepancy=discrepancy, innovation=driven), trained.solution.point)
 
 
 def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearReadout) -> NetworkDesign:

@@ -50,11 +50,18 @@ def parameter_posterior(
         told[0][own] / scale,
         told[1][own] / scale**2,
         scale,
+        np.where(equations.unknown.cpu().numpy(), np.nan, [p.prescribed for p in equations.uncertain]),
+        trained.noise.spread,
     )
     prior = None if isinstance(equations, JointEquations) else equations.problem.prior
     if prior is not None:
         known = replace(
-            known, told=known.told + prior.told, weight=known.weight + prior.weight, first_std=prior.first_std
+            known,
+            told=known.told + prior.told,
+            weight=known.weight + prior.weight,
+            first_std=prior.first_std,
+            prescribed=prior.prescribed,
+            spread=prior.spread,
         )
     misfit = known.hidden / scale
     posterior = TruncatedGaussian(peak, covariance, lower)

@@ -23,6 +23,7 @@ from pinn_cli.training.band.end_state import end_state
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.agreement import disagreements
 from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.misfit_history import misfit_history
 from pinn_cli.training.band.model_evidence import model_log_evidence
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -95,7 +96,8 @@ def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
     summary |= _of_unknown_forces(equations, trained)
     if equations.known is not None:
         summary["spectral_misfit"] = equations.known.misfit
-    return Estimate(response, std, [], pd.DataFrame(), summary, connections=_connections(posterior, response))
+    connections, misfit = _connections(posterior, response), misfit_history(evidence, trained)
+    return Estimate(response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit)
 
 
 def _noise_felt(equations: NormalEquations, trained: Trained) -> dict[str, np.ndarray]:

@@ -1,0 +1,57 @@
+"""The force that a model leaves out: a free run under it is the estimate, and an input's own noise is no part of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from storeys import C, K, M, record
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.record.resimulation import resimulate
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
+from pinn_cli.training.base import TrainedNetwork
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.gauss_newton import GaussNewton
+
+# A mass that is wrong by a tenth, where the load cell is.
+HEAVIER = M * np.array([1.0, 1.0, 1.1])
+
+
+def estimated(seen: Record, m: np.ndarray = M) -> Estimate:
+    structure = build_chain(3, Linear(), m=m.tolist(), c=C.tolist(), k=K.tolist())
+    scheme = StateParameter(unknown=["k_*"], starts="given")
+    found = TrainedNetwork(GaussNewton(), Spline()).solve(scheme.problem(structure, seen), RunContext())
+    assert found.misfit is not None
+    return replace(found, summary=found.summary | {"structure": estimated_structure(structure, found.parameters)})
+
+
+def free_run(found: Estimate, seen: Record, force: np.ndarray) -> np.ndarray:
+    """Distance of the free run's displacements under a force from the estimate's, over these."""
+    start = found.response.displacement[0], found.response.velocity[0]
+    run = resimulate(found.summary["structure"], seen, start, force).displacement
+    estimate = found.response.displacement
+    return np.linalg.norm(run - estimate, axis=0) / np.linalg.norm(estimate, axis=0)
+
+
+def test_with_the_right_model_nothing_is_left_out_but_the_noise_of_the_load_cell():
+    each = record(1, duration=6.0)
+    found, sigma = estimated(each.record), float(each.noise["force"][2])
+    left = found.misfit.history.std(axis=0)
+    assert left.max() < 0.2 * sigma
+    assert found.misfit.rest < 0.2 * sigma
+    assert found.misfit.acting == pytest.approx(np.sqrt(np.mean(each.record.force**2)))
+
+
+def test_a_wrong_mass_below_the_load_cell_is_left_out_whatever_the_cell_is_taken_for():
+    seen = record(1, duration=6.0, snr_db=40.0).record
+    found = estimated(seen, HEAVIER)
+    left = found.misfit.history
+    assert left[:, 2].std() > 3.0 * record(1, duration=6.0, snr_db=40.0).noise["force"][2]
+    under_force, under_both = free_run(found, seen, seen.force), free_run(found, seen, seen.force + left)
+    assert (under_both < 0.35 * under_force).all()
