@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
+from pinn_cli.cli.records import OF_THE_RUN
 from pinn_cli.record.excitation import BandedNoise
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Measurements
@@ -22,7 +23,10 @@ EXCITATION = BandedNoise(3, 20.0, 512, band=[0.05, 1.0], rms=1.0, dofs=[1, 3])
 
 def measured(snr_db: float | None = 20.0, hold: str = "exact") -> Measurements:
     parts = {"excitation": EXCITATION, "simulation": Simulation(20.0, 512, hold), "noise": Noise(snr_db)}
-    source = build(OmegaConf.load(CONF), "data", **parts)
+    node = OmegaConf.load(CONF)
+    for name in OF_THE_RUN:
+        del node[name]
+    source = build(node, "data", **parts)
     assert source == Simulated(**parts)
     return source.measure(CHAIN)
 
