@@ -131,7 +131,10 @@ def test_a_problem_has_no_way_to_the_truth():
         "inputs",
         "further",
         "prior",
+        "initial_state",
+        "hand_over",
     }
     record = hints(Problem)["record"]
-    assert not {Truth, Measurements} & reachable(record, set())
+    for field in (record, hints(Problem)["initial_state"], hints(Problem)["hand_over"]):
+        assert not {Truth, Measurements} & reachable(field, set())
     assert not [name for name in dir(record) if "true" in name or "truth" in name]
