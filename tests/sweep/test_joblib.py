@@ -21,10 +21,10 @@ KILLS_ITS_WORKER = """
 import os, signal
 import pinn_cli.cli.config
 read = pinn_cli.cli.config.RunConfig.read.__func__
-def killed(cls, config, base=None):
+def killed(cls, config, *others):
     if config.seed == 1:
         os.kill(os.getpid(), signal.SIGKILL)
-    return read(cls, config, base)
+    return read(cls, config, *others)
 pinn_cli.cli.config.RunConfig.read = classmethod(killed)
 """
 
