@@ -22,12 +22,12 @@ from contextlib import AbstractContextManager, suppress
 
 import hydra
 
-from pinn_cli.cli import following, inspecting
 from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.cli.help import help_text
 from pinn_cli.cli.jobs import Jobs, Reported, Task
 from pinn_cli.cli.options import read_options
 from pinn_cli.cli.override_errors import explain
+from pinn_cli.cli.subcommands import FOLLOW, INSPECT
 from pinn_cli.cli.terminal import Terminal
 from pinn_cli.runs import directories as run_directories
 from pinn_cli.runs.interruption import Interruption, watched
@@ -99,9 +99,9 @@ def perform(jobs: Jobs, look: Task | None, watch: AbstractContextManager[None], 
     options = Namespace(overrides=[], config_dir=None)
     try:
         options = read_options(sys.argv)
-        if look is not None and inspecting.taken_out(sys.argv, options):
+        if look is not None and INSPECT.taken_out(sys.argv, options):
             jobs.task = look
-        if follow is not None and following.taken_out(sys.argv, options):
+        if follow is not None and FOLLOW.taken_out(sys.argv, options):
             jobs.task, jobs.goes_on_by = follow, "the same command"
         with watch:
             if options.help:

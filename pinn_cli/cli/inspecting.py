@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,6 @@ from pinn_cli.cli.source import read_structure
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, check_classes
 from pinn_cli.settings.legal_values import entries, finite_number
-from pinn_cli.settings.override_syntax import setting_of
 from pinn_cli.settings.paths import located
 
 if TYPE_CHECKING:
@@ -25,10 +23,6 @@ if TYPE_CHECKING:
     from pinn_cli.inspection.signal import Signal
     from pinn_cli.record.data_channels import DataChannel
     from pinn_cli.system.structure import Structure
-
-COMMAND = "inspect"
-# What goes on with a run, or makes several, has nothing to do with a look at a record.
-_LEFT_OUT = ("resume", "collect", "model")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,29 +61,6 @@ class Inspected:
         if "path" in data and "format" in data:
             return cls(*_of_files(data, base), frequencies, measured=True)
         return cls(*_of_record(config, base), frequencies, measured=False)
-
-
-def taken_out(arguments: list[str], options: Namespace) -> bool:
-    """Whether the command line says `inspect`; the word is taken out of it, and what goes ill with it is refused.
-
-    Args:
-        arguments: `sys.argv`, changed in place.
-        options: As read, changed in place.
-
-    Raises:
-        InputError: Something else is asked for along with it.
-    """
-    if COMMAND not in options.overrides:
-        return False
-    if options.multirun:
-        raise InputError("--multirun", COMMAND, f"left out with {COMMAND}", "one record is looked at at a time")
-    for override in options.overrides:
-        name = setting_of(override)
-        if name in _LEFT_OUT:
-            raise InputError(name, override.partition("=")[2], f"left out with {COMMAND}")
-    options.overrides.remove(COMMAND)
-    arguments.remove(COMMAND)
-    return True
 
 
 def _of_files(data: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:

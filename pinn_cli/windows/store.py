@@ -88,11 +88,6 @@ class WindowStore:
             raise InputError("hydra.run.dir", self.directory, "a run whose windows are as it wrote them", f"{DONE}?")
         return content
 
-    def window(self, number: int) -> Window:
-        """One that is done."""
-        entry = self.entry(number)
-        return Window(number, entry["start"], entry["stop"], entry["hand_over"])
-
     def handed_over(self, number: int) -> Model:
         """What a window handed over."""
         return stored_model(self.folder(number) / HANDED_OVER)
