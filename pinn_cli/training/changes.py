@@ -80,7 +80,7 @@ class _Comparison:
         count, moved = len(left), dict[int, tuple[float, float]]()
         while left:
             score, variance = self._against(moved)
-            square = np.divide(score**2, variance, out=np.zeros(len(score)), where=variance > 0)
+            square = np.divide(score**2, variance, out=np.zeros(len(score)), where=variance > TELLS)
             j = max(left, key=lambda i: square[i])
             chance = min(1.0, count * float(chdtrc(1, square[j])))
             if not chance < IMPROBABLE:
@@ -130,6 +130,26 @@ def released(problem: Problem, changes: Changes) -> Problem:
     again = replace(prior, correlation=correlation, told=told, weight=weight, first_std=first, prescribed=prescribed)
     freed = tuple(replace(p, prior_std=float(s)) for p, s in zip(uncertain, std, strict=True))
     return replace(problem, uncertain=freed, prior=again)
+
+
+def left_open(known: ParameterKnowledge, problem: Problem, changes: Changes) -> ParameterKnowledge:
+    """What a window hands over of its parameters, those that changed left open.
+
+    When in the window they changed is not known: what it says of them lies between what they were and what they are,
+    and the next window would find the rest of the change a second time.
+    """
+    places = [problem.uncertain.index(change.parameter) for change in changes.found]
+    size = np.array([_open(problem, j) for j in places])
+    covariance, told, weight, first = (
+        values.copy() for values in (known.covariance, known.told, known.weight, known.first_std)
+    )
+    covariance[places, places] += size**2
+    told[places] = weight[places] = 0.0
+    first[places] = np.maximum(first[places], size)
+    prescribed = None if known.prescribed is None else known.prescribed.copy()
+    if prescribed is not None:
+        prescribed[places] = np.nan
+    return replace(known, covariance=covariance, told=told, weight=weight, first_std=first, prescribed=prescribed)
 
 
 def _open(problem: Problem, j: int) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.base import TrainedNetwork
-from pinn_cli.training.changes import found_changes, released
+from pinn_cli.training.changes import found_changes, left_open, released
 from pinn_cli.training.common_spread import common_spread, under_spread
 from pinn_cli.training.estimate import Changes, Estimate, RunContext
 
@@ -40,7 +40,7 @@ class UpdatedNetwork(TrainedNetwork):
             if _names(changes) == _names(before):
                 break
             solved = released(problem, changes)
-        return replace(estimate, changes=changes)
+        return _handing_over(replace(estimate, changes=changes), problem)
 
     def _under_their_spread(self, problem: Problem, run: RunContext) -> tuple[Problem, Estimate]:
         """The problem and its solution under the common spread that all records together ask for."""
@@ -52,6 +52,14 @@ class UpdatedNetwork(TrainedNetwork):
             return problem, estimate
         problem = under_spread(problem, spread)
         return problem, super().solve(problem, run)
+
+
+def _handing_over(estimate: Estimate, problem: Problem) -> Estimate:
+    """The same that tells a later window nothing of what changed in this one."""
+    handed, changes = estimate.handed_over, estimate.changes
+    if handed is None or changes is None or not changes.found:
+        return estimate
+    return replace(estimate, handed_over=replace(handed, known=left_open(handed.known, problem, changes)))
 
 
 def _names(changes: Changes | None) -> set[str]:

@@ -11,7 +11,7 @@ from pinn_cli.model.knowledge import Levels, ParameterKnowledge
 from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.changes import IMPROBABLE, found_changes, released
+from pinn_cli.training.changes import IMPROBABLE, found_changes, left_open, released
 
 P = 6
 LEVELS = Levels({}, 1.0, 1.0, 1.0, 1.0)
@@ -108,6 +108,21 @@ def test_with_changed_parameters_released_it_says_the_same():
     np.testing.assert_allclose(second.alone_std, changes.alone_std, rtol=1e-7)
     assert second.found[0].by == pytest.approx(changes.found[0].by, rel=1e-7)
     assert second.found[0].std == pytest.approx(changes.found[0].std, rel=1e-7)
+
+
+def test_of_what_changed_nothing_is_handed_over():
+    given, rng = case(), np.random.default_rng(9)
+    change = np.zeros(P)
+    change[2] = 40.0
+    problem, known, _ = solved(given, rng, change)
+    changes = found_changes(problem, known)
+    handed = left_open(known, problem, changes)
+    assert np.sqrt(handed.covariance[2, 2]) > 100.0
+    assert (handed.weight == np.array([2.0, 2.0, 0.0, 2.0, 2.0, 2.0])).all()
+    others = np.arange(P) != 2
+    np.testing.assert_array_equal(handed.of(others).covariance, known.of(others).covariance)
+    np.testing.assert_array_equal(handed.mean, known.mean)
+    assert known.weight[2] == 2.0
 
 
 def test_the_share_says_which_parameter_it_is():
