@@ -21,7 +21,7 @@ from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
-from pinn_cli.training.band.near_levels import near_known_levels
+from pinn_cli.training.band.near_levels import ON_THE_WAY, near_known_levels, softened
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
@@ -31,6 +31,7 @@ from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
+from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
@@ -210,7 +211,11 @@ def _refined(
         discrepancy, per_sample = more * noise.discrepancy, fine.refinement
         levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
         points.append(carried_over(point, coarse, fine))
-    again = evidence.train(NoiseModel.of_records(levels), evidence.equations.joined(points))
+    noise, point = NoiseModel.of_records(levels), evidence.equations.joined(points)
+    if problem.structure.nonlinearity_name != "linear":
+        softer = evidence.train(softened(noise, force_and_velocity_scale(problem)[0]), point, ON_THE_WAY)
+        point = point if softer is None else softer.solution.point
+    again = evidence.train(noise, point)
     if again is None or not again.solution.converged:
         return None
     return Inferred(evidence, settled(evidence, again, settings.pooled))

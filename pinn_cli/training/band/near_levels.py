@@ -52,7 +52,7 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     point = equations.start()
     try:
         if problem.structure.nonlinearity_name != "linear":
-            softer = evidence.train(own.with_discrepancy((discrepancy * force) ** 0.5), point, ON_THE_WAY)
+            softer = evidence.train(softened(own.with_discrepancy(discrepancy), force), point, ON_THE_WAY)
             if softer is None or not softer.solution.converged:
                 return None
             point = softer.solution.point
@@ -62,6 +62,11 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     except DivergenceError:
         return None
     return trained if trained is not None and trained.solution.converged else None
+
+
+def softened(noise: NoiseModel, force: float) -> NoiseModel:
+    """The same with physics so soft that it forgives where a solution begins; the force that acts is ``force`` (N)."""
+    return noise.with_discrepancy((noise.discrepancy * force) ** 0.5)
 
 
 def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trained | None:

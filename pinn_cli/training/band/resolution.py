@@ -15,11 +15,15 @@ from pinn_cli.training.noise_model import FeatureProjection, first_output, outpu
 
 # The error of a spline's accelerations falls with this power of the knots.
 ORDER = 5
-# Part of a sensor's noise, or of a spring's standard deviation, that the spline's own error may be: beyond it the
-# spline should be finer.
+# Part of a sensor's noise, of a spring's or of the motion's standard deviation, that the spline's own error may be:
+# beyond it the spline should be finer.
 TOLERATED = 0.3
+# The same of the motion's where forces are not linear: they fold what the spline cannot follow back into its band.
+TOLERATED_NONLINEAR = 0.15
 # So far above the highest resonance a record still tells of stiffness.
 BEYOND_RESONANCE = 1.3
+# Draws from the posterior that tell how well the motion is known.
+DRAWS = 4
 # Most that the knots are multiplied by at once.
 LARGEST_FACTOR = 2.0
 
@@ -52,17 +56,39 @@ def knots_wanted(evidence: Evidence, trained: Trained) -> float:
     """How many times the knots make the spline's error small against all that the record tells; at least 1."""
     if evidence.equations.averages is None:
         return 1.0
-    wanted = max(_for_the_sensors(evidence, trained), _for_the_parameters(evidence, trained))
+    error = acceleration_error(evidence, trained)
+    wanted = max(
+        _for_the_sensors(evidence, trained, error),
+        _for_the_motion(evidence, trained, error),
+        _for_the_parameters(evidence, trained),
+    )
     return float(np.clip(wanted, 1.0, LARGEST_FACTOR))
 
 
-def _for_the_sensors(evidence: Evidence, trained: Trained) -> float:
-    """So many times the knots make the spline's error small against every sensor's noise.
+def _for_the_motion(evidence: Evidence, trained: Trained, error: np.ndarray) -> float:
+    """So many times the knots make the spline's error (dofs,) small against the deviation of every acceleration.
+
+    Poor sensors of a structure that is known leave a motion that is known far better than they measure it.
+    """
+    equations = evidence.equations
+    segments, square = equations.observation, np.zeros(len(error))
+    for drawn in trained.drawn(DRAWS, of_mean_length=True):
+        for part in equations.windows(segments):
+            values = equations.dynamics.sensed("acceleration", equations.jet(segments, drawn, part))
+            square += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+    known = np.sqrt(square / segments.samples)
+    worst = float(np.max(error[known > 0] / known[known > 0], initial=0.0))
+    is_linear = equations.dynamics.structure.nonlinearity_name == "linear"
+    return float((worst / (TOLERATED if is_linear else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
+
+
+def _for_the_sensors(evidence: Evidence, trained: Trained, error: np.ndarray) -> float:
+    """So many times the knots make the spline's error (dofs,) small against every sensor's noise.
 
     An error of the accelerations is one of velocities and displacements at the record's highest frequencies.
     """
     record = evidence.equations.problem.record
-    error, omega = acceleration_error(evidence, trained), 2.0 * np.pi * record_band(record)
+    omega = 2.0 * np.pi * record_band(record)
     worst = 0.0
     for order, quantity in enumerate(("acceleration", "velocity", "displacement")):
         ratio = error / omega**order / trained.noise.response[quantity]
