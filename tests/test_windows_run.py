@@ -36,10 +36,8 @@ def test_windows_come_to_what_the_whole_record_says(pinn_run: PinnRun, tmp_path:
     assert list(ours.index) == list(theirs.index)
     assert (ours["prescribed"] == theirs["prescribed"]).all()
     assert ((ours["estimate"] - theirs["estimate"]).abs() < 0.5 * theirs["std"]).all()
-    # Nothing is counted twice. A window of 4 s tells less of what the model leaves out, which hides more of dampers.
-    wider = ours["std"] / theirs["std"]
-    assert wider.between(0.95, 2.0).all()
-    assert (wider.filter(like="k") < 1.35).all()
+    # Nothing is counted twice, and what the model leaves out is as small as all windows together say.
+    assert (ours["std"] / theirs["std"]).between(0.95, 1.15).all()
     with xr.open_dataset("parts/response.nc") as a, xr.open_dataset("whole/response.nc") as b:
         np.testing.assert_allclose(a["time"], b["time"])
         error, others = (each_["displacement"] - each.truth.displacement for each_ in (a, b))

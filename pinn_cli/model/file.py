@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
+from pinn_cli.model.knowledge import DiscrepancyTold, EndState, Levels, ParameterKnowledge
 from pinn_cli.model.misfit import Misfit
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
@@ -50,6 +50,8 @@ def write_model(model: Model, directory: Path) -> Path:
     arrays |= {f"parameters_{name}": np.asarray(values) for name, values in known.items() if values is not None}
     arrays |= {f"sigma_{quantity}": np.asarray(values) for quantity, values in model.levels.sensors.items()}
     arrays |= {f"level_{name}": np.array(getattr(model.levels, name)) for name in LEVELS}
+    if (told := model.levels.told) is not None:
+        arrays |= {f"told_{field.name}": np.asarray(getattr(told, field.name)) for field in fields(DiscrepancyTold)}
     if model.end is not None:
         arrays |= {f"end_{field.name}": np.asarray(getattr(model.end, field.name)) for field in fields(EndState)}
     if model.misfit is not None:
@@ -118,7 +120,10 @@ def stored_model(directory: Path) -> Model:
     _check(known, len(words["parameters"]))
     means = zip(words["parameters"], known.mean, known.first_std, strict=True)
     parameters = tuple(_parameter(structure, own, mean, std) for own, mean, std in means)
-    levels = Levels(_of("sigma_", arrays), **{k: float(v) for k, v in _of("level_", arrays).items()})
+    told = _of("told_", arrays)
+    discrepancy, step, force, features = (float(arrays[f"level_{name}"]) for name in LEVELS)
+    sensors = _of("sigma_", arrays)
+    levels = Levels(sensors, discrepancy, step, force, features, _told(**told) if told else None)
     end, misfit = _of("end_", arrays), _of("misfit_", arrays)
     return Model(
         structure,
@@ -132,6 +137,11 @@ def stored_model(directory: Path) -> Model:
         directory,
         misfit=_misfit(misfit, structure.coordinates) if misfit else None,
     )
+
+
+def _told(start: np.ndarray, common: np.ndarray, places: np.ndarray, log_evidence: np.ndarray) -> DiscrepancyTold:
+    """What windows say of the discrepancy."""
+    return DiscrepancyTold(float(start), bool(common), places, log_evidence)
 
 
 def _misfit(arrays: Mapping[str, np.ndarray], coordinates: int) -> Misfit:

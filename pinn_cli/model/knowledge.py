@@ -94,16 +94,42 @@ class EndState:
 
 
 @dataclass(frozen=True, eq=False)
+class DiscrepancyTold:
+    """What the windows of a record say of its discrepancy, which each alone may leave open.
+
+    Attributes:
+        start: Discrepancy of the last one over the force that acts, per root of a second, with no band left out.
+        common: Whether it is what all windows say, and not that one's own.
+        places: (G,), decimal logarithms of discrepancies, ascending.
+        log_evidence: (G,), of all windows under each, up to a constant.
+    """
+
+    start: float
+    common: bool
+    places: np.ndarray
+    log_evidence: np.ndarray
+
+    def at(self, places: np.ndarray) -> np.ndarray:
+        """(H,) log evidence at other places (H,); beyond its own it stays what it is."""
+        if len(self.places) == 0:
+            return np.zeros(len(places))
+        out: np.ndarray = np.interp(places, self.places, self.log_evidence)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
 class HandOver:
     """What is known where a later record goes on, from the samples up to there.
 
     Attributes:
         known: Of the parameters.
         end: The state there.
+        discrepancy: What is known of it; None: nothing beside its size.
     """
 
     known: ParameterKnowledge
     end: EndState
+    discrepancy: DiscrepancyTold | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +142,7 @@ class Levels:
         step: Between the samples, s: a discrepancy has the same power at any rate.
         force: That acted, N, root mean square.
         features: Of the network, per second and function; NaN of a network without any.
+        told: What windows of one record say of the discrepancy together; None of any other record.
     """
 
     sensors: Mapping[str, np.ndarray]
@@ -123,3 +150,4 @@ class Levels:
     step: float
     force: float
     features: float
+    told: DiscrepancyTold | None = None

@@ -49,6 +49,7 @@ class NoiseModel:
             in the same band, and a point's own is so many times as large in variance.
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
             :meth:`pinn_cli.training.band.normal_equations.NormalEquations.losses`.
+        earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
         further: Of further records that are solved together with this one; they share its ``spread``.
     """
 
@@ -61,6 +62,7 @@ class NoiseModel:
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
     taken_up: np.ndarray | None = None
+    earlier_misfit: float = 1.0
     further: tuple[NoiseModel, ...] = ()
 
     @property

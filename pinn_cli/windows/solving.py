@@ -183,7 +183,8 @@ class _Report:
             return None
         results = self._results()
         own = replace(results.estimate, known=handed.known, end=handed.end)
-        return model_of(replace(results, estimate=own), verdict)
+        model = model_of(replace(results, estimate=own), verdict)
+        return replace(model, levels=replace(model.levels, told=handed.discrepancy))
 
     def _results(self) -> Results:
         solver = self.solver

@@ -56,4 +56,4 @@ def handed_over(found: Inferred, settings: InferenceSettings, device: str, histo
         raise DivergenceError(f"the samples up to {problem.hand_over:g} s alone have no solution to hand over")
     told = coherent_misfit(evidence.equations.columns, [parameter_force(evidence, trained)])
     _, _, known = parameter_posterior(evidence.equations, trained, told)
-    return HandOver(known, end_state(evidence.equations, trained))
+    return HandOver(known, end_state(evidence.equations, trained), found.told)

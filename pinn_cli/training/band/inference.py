@@ -28,6 +28,7 @@ from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.rivals import Choice, weighed
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.band.windows_discrepancy import of_all_windows
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
@@ -74,7 +75,17 @@ def inferred(
     evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
     told = settings.known is not None or problem.prior is not None  # by spectra, or by earlier records
     choice = Choice(found.trained) if told else weighed(evidence, found.trained, settle)
-    return Inferred(evidence, driven_in_band(evidence, evidence.widen_for_colour(choice.trained)), choice.rivals)
+    trained, windows = choice.trained, None
+    if isinstance(evidence, Evidence) and _is_window(evidence):
+        trained, windows = of_all_windows(evidence, trained)
+    return Inferred(evidence, driven_in_band(evidence, evidence.widen_for_colour(trained)), choice.rivals, windows)
+
+
+def _is_window(evidence: Evidence) -> bool:
+    """Whether windows before it say something of its discrepancy, or it does to those after it."""
+    problem, known = evidence.problem, evidence.equations.known
+    goes_on = problem.prior is not None and problem.prior.levels.told is not None
+    return (problem.hand_over is not None or goes_on) and known is None and not has_forces(problem)
 
 
 def _of_spectra(problem: Problem, settings: InferenceSettings) -> tuple[Problem, InferenceSettings]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pinn_cli.model.knowledge import DiscrepancyTold
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.discrepancy_search import Trained
@@ -19,11 +20,12 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 @dataclass(frozen=True, eq=False)
 class Inferred:
-    """A solution, what it was found with, and others that explain the record as well."""
+    """A solution, what it was found with, others that explain the record as well, and what windows told so far."""
 
     evidence: Evidence | JointEvidence
     trained: Trained
     rivals: tuple[Rival, ...] = ()
+    told: DiscrepancyTold | None = None
 
     @property
     def by_record(self) -> list[tuple[NormalEquations, Point]]:

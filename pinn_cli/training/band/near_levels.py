@@ -14,6 +14,7 @@ from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY, Tr
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import floor, updated
+from pinn_cli.training.band.windows_discrepancy import discrepancy_unit
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
@@ -44,6 +45,8 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     force, _ = force_and_velocity_scale(problem)
     rate = (levels.step / problem.record.step * equations.refinement) ** 0.5
     known = levels.discrepancy * rate * force / levels.force
+    if levels.told is not None:
+        known = levels.told.start * discrepancy_unit(evidence)
     discrepancy = max(known, LEAST_START * force)
     if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
         return None

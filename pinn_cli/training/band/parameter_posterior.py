@@ -55,10 +55,11 @@ def parameter_posterior(
     )
     prior = None if isinstance(equations, JointEquations) else equations.problem.prior
     if prior is not None:
+        then = trained.noise.earlier_misfit
         known = replace(
             known,
-            told=known.told + prior.told,
-            weight=known.weight + prior.weight,
+            told=known.told + then * prior.told,
+            weight=known.weight + then**2 * prior.weight,
             first_std=prior.first_std,
             prescribed=prior.prescribed,
             spread=prior.spread,
