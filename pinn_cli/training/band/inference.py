@@ -44,6 +44,8 @@ NEAR_TOLERANCE = 3e-5
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
+# Finer features whose sensors come out so many times as noisy have not found the solution.
+SUSPECT = 2.0
 
 
 def inferred(
@@ -223,13 +225,23 @@ def _refined(
         levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
         points.append(carried_over(point, coarse, fine))
     noise, point = NoiseModel.of_records(levels), evidence.equations.joined(points)
-    if problem.structure.nonlinearity_name != "linear":
+    if problem.structure.nonlinearity_name != "linear" or evidence.equations.uncertain:
         softer = evidence.train(softened(noise, force_and_velocity_scale(problem)[0]), point, ON_THE_WAY)
         point = point if softer is None else softer.solution.point
     again = evidence.train(noise, point)
     if again is None or not again.solution.converged:
         return None
-    return Inferred(evidence, settled(evidence, again, settings.pooled))
+    again = settled(evidence, again, settings.pooled)
+    return None if _is_noisier(again.noise, found.trained.noise) else Inferred(evidence, again)
+
+
+def _is_noisier(fine: NoiseModel, coarse: NoiseModel) -> bool:
+    """Whether any response sensor is far noisier in finer features, which can only follow it better."""
+    return any(
+        bool((new.response[quantity] > SUSPECT * level).any())
+        for new, old in zip(fine.by_record, coarse.by_record, strict=True)
+        for quantity, level in old.response.items()
+    )
 
 
 def _built(design: NetworkDesign, problem: Problem) -> LinearReadout:

@@ -14,15 +14,17 @@ import numpy as np
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import visible_floor
+from pinn_cli.record.spectrum import lowest_level, visible_floor
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
+# So many rounds one after the other that lose so much log evidence end it: rounding rules.
+LOSING, LOST = 2, 10.0
 # Most that a standard deviation may change in one round: the solution under it has to follow.
 LARGEST_CHANGE = 10.0
 # Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
@@ -34,9 +36,13 @@ DRAWS = 8
 FEWEST_LEFT = 1e-3
 # A discrepancy below this part of the force that acts makes no motion better known.
 FINEST_DISCREPANCY = 1e-6
-# Part of the samples that it counts for that sensors of one kind are alike: enough where the record leaves a sensor's
-# noise open, since the motion follows it wherever it goes, and next to nothing elsewhere.
-KINSHIP = 0.01
+# Part of the samples that a sensor's usual noise counts for where the record leaves it open, since the motion follows
+# it wherever it goes; it falls off with this power of the share of its values that the solution has taken up, to
+# nothing for a sensor that the model checks.
+KINSHIP, OPENNESS = 0.2, 4
+# An accelerometer beside a load cell, about whose noise nothing is known, has this part of what the load cell's noise
+# makes of the acceleration, at most: that much of it passes for the load cell's.
+BESIDE_LOAD_CELL = 0.4
 # The same where forces are unknown, which leave more of it open: with less, every tenth sensor came out half as noisy
 # as it was, and the bands of its motion held two thirds of it.
 KINSHIP_UNDER_FORCES = 0.05
@@ -55,7 +61,7 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
     """
     floors = evidence.each_record(floor, trained)
     before: list[np.ndarray | None] = [None] * len(floors)
-    best = trained
+    best, losing = trained, 0
     for _ in range(rounds):
         found = evidence.each_record(updated, trained, floors)
         found = [noise.pooled() for noise in found] if pooled else found
@@ -74,6 +80,9 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
         before = list(change)
         gain, trained = again.log_evidence - trained.log_evidence, again
         best = max(best, trained, key=lambda one: one.log_evidence)
+        losing = losing + 1 if trained.log_evidence < best.log_evidence - LOST else 0
+        if losing == LOSING:
+            break
         if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
             break
     return best
@@ -132,13 +141,15 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         return noise.with_discrepancy(discrepancy)
     squares, samples = equations.squares(trained.solution.point), len(equations.problem.record.time)
     response = dict(noise.response)
-    kinship = KINSHIP_UNDER_FORCES if equations.problem.inputs.forces else KINSHIP
     for name, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
         if name == "observer":  # its residual holds the force's noise as well
             continue
         there, square = mask.cpu().numpy(), squares[name].cpu().numpy()
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
-        weight, usual = kinship * samples, _usual_level(equations.problem.record, name, noise.response[name])
+        usual = _usual_level(equations, name, noise)
+        weight = samples * KINSHIP * np.clip(taken.response[name] / samples, 0.0, 1.0) ** OPENNESS
+        if equations.problem.inputs.forces:
+            weight = np.full_like(weight, samples * KINSHIP_UNDER_FORCES)
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
         level = _limited(np.sqrt(found), noise.response[name])
         response[name] = np.where(there, np.maximum(level, least.response[name]), noise.response[name])
@@ -153,17 +164,24 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 
-def _usual_level(record: Record, quantity: str, levels: np.ndarray) -> np.ndarray:
-    """(n,) noise that each sensor would have if it were as good as the others of its kind; 0 where nothing is known.
+def _usual_level(equations: NormalEquations, quantity: str, noise: NoiseModel) -> np.ndarray:
+    """(n,) noise that each sensor would have if the record left it open; 0 where nothing is known.
 
-    A lone sensor has what its spectrum shows above its band, if it shows any.
+    What its spectrum shows above its band, or as much as others of its kind. A lone accelerometer beside a load cell,
+    whose spectrum shows nothing: what its emptiest part has at most, or see `BESIDE_LOAD_CELL`.
     """
-    channels = record.histories(quantity)
+    record, levels = equations.problem.record, noise.response[quantity]
+    channels, plain = record.histories(quantity), equations.dynamics.structure.shapes is None
     rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(channels.shape[1])
-    there = np.flatnonzero(record.sensors(quantity))
+    there, mass = np.flatnonzero(record.sensors(quantity)), equations.prescribed["m"].cpu().numpy()
     for dof in there:
         others = [levels[other] / rms[other] for other in there if other != dof and rms[other] > 0]
-        out[dof] = rms[dof] * np.median(others) if others else visible_floor(channels[:, dof], record.step) or 0.0
+        shown = visible_floor(channels[:, dof], record.step)
+        if shown or others:
+            out[dof] = shown or rms[dof] * np.median(others)
+        elif quantity == "acceleration" and plain and noise.force[dof] > 0 and mass[dof] > 0:
+            of_load_cell = lowest_level(record.force[:, dof], record.step) / mass[dof]
+            out[dof] = min(lowest_level(channels[:, dof], record.step), BESIDE_LOAD_CELL * of_load_cell)
     return out
 
 
