@@ -5,18 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpbtrf
+from numpy.lib.stride_tricks import as_strided, sliding_window_view
+from scipy.linalg.lapack import dpbtrf, dtrtri
 
 from pinn_cli.training.band.diagonals import Diagonals
-from pinn_cli.training.band.triangular_bands import backward, forward
+from pinn_cli.training.band.triangular_bands import backward, diagonal_block, forward, rows_below
 
 # Added to the diagonal of the scaled matrix (all ones) in every factorisation: a few times the rounding error of its
 # largest entry.
 ROUNDING_JITTER = 1e-14
 # Columns that are scaled at once: few enough for the caches.
 CHUNK = 256
+# Rows of a block of the inverse, at least: few enough blocks, and little work in each that the band does not ask for.
+BLOCK = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,22 +64,28 @@ class BandFactor:
     def inverse_band(self) -> np.ndarray:
         """The entries of A^-1 inside the band of A, (half_width + 1, size), laid out like the band itself.
 
-        Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band, the factor is block
-        bidiagonal, and the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
+        Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band or wider, the factor is
+        block bidiagonal, and the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
         """
-        width, size = max(len(self.band) - 1, 1), self.band.shape[1]
-        out = np.zeros_like(self.band)
+        rows, size = self.band.shape
+        block = max(rows, BLOCK)
+        out, tall = np.zeros((rows, size)), np.zeros((block + rows - 1, block), order="F")
         below = np.zeros((0, 0))
-        for start in range((size - 1) // width * width, -1, -width):
-            stop, end = min(start + width, size), min(start + 2 * width, size)
-            inverse = solve_triangular(
-                _dense_block(self.band, start, stop, start, stop), np.eye(stop - start), lower=True
-            )
-            gain = _dense_block(self.band, stop, end, start, stop) @ inverse
-            coupling = -below @ gain
-            diagonal = inverse.T @ inverse - gain.T @ coupling
-            _store_columns(out, np.vstack((diagonal, coupling)), start)
-            below = diagonal
+        for start in range((size - 1) // block * block, -1, -block):
+            stop, end = min(start + block, size), min(start + block + rows - 1, size)
+            count = stop - start
+            inverse = np.tril(dtrtri(diagonal_block(self.band, start, stop), lower=1)[0])
+            tall[count:] = 0.0
+            if end > stop:
+                gain = rows_below(self.band, start, stop, end) @ inverse
+                coupling = below[: end - stop, : end - stop] @ gain
+                tall[:count, :count] = inverse.T @ inverse + gain.T @ coupling
+                np.negative(coupling, out=tall[count : count + end - stop, :count])
+            else:
+                tall[:count, :count] = inverse.T @ inverse
+            below = tall[:count, :count].copy()
+            # Entry [k, j] is the one in column j, k rows below the diagonal.
+            out[:, start:stop] = as_strided(tall, (rows, count), (tall.itemsize, tall.strides[1] + tall.itemsize))
         for k in range(len(out)):
             out[k, : size - k] /= self.scale[: size - k] * self.scale[k:]
         return out
@@ -105,19 +112,3 @@ def _scaled(matrix: Diagonals, unit: np.ndarray) -> np.ndarray:
 
 def _by_row(scale: np.ndarray, right: np.ndarray) -> np.ndarray:
     return scale if right.ndim == 1 else scale[:, None]
-
-
-def _dense_block(band: np.ndarray, row_start: int, row_stop: int, column_start: int, column_stop: int) -> np.ndarray:
-    """Rows and columns of the lower triangular matrix whose lower band is given, as a dense array."""
-    offset = np.arange(row_start, row_stop)[:, None] - np.arange(column_start, column_stop)
-    inside = (offset >= 0) & (offset < len(band))
-    columns = np.broadcast_to(np.arange(column_start, column_stop), offset.shape)
-    return np.where(inside, band[np.where(inside, offset, 0), columns], 0.0)
-
-
-def _store_columns(band: np.ndarray, block: np.ndarray, start: int) -> None:
-    """Write the lower-band part of dense columns, whose first row and column are ``start``, into the band."""
-    rows, columns = block.shape
-    for k in range(min(len(band), rows)):
-        length = min(columns, rows - k)
-        band[k, start : start + length] = block[np.arange(length) + k, np.arange(length)]

@@ -198,7 +198,7 @@ class DiscrepancySearch(ABC):
         tried: list[tuple[float, float]] = []  # of each the discrepancy and the log evidence: factors are large
         point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
         best: Trained | None = None
-        indifferent = FINEST_OF_NOISE * _least_noise_of_forces(noise)
+        indifferent = FINEST_OF_NOISE * least_noise_of_forces(noise)
         while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
             trained = self.train(noise.with_discrepancy(discrepancy), point)
             followed = best is not None and best.solution.converged
@@ -276,7 +276,7 @@ class DiscrepancySearch(ABC):
         return trained
 
 
-def _least_noise_of_forces(noise: NoiseModel) -> float:
+def least_noise_of_forces(noise: NoiseModel) -> float:
     """Of all load cells, N; 0 without any."""
     levels = np.concatenate([own.force for own in noise.by_record])
     return float(np.min(levels[np.isfinite(levels)], initial=np.inf)) if np.isfinite(levels).any() else 0.0

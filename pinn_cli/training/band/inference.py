@@ -16,13 +16,14 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.coloured import coloured, driven_in_band, has_forces
-from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, Trained
 from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.near_levels import ON_THE_WAY, near_known_levels, softened
 from pinn_cli.training.band.noise_levels import settled
+from pinn_cli.training.band.part_of_record import is_trustworthy, part_of_record, whole_from
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.rivals import Choice, weighed
@@ -136,14 +137,15 @@ def _best_start(
     Raises:
         DivergenceError: None could be solved.
     """
+    through_part = _through_part(problem, designs, settings, device, history)
+    if through_part is not None:
+        return through_part
     solutions: list[Inferred] = []
     failure: DivergenceError | None = None
     for start in (problem, *problem.alternatives):
         networks = [_built(design, own) for design, own in zip(designs, start.by_record, strict=True)]
         evidence = settings.all_solved_by(start, networks, device, history)
-        noise = NoiseModel.of_records([starting_noise(own) for own in evidence.records])
-        noise = noise.pooled() if settings.pooled else noise
-        noise = noise if settings.known is None else noise.with_spread(settings.known.spread)
+        noise = _starting_noise(evidence, settings)
         try:
             trained = near_known_levels(evidence, noise) or _searched(evidence, noise)
         except DivergenceError as error:
@@ -153,6 +155,46 @@ def _best_start(
     if not solutions:
         raise failure or DivergenceError("there is no start")
     return max(solutions, key=lambda found: found.trained.log_evidence)
+
+
+def _through_part(
+    problem: Problem, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
+) -> Inferred | None:
+    """The most probable solution, from a search in a part of the record; None where that would not do."""
+    found: list[tuple[Problem, LinearReadout, Evidence, float, Trained]] = []
+    for start in () if settings.known is not None else (problem, *problem.alternatives):
+        network = _built(designs[0], start)
+        part = part_of_record(start, network)
+        if part is None:
+            return None
+        evidence = settings.solved_by(*part, device, history)
+        noise = _starting_noise(evidence, settings)
+        try:
+            trained = _searched(evidence, noise)
+        except DivergenceError:
+            continue
+        if is_trustworthy(trained, noise.discrepancy):
+            found.append((start, network, evidence, noise.discrepancy, trained))
+    best = max((trained.log_evidence for *_, trained in found), default=0.0)
+    solutions = []
+    for start, network, of_part, largest, trained in found:
+        if trained.log_evidence < best - DECISIVE_DROP:
+            continue
+        evidence = settings.solved_by(start, network, device, history)
+        try:
+            whole = whole_from(trained, of_part, largest, evidence, _starting_noise(evidence, settings))
+        except DivergenceError:
+            return None
+        if whole is None:
+            return None
+        solutions.append(Inferred(evidence, settled(evidence, whole, settings.pooled)))
+    return max(solutions, key=lambda one: one.trained.log_evidence, default=None)
+
+
+def _starting_noise(evidence: Evidence | JointEvidence, settings: InferenceSettings) -> NoiseModel:
+    noise = NoiseModel.of_records([starting_noise(own) for own in evidence.records])
+    noise = noise.pooled() if settings.pooled else noise
+    return noise if settings.known is None else noise.with_spread(settings.known.spread)
 
 
 def _searched(evidence: Evidence | JointEvidence, noise: NoiseModel) -> Trained:

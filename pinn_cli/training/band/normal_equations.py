@@ -211,13 +211,16 @@ class NormalEquations(Residuals):
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         corner = sums.corner[np.ix_(pick, pick)] + self.prior_precision(noise).cpu().numpy()
         slope = sums.slope[pick] + self.prior_force(point.parameters, noise).cpu().numpy()
-        border = sums.border[:, pick]
+        # Fronts have a border's entries one by one; within a band it is dense as soon as it is half solved.
+        by_fronts = self.layout.dissection is not None
+        border = sums.border[:, pick] if by_fronts else sums.dense_border(pick)
         if self.begins is not None:
             at = point.unknowns.cpu(), point.parameters.cpu()
             self.begins.add(band, torch.from_numpy(gradient), *at)
             if self.beginning is not None:
                 self.begins.add_numbers(corner, slope, *at)
-                border = border + self.begins.border(len(slope))
+                of_state = self.begins.border(len(slope))
+                border = border + (of_state if by_fronts else of_state.toarray())
         system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
         return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)
 

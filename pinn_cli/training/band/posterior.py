@@ -15,6 +15,7 @@ from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_variance import is_alike, row_variance
 from pinn_cli.training.band.subdomains import Subdomains
 
 # Intervals whose covariances of all functions are held at once.
@@ -32,6 +33,11 @@ class ReadoutPosterior:
         readout = factor.readout
         self.root = torch.as_tensor(root)
         self.carried = torch.as_tensor(readout.solved(np.zeros((readout.size, len(root))), root))  # A^-1 B R
+
+    @cached_property
+    def _carried_lines(self) -> np.ndarray:
+        """(p, size), of :attr:`carried`."""
+        return np.ascontiguousarray(self.carried.numpy().T)
 
     @cached_property
     def solved(self) -> Tensor:
@@ -106,7 +112,7 @@ class ReadoutPosterior:
             ]
             position = torch.cat([local[:, function] for function, _, _ in parts], -1)
             rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
-            every.append(_deviation(rows, self._covariance(position)))
+            every.append(self._spread(position, rows))
         return torch.stack(every, -1)
 
     def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
@@ -124,9 +130,9 @@ class ReadoutPosterior:
         kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
         results: list[list[Tensor]] = [[] for _ in kinds]
         for dof in range(self.equations.layout.ndof):
-            covariance = self._covariance(local[:, dof])
-            for result, phi in zip(results, kinds, strict=True):
-                result.append(_deviation(phi, covariance))
+            spread = self._spread(local[:, dof], torch.cat(kinds, 1))
+            for result, std in zip(results, spread.chunk(len(kinds), 1), strict=True):
+                result.append(std)
         return [torch.stack(result, -1) for result in results]
 
     def force(self, segments: Segments) -> Tensor:
@@ -170,8 +176,22 @@ class ReadoutPosterior:
             held: (I, S, p), the rows by the parameters, in prior standard deviations.
         """
         own = held.flatten(0, -2).any(0).nonzero()[:, 0]  # few parameters are in one row
-        by_parameter = held[..., own] @ self.root[own] - jacobian @ self.carried[position]
+        given = held[..., own] @ self.root[own]
+        if is_alike(position.numpy()):
+            return self._by_lines(position, jacobian, given)
+        by_parameter = given - jacobian @ self.carried[position]
         return _deviation(jacobian, self._window(position), by_parameter)
+
+    def _spread(self, position: Tensor, rows: Tensor) -> Tensor:
+        """Standard deviation (I, S) of rows (I, S, C) by the weights at the given positions (I, C) alone."""
+        if is_alike(position.numpy()):
+            return self._by_lines(position, rows, None)
+        return _deviation(rows, self._covariance(position))
+
+    def _by_lines(self, position: Tensor, rows: Tensor, given: Tensor | None) -> Tensor:
+        by_parameter = None if given is None else given.numpy()
+        variance = row_variance(self.inverse, self._carried_lines, position.numpy(), rows.numpy(), by_parameter)
+        return torch.as_tensor(variance).clamp(min=0).sqrt()
 
     def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
         """(I, S, p)."""

@@ -31,6 +31,14 @@ def ridge_of(diagonal: np.ndarray, dynamics: Dynamics, layout: BandLayout) -> fl
     return RELATIVE_RIDGE * layout.unknowns(largest.expand_as(by_function)).numpy()
 
 
+def carried_ridge(ridge: float | np.ndarray | None, part: BandLayout, whole: BandLayout) -> float | np.ndarray | None:
+    """The ridge of a part of a record on all of it: it hangs on the first weights, and should not on the way taken."""
+    if not isinstance(ridge, np.ndarray):
+        return ridge
+    by_function = part.weights(torch.from_numpy(ridge))[0]
+    return whole.unknowns(by_function.expand(whole.count, whole.ndof)).numpy()
+
+
 def ridge_loss(ridge: float | np.ndarray | None, unknowns: Tensor) -> float:
     """Weighted sum of squares of the unknowns (size,)."""
     if isinstance(ridge, np.ndarray):

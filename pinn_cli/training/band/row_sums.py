@@ -93,6 +93,11 @@ class RowSums(ABC):
     def border(self) -> csr_matrix:
         """(size, places), of the readout weights against the parameters."""
 
+    def dense_border(self, pick: np.ndarray) -> np.ndarray:
+        """The same as a dense array (size, p), of the parameters at some places (p,)."""
+        dense: np.ndarray = self.border[:, pick].toarray()
+        return dense
+
     @property
     @abstractmethod
     def corner(self) -> np.ndarray:

@@ -86,6 +86,23 @@ class TimeMajorSums(RowSums):
         values, row, column = (np.concatenate([x.reshape(-1) for x in part]) for part in zip(*entries, strict=True))
         return csr_matrix((values, (row, column)), shape=(self.size, self.pattern.count))
 
+    def dense_border(self, pick: np.ndarray) -> np.ndarray:
+        """See :meth:`RowSums.dense_border`; in Fortran's order, without the indices of a sparse one."""
+        out = np.zeros((len(pick), self.size // self.n, self.n))
+        column = {place: i for i, place in enumerate(pick.tolist())}
+        if "_pull" in self.__dict__:
+            for lines, connections in zip(self._pull, self._touched, strict=True):
+                for of_end, slots in zip(lines, connections, strict=True):
+                    for line, offset, rows in zip(of_end, self.pattern.offsets, slots, strict=True):
+                        values = line[self._inside].reshape(-1, self.n)
+                        for i, place in zip(*(x.tolist() for x in rows), strict=True):
+                            if place in column:
+                                out[column[place], :, i + offset] += values[:, i]
+        if "_dense_border" in self.__dict__:
+            for place, i in column.items():
+                out[i] += self._dense_border[place, self._inside].reshape(-1, self.n)
+        return out.reshape(len(pick), self.size).T
+
     @cached_property
     def _dense_border(self) -> np.ndarray:
         """(places, size and margins), what does not come from the equations of motion of single DOFs."""

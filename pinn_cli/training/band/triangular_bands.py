@@ -35,7 +35,7 @@ def forward(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
         if start > first:
             before = _before(factor, start, stop, first)
             dgemm(-1.0, x[first:start].T, before.T, beta=1.0, c=here, overwrite_c=1)
-        dtrsm(1.0, _diagonal(factor, start, stop), here, side=1, lower=1, trans_a=1, overwrite_b=1)
+        dtrsm(1.0, diagonal_block(factor, start, stop), here, side=1, lower=1, trans_a=1, overwrite_b=1)
     return x
 
 
@@ -48,8 +48,8 @@ def backward(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
         stop = min(start + BLOCK, size)
         end, here = min(stop + len(factor) - 1, size), x[start:stop].T
         if end > stop:
-            dgemm(-1.0, x[stop:end].T, _below(factor, start, stop, end), beta=1.0, c=here, overwrite_c=1)
-        dtrsm(1.0, _diagonal(factor, start, stop), here, side=1, lower=1, overwrite_b=1)
+            dgemm(-1.0, x[stop:end].T, rows_below(factor, start, stop, end), beta=1.0, c=here, overwrite_c=1)
+        dtrsm(1.0, diagonal_block(factor, start, stop), here, side=1, lower=1, overwrite_b=1)
     return x
 
 
@@ -74,7 +74,7 @@ def _view(factor: np.ndarray, row: int, column: int, rows: int, columns: int) ->
     return as_strided(flat[column * width + row - column :], (rows, columns), (size, (width - 1) * size))
 
 
-def _diagonal(factor: np.ndarray, start: int, stop: int) -> np.ndarray:
+def diagonal_block(factor: np.ndarray, start: int, stop: int) -> np.ndarray:
     """Of L, rows and columns start to stop; above the diagonal anything."""
     out = np.array(_view(factor, start, start, stop - start, stop - start), order="F")
     return _cleared(out, len(factor) - 1)
@@ -87,7 +87,7 @@ def _before(factor: np.ndarray, start: int, stop: int, first: int) -> np.ndarray
     return _cleared(out, reach)
 
 
-def _below(factor: np.ndarray, start: int, stop: int, end: int) -> np.ndarray:
+def rows_below(factor: np.ndarray, start: int, stop: int, end: int) -> np.ndarray:
     """Of L, columns start to stop and the rows below them, down to ``end``."""
     out = np.array(_view(factor, stop, start, end - stop, stop - start), order="F")
     reach = len(factor) - 1 - (stop - start)  # rows that the first column reaches

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.sparse import csr_matrix
 from structures import braced, hysteretic
 
 from pinn_cli.network.spline import Spline
@@ -164,5 +165,5 @@ def test_samples_that_may_have_felt_motion_outside_the_record_are_left_out():
 
 
 def dense(system) -> np.ndarray:
-    border = system.border.toarray()
+    border = csr_matrix(system.border).toarray()
     return np.block([[system.band.dense(), border], [border.T, system.corner]])

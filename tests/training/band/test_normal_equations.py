@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.sparse import csr_matrix
 from small_problems import NONLINEARITIES, small_chain
 from structures import braced, hysteretic, modal, shuffled
 
@@ -92,7 +93,7 @@ def somewhere(equations: NormalEquations) -> Point:
 
 def dense(system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
     """Hessian and gradient."""
-    border = system.border.toarray()
+    border = csr_matrix(system.border).toarray()
     hessian = np.block([[system.band.dense(), border], [border.T, system.corner]])
     return hessian, np.concatenate((system.gradient, system.corner_gradient))
 

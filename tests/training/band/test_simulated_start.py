@@ -24,7 +24,7 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.training import gauss_newton
+from pinn_cli.training.band import inference
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.simulated_start import simulated_start
@@ -149,7 +149,7 @@ def test_a_strongly_nonlinear_chain_needs_it(monkeypatch):
     measurements = strongly_nonlinear()
     found = recovered(measurements)
     assert worst_fitness(found, measurements) > 97.0
-    monkeypatch.setattr(gauss_newton, "simulated_start", lambda equations: None)
+    monkeypatch.setattr(inference, "simulated_start", lambda equations: None)
     alone = recovered(measurements)
     assert worst_fitness(alone, measurements) < 50.0
     assert alone.summary["log_evidence"] < found.summary["log_evidence"] - 100.0

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.sparse import csr_matrix
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -74,8 +75,8 @@ def dense(evidence: JointEvidence, point: Point, noise: NoiseModel) -> tuple[np.
         rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns
         hessian[np.ix_(rows, rows)] = system.band.dense()
         hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = (
-            system.border.toarray(),
-            system.border.toarray().T,
+            csr_matrix(system.border).toarray(),
+            csr_matrix(system.border).toarray().T,
         )
         hessian[np.ix_(border, border)] += system.corner - np.diag(precision[columns])
         gradient[rows] = system.gradient
