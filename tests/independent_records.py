@@ -9,8 +9,14 @@ from functools import cache
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Duffing
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,3 +115,29 @@ def measured(
         channels[quantity] = np.where(there, noisy, absent)
     record = Record(truth.time, **channels, unforced=np.arange(n) != n - 1)
     return IndependentRecord(structure, record, truth, noise)
+
+
+def storey_record(
+    band: tuple[float, float],
+    samples: int,
+    rate: float,
+    frequency: float,
+    snr_db: float,
+    seed: int,
+    mass: float = 15.0,
+    kappa: float = 0.0,
+) -> IndependentRecord:
+    """One storey with an accelerometer, 1.5 % damping, a natural frequency in Hz, and ``kappa`` of k per m^2."""
+    k = mass * (2.0 * np.pi * frequency) ** 2
+    c = 0.03 * mass * 2.0 * np.pi * frequency
+    structure = Structure(np.array([mass]), np.array([c]), np.array([k]), np.array([kappa * k]))
+    time = np.arange(samples) / rate
+    truth = structure.moved(random_force(*band, 0.1 * mass, time[-1], seed), time)
+    return measured(structure, truth, {"acceleration": (1,)}, snr_db, seed)
+
+
+def solved_storey(made: IndependentRecord, record: Record) -> Estimate:
+    """The estimate of one storey, whose parameters are believed."""
+    s = made.structure
+    chain = build_chain(1, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
+    return GaussNewton().solve(Problem(chain, record), Spline(), RunContext())

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from independent_records import IndependentRecord, frame_record, measured
+from independent_records import IndependentRecord, frame_record, measured, solved_storey, storey_record
 from small_problems import excitation, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -70,6 +70,21 @@ def test_a_lone_sensor_with_as_many_features_as_samples_does_not_lose_its_noise(
     estimate = GaussNewton().solve(problem, design, RunContext())
     assert estimate.summary["features_per_dof"] >= len(made.record.time)
     assert 0.3 < ratios(made, estimate, "acceleration")[0] < 2.0
+
+
+def test_an_accelerometer_beside_a_poor_load_cell_has_the_noise_that_its_spectrum_shows():
+    """The motion follows it wherever it goes, and leaves its noise for the load cell's."""
+    ratio, z = [], []
+    for seed in range(2):
+        made = storey_record((6.0, 25.0), 400, 92.0, 20.0, 58.0, seed)
+        rng, force = np.random.default_rng(50 + seed), made.truth.force
+        noisy = force + 10.0 ** (-24.0 / 20.0) * force.std() * rng.standard_normal(force.shape)
+        estimate = solved_storey(made, replace(made.record, force=noisy))
+        ratio.append(np.array(estimate.summary["sigma_acceleration"])[0] / made.noise["acceleration"][0])
+        error = (estimate.response.acceleration - made.truth.acceleration) / estimate.std.acceleration
+        z.append(np.sqrt((error**2).mean()))
+    assert np.mean(ratio) > 0.75, ratio
+    assert np.mean(z) < 1.3, z
 
 
 def test_noise_starts_at_the_emptiest_part_of_a_spectrum_or_at_a_tenth_of_a_channel():
