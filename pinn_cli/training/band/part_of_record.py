@@ -23,7 +23,6 @@ from pinn_cli.training.band.discrepancy_search import (
 )
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.levenberg_marquardt import followed
-from pinn_cli.training.band.near_levels import ON_THE_WAY
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.residuals import collocation_refinement
 from pinn_cli.training.band.ridge import carried_ridge
@@ -46,12 +45,14 @@ def part_of_record(problem: Problem, network: LinearReadout) -> tuple[Problem, S
 
     That is where a record is short or not stationary, where samples are missing or come at times of their own, where
     several records or an earlier one tell of the parameters, and where forces are unknown. Where no parameter is
-    unknown, ten minutes of ten DOFs took as long either way.
+    unknown, ten minutes of ten DOFs took as long either way. Scans of structures that are not linear take other
+    steps in a part than in the whole, which would move what is reported.
     """
     record = problem.record
     told = bool(problem.further) or problem.prior is not None or problem.initial_state is not None
     irregular = bool(record.gauges or record.missing) or record.repeats is not None
-    if told or irregular or problem.inputs.forces or not problem.identifies:
+    linear = problem.structure.nonlinearity_name == "linear"
+    if told or irregular or problem.inputs.forces or not problem.identifies or not linear:
         return None
     if not isinstance(network, SplineNetwork) or network.channels > 1:
         return None
@@ -106,16 +107,7 @@ def whole_from(
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
-    if evidence.problem.structure.nonlinearity_name != "linear":
-        # Softer physics forgives a start at rest.
-        soft = begin.with_discrepancy((begin.discrepancy * largest_of_whole) ** 0.5)
-        softer = evidence.train(soft, followed(equations, point, soft), ON_THE_WAY)
-        if softer is None or not softer.solution.converged:
-            return None
-        point = softer.solution.point
-        del softer
-    else:
-        point = followed(equations, point, begin)
+    point = followed(equations, point, begin)
     found = evidence.scan(noise, begin.discrepancy, point, refined=False)
     return found if found.solution.converged and _are_near(begin, found.noise) else None
 
