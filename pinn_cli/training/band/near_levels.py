@@ -54,8 +54,10 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     own = replace(noise, response=response, force=_known_where(noise.force, levels.sensors.get("force")))
     point = equations.start()
     try:
-        # What a window hands over is stiff physics, and uncertain springs times a motion are no linear force either.
-        bilinear = levels.told is not None and len(problem.uncertain) > 0
+        # Uncertain springs times a motion are no linear force either: physics is stiff after a window, and where
+        # forces or the ground are functions that are found with the motion.
+        stiff = levels.told is not None or not equations.dynamics.is_plain
+        bilinear = stiff and len(problem.uncertain) > 0
         if problem.structure.nonlinearity_name != "linear" or bilinear:
             softer = evidence.train(softened(own.with_discrepancy(discrepancy), force), point, ON_THE_WAY)
             if softer is None or not softer.solution.converged:
