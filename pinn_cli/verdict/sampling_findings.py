@@ -1,4 +1,4 @@
-"""What nobody knows of the ground's motion: how it goes on between its samples, where these come too rarely for it."""
+"""What nobody knows of a force or of the ground: how it goes on between its samples, where these come too rarely."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.interpolation import FIRST_ORDER_HOLD, held_by_lines
-from pinn_cli.record.spectrum import reaches_nyquist
+from pinn_cli.record.spectrum import periodogram, reaches_nyquist
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import is_linear, predicted
@@ -23,17 +24,41 @@ if TYPE_CHECKING:
 # Standard deviations by which the responses to two motions with the same samples differ, all samples together: by so
 # many a record would tell them apart.
 TOLD_APART = 5.0
+# The upper end of a spectrum, over the Nyquist frequency, and the part of a force's power there that is no noise of a
+# load cell: a white force has a tenth of its power in it.
+UPPER_END, MATTERS = 0.9, 0.02
 
 
 def sampling_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
-    """That straight lines between the ground's samples would shake the structure differently, and nobody said.
+    """What the samples of forces and of the ground leave open, and nobody said.
 
     Args:
         problem: For the record.
         estimate: For the noise of its sensors.
         structure: With the estimated parameters.
     """
-    record = problem.record
+    return _rare_forces(problem.record) + _rare_ground(problem.record, estimate, structure)
+
+
+def _rare_forces(record: Record) -> list[Finding]:
+    """Forces with content up to the Nyquist frequency, such as white ones, where nobody said how they go on."""
+    found = []
+    for channel in channels(record, (FORCE,)) if record.assumed else ():
+        frequency, power = periodogram(channel.measured, record.step)
+        share = float(power[frequency > UPPER_END * frequency[-1]].sum() / power.sum()) if power.any() else 0.0
+        if share < MATTERS:
+            continue
+        text = (
+            f"the {channel.name} has content up to the Nyquist frequency, {0.5 / record.step:.4g} Hz: what acts between"
+            " its samples is not known, and intervals may be too narrow"
+        )
+        remedy = "sample faster, or say what it does: data.intersample=zero_order_hold, first_order_hold, band_limited"
+        found.append(Finding("intersample", channel.name, f"{text}; {remedy}"))
+    return found
+
+
+def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> list[Finding]:
+    """That straight lines between the ground's samples would shake the structure differently, and nobody said."""
     ground = record.ground_acceleration
     if ground is None or not record.assumed or not is_linear(structure) or not reaches_nyquist(ground, record.step):
         return []

@@ -173,3 +173,27 @@ def test_it_is_not_asked_elsewhere(rare):
     assert asked(replace(rare, assumed=False)) == []
     assert asked(rare, LOUD) == []
     assert asked(replace(measured().record, assumed=True)) == []
+
+
+def forced(snr_db: float, low_pass: int, assumed: bool = True) -> Record:
+    """The shaken frame's record with a force on its roof: white, or its mean over so many samples, and noise."""
+    record, rng = measured().record, np.random.default_rng(1)
+    force = np.convolve(
+        rng.standard_normal(len(record.time) + low_pass - 1), np.full(low_pass, 1e3 / low_pass), "valid"
+    )
+    noise = 10.0 ** (-snr_db / 20.0) * force.std() * rng.standard_normal(len(force))
+    forces = np.zeros_like(record.force)
+    forces[:, 2] = force + noise
+    unforced = np.array([True, True, False])
+    return replace(record, ground_acceleration=None, force=forces, unforced=unforced, assumed=assumed)
+
+
+def test_a_force_up_to_the_nyquist_frequency_is_asked_about():
+    (text,) = asked(forced(40.0, low_pass=1))
+    assert "the force of DOF 3 has content up to the Nyquist frequency, 25 Hz" in text
+    assert "data.intersample=" in text
+
+
+def test_it_is_not_asked_of_a_poor_load_cell_or_where_it_was_said():
+    assert asked(forced(10.0, low_pass=6)) == []
+    assert asked(forced(40.0, low_pass=1, assumed=False)) == []
