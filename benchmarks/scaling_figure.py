@@ -11,6 +11,7 @@ mpl.use("agg")
 
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, FormatStrFormatter, LogLocator, NullFormatter, NullLocator
 
 AGAINST = {"ndof": "DOFs of a chain, 60 s", "duration_s": "duration (s), 6 DOFs", "topology": "DOFs, 60 s, by topology"}
 # Of every row of panels: label, and column of the table to its label; of topologies the first column alone.
@@ -42,6 +43,7 @@ def draw(table: pd.DataFrame, product_rate: float, folder: Path) -> list[Path]:
                 panel.axhline(product_rate, color="0.5", linestyle="--", label="matrix product")
             panel.set_xscale("log")
             panel.set_yscale("log")
+            _plain_labels(panel, sorted(own[size].unique()))
             panel.grid(which="both", linewidth=0.3, alpha=0.5)
             panel.legend(fontsize=7)
             if column == 0:
@@ -53,6 +55,16 @@ def draw(table: pd.DataFrame, product_rate: float, folder: Path) -> list[Path]:
         figure.savefig(place, dpi=150)
     plt.close(figure)
     return places
+
+
+def _plain_labels(panel: Axes, sizes: list[float]) -> None:
+    """Label the sizes that were measured, and few round values of what was."""
+    panel.xaxis.set_major_locator(FixedLocator(sizes))
+    panel.xaxis.set_minor_locator(NullLocator())
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter(FormatStrFormatter("%g"))
 
 
 def _lines(panel: Axes, own: pd.DataFrame, size: str, lines: dict[str, str], by_topology: bool) -> None:
