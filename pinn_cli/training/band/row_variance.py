@@ -32,7 +32,7 @@ def row_variance(
         given: (I, S, p), by the independent parameters, the weights held; None: 0.
     """
     columns = np.ascontiguousarray(rows.transpose(2, 1, 0))  # (C, S, I)
-    first, apart = position[:, 0], (position[0] - position[0, 0]).tolist()
+    first, apart = _evenly(position[:, 0]), (position[0] - position[0, 0]).tolist()
     used = [c for c, column in enumerate(columns) if column.any()]
     out, inner, product = (np.zeros(columns.shape[1:]) for _ in range(3))
     for i, c in enumerate(used):
@@ -54,15 +54,20 @@ def row_variance(
     return out.T
 
 
-def _covariance(inverse: Diagonals, first: np.ndarray, one: int, other: int) -> np.ndarray:
+def _evenly(first: np.ndarray) -> np.ndarray | range:
+    """The same places as a range where they are evenly spaced: pieces of lines are views then."""
+    step = int(first[1] - first[0])
+    return range(int(first[0]), int(first[-1]) + 1, step) if step > 0 and (np.diff(first) == step).all() else first
+
+
+def _covariance(inverse: Diagonals, first: np.ndarray | range, one: int, other: int) -> np.ndarray:
     """(I,), of the weights at two distances from every first one."""
     line = int(inverse.lines(np.array([abs(one - other)]))[0])
     return _piece(inverse.values[line], first, min(one, other))
 
 
-def _piece(line: np.ndarray, first: np.ndarray, apart: int) -> np.ndarray:
-    """(I,), the entries of a line at a distance from every first one; a view of it where they are evenly spaced."""
-    step = int(first[1] - first[0])
-    if step > 0 and (np.diff(first) == step).all():
-        return line[first[0] + apart : first[-1] + apart + 1 : step]
+def _piece(line: np.ndarray, first: np.ndarray | range, apart: int) -> np.ndarray:
+    """(I,), the entries of a line at a distance from every first one."""
+    if isinstance(first, range):
+        return line[first.start + apart : first.stop + apart : first.step]
     return line[first + apart]
