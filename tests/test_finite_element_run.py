@@ -133,3 +133,27 @@ def test_the_cantilever_of_the_documentation(pinn_run: PinnRun):
     fitness = strict_fitness(outcome.directory)
     assert len(fitness) == 24
     assert (fitness > 99.0).all(), fitness
+
+
+@pytest.mark.slow  # half a minute
+def test_parts_are_updated_with_modes_above_the_record_s_band(pinn_run: PinnRun):
+    """Solutions carried over to finer splines stuck there: sensors came out twenty times as noisy."""
+    M, K = beam(20)
+    np.savez("beam.npz", M=M.toarray(), K=K.toarray())
+    for name, own in (("root", range(7)), ("mid", range(7, 14))):
+        mmwrite(f"{name}.mtx", beam_part(20, own))
+    dofs = f"{{a: {deflection(7)}, b: {deflection(13)}, tip: {deflection(20)}}}"
+    outcome = pinn_run(
+        "system=matrices", "system.path=beam.npz", f"system.dofs={dofs}", "system.modes=8",
+        "system.damping_ratio=0.012", "simulation.duration=2.3", "simulation.samples=1001", "excitation.band=[1.3,150]",
+        "excitation.rms=1", "excitation.dofs=[b]", "noise.snr_db=42", "scheme.unobserved=[b]", "seed=2",
+        "scheme=state_parameter", "scheme.parameter_uncertainty=0", "scheme.initial_motion=rest", "figures=false",
+        "system.factors={root: {file: root.mtx, value: 1.02}, mid: {file: mid.mtx, value: 1.07}}",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    np.testing.assert_allclose(parameters["estimate"], [1.02, 1.07], rtol=2e-3)
+    residuals = pd.read_csv(outcome.directory / "residuals.csv")
+    accelerations = residuals[residuals["quantity"] == "acceleration"]
+    noise = accelerations["signal_rms"] * 10.0 ** (-42.0 / 20.0)
+    np.testing.assert_allclose(accelerations["sigma"], noise, rtol=0.3)
