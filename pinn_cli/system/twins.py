@@ -108,7 +108,8 @@ class _Match:
         self.wanted = self._response(np.zeros(len(self.values)))[0]
         size = np.abs(self.wanted)
         # Next to a zero of a response a difference may be large relative to it, and still nobody sees it.
-        self.size = np.maximum(size, LEAST * size.max(axis=0)) * np.sqrt(size.size)
+        # Through springs of no stiffness nothing is felt at all.
+        self.size = np.maximum(np.maximum(size, LEAST * size.max(axis=0)), np.finfo(float).tiny) * np.sqrt(size.size)
 
     def starts(self) -> list[np.ndarray]:
         """Logarithms of factors, the same ones every time."""
@@ -119,8 +120,10 @@ class _Match:
         return [*single, *scattered]
 
     def fitted(self, x: np.ndarray) -> np.ndarray:
-        """The bottom of the valley that x lies in."""
+        """The bottom of the valley that x lies in; x where it has none that numbers can tell."""
         x = np.clip(x, -0.99 * FARTHEST, 0.99 * FARTHEST)
+        if not np.isfinite(self.apart(x)):
+            return x
         best = least_squares(
             lambda x: _real(self._response(x)[0] - self.wanted, self.size),
             x,

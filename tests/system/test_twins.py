@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
@@ -55,3 +56,12 @@ def test_slopes_are_those_of_the_responses():
     for column, step in enumerate(h * np.eye(3)):
         difference = (match._response(at + step)[0] - match._response(at - step)[0]) / (2.0 * h)
         np.testing.assert_allclose(slopes[..., column], difference, atol=1e-6 * np.abs(difference).max())
+
+
+def test_behind_a_spring_of_no_stiffness_nothing_is_felt_and_nothing_breaks():
+    springs = torch.tensor([100.0, 1e-320, 80.0], dtype=torch.float64)  # of a solution at its lower bound
+    structure = build_chain(3, Linear(), m=1.0, c=0.1, k=100.0).with_parameters(k=springs)
+    one = np.eye(3)
+    seen = Seen(one[[0, 2]], one[:, [0]], np.array([False]), 0.5, 4.0)
+    free = [p for p in structure.every_parameter() if p.kind == "k"]
+    assert all(np.isfinite(list(other.values())).all() for other in twins(structure, free, seen, 3))
