@@ -7,6 +7,7 @@ parameters alone shape the response, and their error adds up over the record.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -45,10 +46,13 @@ class FreeRun:
     Attributes:
         response: Of the estimated system, (N, n) each, with the measured force; None where there is none.
         finding: Why there is none, or what is wrong with it, in plain words; "" where nothing is.
+        agreement: With the estimated displacements where neither noise nor the start explains how far it is off, %;
+            NaN where it is not, or noise or the start does.
     """
 
     response: Response | None
     finding: str = ""
+    agreement: float = math.nan
 
 
 def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeRun:
@@ -73,7 +77,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         return FreeRun(None, f"the estimated system is too stiff for a free run: {error}")
     except OverflowsError as error:
         return FreeRun(None, f"the estimated system is unstable: its free run overflows at {error.time:.4g} s")
-    return FreeRun(response, _contradiction(structure, estimate, record, response))
+    return FreeRun(response, *_contradiction(structure, estimate, record, response))
 
 
 def free_run_table(
@@ -108,21 +112,21 @@ def _simulated(structure: Structure, estimate: Estimate, record: Record, first: 
     return resimulate(structure, record, start, first=first)
 
 
-def _contradiction(structure: Structure, estimate: Estimate, record: Record, response: Response) -> str:
-    """What to say of a free run that is not what was estimated; "" where it is."""
+def _contradiction(structure: Structure, estimate: Estimate, record: Record, response: Response) -> tuple[str, float]:
+    """What to say of a free run that is not what was estimated, and its agreement; "" where it is."""
     agreement = _agreement(response, estimate)
     if not agreement < CONTRADICTED_BELOW:
-        return ""
+        return "", math.nan
     extent = f"to {agreement:.1f} % only" if agreement > 0.0 else "not at all"
     first = len(record.time) // EXCUSED_SHARE
     excused = _excused_agreement(structure, estimate, record, first)
     if excused >= CONTRADICTED_BELOW:
         later = f"under the estimated force and from {record.time[first]:.4g} s on, to {excused:.1f} %"
         why = "the noise of the measured force or the estimated start explains it"
-        return f"the free run's displacements agree with the estimate {extent}; {later}: {why}"
+        return f"the free run's displacements agree with the estimate {extent}; {later}: {why}", math.nan
     found = f"in a free run their displacements agree with it {extent}"
     why = "the model, the parameters or the response is wrong"
-    return f"warning: the estimated parameters do not reproduce the estimated response: {found}; {why}"
+    return f"warning: the estimated parameters do not reproduce the estimated response: {found}; {why}", agreement
 
 
 def _excused_agreement(structure: Structure, estimate: Estimate, record: Record, first: int) -> float:

@@ -74,7 +74,9 @@ class RecordReport:
     def verdict(self) -> Verdict | None:
         """None without a problem."""
         problem, other = self.results.problem, self.baseline[1] if self.baseline else None
-        return judge(problem, self.results.estimate, other, self.free.response) if problem else None
+        if problem is None:
+            return None
+        return judge(problem, self.results.estimate, other, self.free.response, self.free.agreement)
 
     @cached_property
     def drifts(self) -> Drifts:

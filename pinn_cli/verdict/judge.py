@@ -6,7 +6,10 @@ makes a structure, the estimated or the prescribed one, do under the measured fo
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.system.modes import modes_of
@@ -42,6 +45,7 @@ def judge(
     estimate: Estimate,
     baseline: Estimate | None = None,
     free_run: Response | None = None,
+    contradicted: float = math.nan,
 ) -> Verdict:
     """Judge an estimate.
 
@@ -50,6 +54,8 @@ def judge(
         estimate: Its solution.
         baseline: Another estimator's solution of the same problem, where there is one.
         free_run: The estimated structure's response to the measured force, where the caller has it already.
+        contradicted: Its agreement with the estimated displacements where noise and the start do not explain how far
+            it is off, %; NaN elsewhere.
     """
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
     own = record_faults(record)
@@ -59,6 +65,8 @@ def judge(
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
     findings += change_findings(estimate) + input_findings(problem, estimate, structure)
     findings += sampling_findings(problem, estimate, structure)
+    if not any(finding.kind == "free_run" for finding in findings):
+        findings += _contradicted(problem, contradicted)
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies and _furthest(estimate) > LEAST_GAIN / 4:
         # A gain that believed parameters have made up for shows against the prescribed ones.
@@ -67,6 +75,17 @@ def judge(
     if any(finding.word != "sound" for finding in findings) and not causes:
         causes = _causes(problem, structure, excused)
     return Verdict.of(own + causes + findings)
+
+
+def _contradicted(problem: Problem, agreement: float) -> list[Finding]:
+    """Parameters that were asked for, and do not make the structure move as it was estimated to."""
+    if not problem.identifies or np.isnan(agreement):
+        return []
+    text = (
+        f"a free run with the estimated parameters agrees with the estimated displacements to {max(agreement, 0):.0f} %"
+        " only: the model, a sensor's scale or the parameters are wrong"
+    )
+    return [Finding("contradicted", "parameters", f"{text}; do not trust displacements and parameters together")]
 
 
 def _furthest(estimate: Estimate) -> float:

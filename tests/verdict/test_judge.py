@@ -27,7 +27,7 @@ def test_the_worst_word_wins_and_a_reason_is_told_once():
 
 
 def test_it_never_sees_the_truth():
-    names = {"problem", "estimate", "baseline", "free_run"}
+    names = {"problem", "estimate", "baseline", "free_run", "contradicted"}
     assert set(inspect.signature(judge).parameters) == names
 
 
@@ -75,3 +75,13 @@ def test_a_gain_that_believed_parameters_made_up_for_shows_against_the_prescribe
     ]
     verdict = judge(replace(problem, record=record, uncertain=believed), replace(estimate, parameters=absorbed))
     assert verdict.reasons[0].kind == "gain"
+
+
+@pytest.mark.parametrize(("unknown", "reasons"), [(True, ["contradicted"]), (False, [])])
+def test_parameters_that_were_asked_for_have_to_move_the_structure_as_it_moved(right_estimate, unknown, reasons):
+    problem, estimate = right_estimate
+    asked = [replace(p.parameter, unknown=unknown) for p in estimate.parameters]
+    verdict = judge(replace(problem, uncertain=asked), estimate, contradicted=83.1)
+    assert [finding.kind for finding in verdict.reasons] == reasons
+    assert not reasons or "to 83 % only" in verdict.reasons[0].text
+    assert judge(replace(problem, uncertain=asked), estimate).sound
