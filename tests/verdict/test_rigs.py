@@ -14,7 +14,7 @@ RIG = Path(__file__).parents[2].parent / "shared" / "tools" / "rig.py"
 # Two storeys, velocities on both, 52 dB; the last channel is spoilt.
 SEED = "38"
 NAMED = {
-    "unit": "1/9.80665", "gain": "divide it by 1.15", "offset": "offset", "sign": "negative", "swap": "DOFs 1 and 2",
+    "unit": "1/9.80665", "gain": "divide it by 1.1", "offset": "offset", "sign": "negative", "swap": "DOFs 1 and 2",
     "delay": "3.00 samples", "clip": "clipped", "mass": "m_2", "zeros": "drops out", "time_unit": "milliseconds",
 }  # fmt: skip
 
