@@ -9,14 +9,8 @@ from functools import cache
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import QUANTITIES, Response
-from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.gauss_newton import GaussNewton
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +128,3 @@ def storey_record(
     time = np.arange(samples) / rate
     truth = structure.moved(random_force(*band, 0.1 * mass, time[-1], seed), time)
     return measured(structure, truth, {"acceleration": (1,)}, snr_db, seed)
-
-
-def solved_storey(made: IndependentRecord, record: Record) -> Estimate:
-    """The estimate of one storey, whose parameters are believed."""
-    s = made.structure
-    chain = build_chain(1, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
-    return GaussNewton().solve(Problem(chain, record), Spline(), RunContext())

@@ -48,6 +48,11 @@ def solved(given: Case, rng: np.random.Generator, change: np.ndarray, hidden: fl
     return problem, known, measured
 
 
+def with_the_third_changed(seed: int):
+    """Problem and posterior of a draw whose third parameter became another one, by many standard deviations."""
+    return solved(case(), np.random.default_rng(seed), 40.0 * np.eye(P)[2])
+
+
 def prior_covariance(problem: Problem) -> np.ndarray:
     std = np.array([p.prior_std for p in problem.uncertain])
     assert problem.prior is not None
@@ -93,10 +98,8 @@ def test_a_change_is_found_with_its_size_and_its_place():
 
 
 def test_with_changed_parameters_released_it_says_the_same():
-    given, rng = case(), np.random.default_rng(8)
-    change = np.zeros(P)
-    change[2] = 40.0
-    problem, known, measured = solved(given, rng, change)
+    given = case()
+    problem, known, measured = with_the_third_changed(seed=8)
     changes = found_changes(problem, known)
     again = released(problem, changes)
     prior = prior_covariance(again)
@@ -111,10 +114,7 @@ def test_with_changed_parameters_released_it_says_the_same():
 
 
 def test_of_what_changed_nothing_is_handed_over():
-    given, rng = case(), np.random.default_rng(9)
-    change = np.zeros(P)
-    change[2] = 40.0
-    problem, known, _ = solved(given, rng, change)
+    problem, known, _ = with_the_third_changed(seed=9)
     changes = found_changes(problem, known)
     handed = left_open(known, problem, changes)
     assert np.sqrt(handed.covariance[2, 2]) > 100.0

@@ -6,17 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from independent_records import IndependentRecord, frame_record, measured, solved_storey, storey_record
+from independent_records import IndependentRecord, frame_record, measured, storey_record
 from small_problems import excitation, small_chain
+from solved_records import estimated, model
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Duffing
-from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.noise_levels import floor, settled, updated, values_taken
@@ -27,15 +25,6 @@ from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.noise_model import starting_levels
 
 HIGHEST = 20.0  # Hz, of the frame's force
-
-
-def model(made: IndependentRecord) -> Structure:
-    s = made.structure
-    return build_chain(3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
-
-
-def estimated(made: IndependentRecord, **settings) -> Estimate:
-    return GaussNewton(**settings).solve(Problem(model(made), made.record), Spline(), RunContext())
 
 
 def ratios(made: IndependentRecord, estimate: Estimate, quantity: str) -> np.ndarray:
@@ -79,7 +68,7 @@ def test_an_accelerometer_beside_a_poor_load_cell_has_the_noise_that_its_spectru
         made = storey_record((6.0, 25.0), 400, 92.0, 20.0, 58.0, seed)
         rng, force = np.random.default_rng(50 + seed), made.truth.force
         noisy = force + 10.0 ** (-24.0 / 20.0) * force.std() * rng.standard_normal(force.shape)
-        estimate = solved_storey(made, replace(made.record, force=noisy))
+        estimate = estimated(replace(made, record=replace(made.record, force=noisy)))
         ratio.append(np.array(estimate.summary["sigma_acceleration"])[0] / made.noise["acceleration"][0])
         error = (estimate.response.acceleration - made.truth.acceleration) / estimate.std.acceleration
         z.append(np.sqrt((error**2).mean()))

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from independent_records import solved_storey, storey_record
+from independent_records import storey_record
 from small_problems import measured, small_chain
+from solved_records import estimated
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
@@ -95,7 +96,7 @@ def test_enough_knots_are_enough():
 def test_the_spline_is_finer_than_its_bands_are_wide():
     """Few samples of a poor sensor on a known stiffening storey: its motion is known better than it is measured."""
     made = storey_record((0.05, 0.2), 200, 0.57, 0.16, 23.0, 0, kappa=0.1)
-    estimate = solved_storey(made, replace(made.record, force=made.truth.force))
+    estimate = estimated(replace(made, record=replace(made.record, force=made.truth.force)))
     error = estimate.response.acceleration - made.truth.acceleration
     z = (error / estimate.std.acceleration)[:-20]  # but for the end, where nothing holds the force between its samples
     assert np.sqrt((z**2).mean()) < 2.0

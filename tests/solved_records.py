@@ -1,0 +1,24 @@
+"""Estimates of records that other code has made, by the spline and its own training."""
+
+from __future__ import annotations
+
+from independent_records import IndependentRecord
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Duffing
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.gauss_newton import GaussNewton
+
+
+def model(made: IndependentRecord) -> Structure:
+    """The right chain of a record."""
+    s = made.structure
+    return build_chain(len(s.m), Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=s.k.tolist(), kappa=s.kappa.tolist())
+
+
+def estimated(made: IndependentRecord, **settings) -> Estimate:
+    """With its parameters known; ``settings`` of the training."""
+    return GaussNewton(**settings).solve(Problem(model(made), made.record), Spline(), RunContext())
