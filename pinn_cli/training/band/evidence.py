@@ -12,7 +12,7 @@ import torch
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.spectrum import occupied_band
+from pinn_cli.record.spectrum import occupied_band, visible_floor
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.discrepancy_search import DiscrepancySearch, Trained
 from pinn_cli.training.band.force_residuals import ForceResiduals
@@ -49,6 +49,7 @@ class Evidence(DiscrepancySearch):
         super().__init__(equations, iterations, tolerance, watch, learn_spread, count)
         self.equations, self.problem = equations, equations.problem
         self.records: tuple[Evidence, ...] = (self,)
+        self._shown: dict[str, np.ndarray] = {}
 
     @cached_property
     def projection(self) -> FeatureProjection:
@@ -59,6 +60,16 @@ class Evidence(DiscrepancySearch):
     def observer_projection(self) -> FeatureProjection:
         """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
         return self._projection(self.equations.observation)
+
+    def shown_noise(self, quantity: str) -> np.ndarray:
+        """(channels,), noise of each sensor of a quantity that its spectrum shows above its band; 0 where none does."""
+        if quantity not in self._shown:
+            record = self.equations.problem.record
+            shown, histories = np.zeros(len(record.sensors(quantity))), record.histories(quantity)
+            for dof in np.flatnonzero(record.sensors(quantity)):
+                shown[dof] = visible_floor(histories[:, dof], record.step) or 0.0
+            self._shown[quantity] = shown
+        return self._shown[quantity]
 
     def log_evidence(self, point: Point, noise: NoiseModel, factor: BorderedFactor) -> float:
         """See :meth:`DiscrepancySearch.log_evidence`."""

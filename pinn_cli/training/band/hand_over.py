@@ -18,11 +18,10 @@ from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.band.end_state import end_state
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
-from pinn_cli.training.band.near_levels import ON_THE_WAY, softened
+from pinn_cli.training.band.near_levels import softer_point
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.history import History
-from pinn_cli.training.record_scales import force_and_velocity_scale
 
 
 def handed_over(found: Inferred, settings: InferenceSettings, device: str, history: History) -> HandOver:
@@ -53,10 +52,8 @@ def handed_over(found: Inferred, settings: InferenceSettings, device: str, histo
     evidence = replace(settings, known=equations.known).solved_by(early, shorter, device, history)
     point = found.trained.solution.point
     start = Point(point.unknowns[: evidence.equations.layout.size], point.parameters)
-    if early.uncertain:  # uncertain springs times a motion are no linear force: stiff physics may get stuck beside it
-        softer = softened(found.trained.noise, force_and_velocity_scale(early)[0])
-        near = evidence.train(softer, start, ON_THE_WAY)
-        start = start if near is None else near.solution.point
+    if early.uncertain:
+        start = softer_point(evidence, found.trained.noise, start)
     trained = evidence.train(found.trained.noise, start)
     if trained is None or not torch.isfinite(trained.solution.point.unknowns).all():
         raise DivergenceError(f"the samples up to {problem.hand_over:g} s alone have no solution to hand over")

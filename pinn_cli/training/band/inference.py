@@ -21,7 +21,7 @@ from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
-from pinn_cli.training.band.near_levels import ON_THE_WAY, near_known_levels, softened
+from pinn_cli.training.band.near_levels import near_known_levels, softer_point
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.part_of_record import is_trustworthy, part_of_record, whole_from
 from pinn_cli.training.band.point import Point
@@ -33,7 +33,6 @@ from pinn_cli.training.band.windows_discrepancy import of_all_windows
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
-from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
@@ -268,8 +267,7 @@ def _refined(
         points.append(carried_over(point, coarse, fine))
     noise, point = NoiseModel.of_records(levels), evidence.equations.joined(points)
     if problem.structure.nonlinearity_name != "linear" or evidence.equations.uncertain:
-        softer = evidence.train(softened(noise, force_and_velocity_scale(problem)[0]), point, ON_THE_WAY)
-        point = point if softer is None else softer.solution.point
+        point = softer_point(evidence, noise, point)
     again = evidence.train(noise, point)
     if again is None or not again.solution.converged:
         return None

@@ -14,6 +14,7 @@ from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY, Tr
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import floor, updated
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.windows_discrepancy import discrepancy_unit
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
@@ -74,6 +75,17 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
 def softened(noise: NoiseModel, force: float) -> NoiseModel:
     """The same with physics so soft that it forgives where a solution begins; the force that acts is ``force`` (N)."""
     return noise.with_discrepancy((noise.discrepancy * force) ** 0.5)
+
+
+def softer_point(evidence: Evidence | JointEvidence, noise: NoiseModel, point: Point) -> Point:
+    """Where a solution under stiff physics begins: at that under softer physics, found from a point on.
+
+    Parameters that are uncertain times a motion are no linear force: from elsewhere stiff physics may get stuck. Where
+    even the softer one cannot be solved it is the point itself.
+    """
+    force, _ = force_and_velocity_scale(evidence.problem)
+    softer = evidence.train(softened(noise, force), point, ON_THE_WAY)
+    return point if softer is None else softer.solution.point
 
 
 def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trained | None:

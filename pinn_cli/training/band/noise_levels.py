@@ -14,11 +14,10 @@ import numpy as np
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.spectrum import lowest_level, visible_floor
+from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
@@ -40,12 +39,12 @@ FINEST_DISCREPANCY = 1e-6
 # it wherever it goes; it falls off with this power of the share of its values that the solution has taken up, to
 # nothing for a sensor that the model checks.
 KINSHIP, OPENNESS = 0.2, 4
+# The same of any sensor where forces are unknown, which leave more of it open: with less, every tenth sensor came out
+# half as noisy as it was, and the bands of its motion held two thirds of it.
+KINSHIP_UNDER_FORCES = 0.05
 # An accelerometer beside a load cell, about whose noise nothing is known, has this part of what the load cell's noise
 # makes of the acceleration, at most: that much of it passes for the load cell's.
 BESIDE_LOAD_CELL = 0.4
-# The same where forces are unknown, which leave more of it open: with less, every tenth sensor came out half as noisy
-# as it was, and the bands of its motion held two thirds of it.
-KINSHIP_UNDER_FORCES = 0.05
 # Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
 LONGEST_STRIDE = 5.0
 
@@ -146,10 +145,9 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
             continue
         there, square = mask.cpu().numpy(), squares[name].cpu().numpy()
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
-        usual = _usual_level(equations, name, noise)
-        weight = samples * KINSHIP * np.clip(taken.response[name] / samples, 0.0, 1.0) ** OPENNESS
-        if equations.problem.inputs.forces:
-            weight = np.full_like(weight, samples * KINSHIP_UNDER_FORCES)
+        usual, share = _usual_level(evidence, name, noise), np.clip(taken.response[name] / samples, 0.0, 1.0)
+        under_forces = bool(equations.problem.inputs.forces)
+        weight = samples * KINSHIP_UNDER_FORCES if under_forces else samples * KINSHIP * share**OPENNESS
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
         level = _limited(np.sqrt(found), noise.response[name])
         response[name] = np.where(there, np.maximum(level, least.response[name]), noise.response[name])
@@ -164,21 +162,21 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 
-def _usual_level(equations: NormalEquations, quantity: str, noise: NoiseModel) -> np.ndarray:
+def _usual_level(evidence: Evidence, quantity: str, noise: NoiseModel) -> np.ndarray:
     """(n,) noise that each sensor would have if the record left it open; 0 where nothing is known.
 
     What its spectrum shows above its band, or as much as others of its kind. A lone accelerometer beside a load cell,
     whose spectrum shows nothing: what its emptiest part has at most, or see `BESIDE_LOAD_CELL`.
     """
-    record, levels = equations.problem.record, noise.response[quantity]
-    channels, plain = record.histories(quantity), equations.dynamics.structure.shapes is None
+    equations, levels = evidence.equations, noise.response[quantity]
+    record, plain = equations.problem.record, equations.dynamics.structure.shapes is None
+    channels, shown = record.histories(quantity), evidence.shown_noise(quantity)
     rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(channels.shape[1])
     there, mass = np.flatnonzero(record.sensors(quantity)), equations.prescribed["m"].cpu().numpy()
     for dof in there:
         others = [levels[other] / rms[other] for other in there if other != dof and rms[other] > 0]
-        shown = visible_floor(channels[:, dof], record.step)
-        if shown or others:
-            out[dof] = shown or rms[dof] * np.median(others)
+        if shown[dof] or others:
+            out[dof] = shown[dof] or rms[dof] * np.median(others)
         elif quantity == "acceleration" and plain and noise.force[dof] > 0 and mass[dof] > 0:
             of_load_cell = lowest_level(record.force[:, dof], record.step) / mass[dof]
             out[dof] = min(lowest_level(channels[:, dof], record.step), BESIDE_LOAD_CELL * of_load_cell)
@@ -238,11 +236,11 @@ def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
     # do as well, and bands would be too narrow.
     for dof in np.flatnonzero(record.sensors("force") & ~record.gauged("force")):
-        shown = visible_floor(record.force[:, dof], record.step)
+        shown = evidence.shown_noise(FORCE)[dof]
         if FORCE in response:
-            response[FORCE][dof] = max(response[FORCE][dof], shown or 0.0)
+            response[FORCE][dof] = max(response[FORCE][dof], shown)
         else:
-            of_force[dof] = max(of_force[dof], shown or 0.0)
+            of_force[dof] = max(of_force[dof], shown)
     return replace(noise, response=response, force=of_force, discrepancy=discrepancy)
 
 
