@@ -9,6 +9,7 @@ is ever stored.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise
 
@@ -71,13 +72,9 @@ class TimeMajorSums(RowSums):
     def border(self) -> csr_matrix:
         """See :attr:`RowSums.border`; it keeps entries that happen to be zero, so that its pattern stays."""
         entries: list[tuple[np.ndarray, ...]] = []  # values, rows and columns
-        if "_pull" in self.__dict__:
-            first = np.arange(0, self.size, self.n)[:, None]
-            for lines, connections in zip(self._pull, self._touched, strict=True):
-                for of_end, slots in zip(lines, connections, strict=True):
-                    for line, offset, (i, parameter) in zip(of_end, self.pattern.offsets, slots, strict=True):
-                        values = line[self._inside].reshape(-1, self.n)[:, i]
-                        entries.append((values, first + i + offset, np.broadcast_to(parameter, values.shape)))
+        first = np.arange(0, self.size, self.n)[:, None]
+        for values, at, parameter in self._pulled():
+            entries.append((values, first + at, np.broadcast_to(parameter, values.shape)))
         if "_dense_border" in self.__dict__:
             column, row = np.nonzero(self._dense_border[:, self._inside])
             entries.append((self._dense_border[column, row + self.margin], row, column))
@@ -86,18 +83,23 @@ class TimeMajorSums(RowSums):
         values, row, column = (np.concatenate([x.reshape(-1) for x in part]) for part in zip(*entries, strict=True))
         return csr_matrix((values, (row, column)), shape=(self.size, self.pattern.count))
 
+    def _pulled(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Of every line of single DOFs' equations of motion: values (groups, slots), their weights and parameters."""
+        if "_pull" not in self.__dict__:
+            return
+        for lines, connections in zip(self._pull, self._touched, strict=True):
+            for of_end, slots in zip(lines, connections, strict=True):
+                for line, offset, (i, parameter) in zip(of_end, self.pattern.offsets, slots, strict=True):
+                    yield line[self._inside].reshape(-1, self.n)[:, i], i + offset, parameter
+
     def dense_border(self, pick: np.ndarray) -> np.ndarray:
         """See :meth:`RowSums.dense_border`; in Fortran's order, without the indices of a sparse one."""
         out = np.zeros((len(pick), self.size // self.n, self.n))
         column = {place: i for i, place in enumerate(pick.tolist())}
-        if "_pull" in self.__dict__:
-            for lines, connections in zip(self._pull, self._touched, strict=True):
-                for of_end, slots in zip(lines, connections, strict=True):
-                    for line, offset, rows in zip(of_end, self.pattern.offsets, slots, strict=True):
-                        values = line[self._inside].reshape(-1, self.n)
-                        for i, place in zip(*(x.tolist() for x in rows), strict=True):
-                            if place in column:
-                                out[column[place], :, i + offset] += values[:, i]
+        for values, at, parameter in self._pulled():
+            for k, place in enumerate(parameter.tolist()):
+                if place in column:
+                    out[column[place], :, at[k]] += values[:, k]
         if "_dense_border" in self.__dict__:
             for place, i in column.items():
                 out[i] += self._dense_border[place, self._inside].reshape(-1, self.n)
