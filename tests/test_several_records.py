@@ -35,7 +35,12 @@ def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> Non
     write(tmp_path, duration=6.0, snr_db=30.0)
     paths = [tmp_path / f"storey_{storey}.csv" for storey in (1, 2, 3)]
     records = ",".join(f"{{path: '{path}', acceleration: {{{i}: a}}}}" for i, path in enumerate(paths, start=1))
-    command = (*FRAME, *UNKNOWN, "data.force={3: f}", f"data.records=[{records}]", f"hydra.run.dir={tmp_path}/run")
+    fresh = frame_record(cubic=False, duration=6.0, snr_db=30.0, seed=4).record
+    columns = {"t": fresh.time, "f": fresh.force[:, 2], **{f"a{i + 1}": fresh.acceleration[:, i] for i in range(3)}}
+    pd.DataFrame(columns).to_csv(tmp_path / "fresh.csv", index=False)
+    other = f"data.validation={{path: '{tmp_path}/fresh.csv', acceleration: {{1: a1, 2: a2, 3: a3}}}}"
+    settings = "data.force={3: f}", f"data.records=[{records}]", other, f"hydra.run.dir={tmp_path}/run"
+    command = (*FRAME, *UNKNOWN, *settings)
     done = pinn_run(*command)
     assert done.status == 0, done.err
     found = parameters(done.directory)
@@ -47,6 +52,12 @@ def test_three_records_make_one_report(pinn_run: PinnRun, tmp_path: Path) -> Non
     run = json.loads((done.directory / "run.json").read_text())
     assert len(run["records"]) == 3
     assert run["records"][1]["sigma_acceleration"][0] is None
+    tried = pd.read_csv(done.directory / "validation.csv")
+    assert list(tried["dof"]) == [1, 2, 3]
+    assert np.all(tried["nmse_percent"] < 1.0)
+    assert np.all(tried["inside_95_percent"].between(85.0, 100.0))
+    measured = fresh.acceleration.std(axis=0)
+    assert np.all(np.abs(tried["sigma"] / measured / 10.0**-1.5 - 1.0) < 0.25)  # each as its own record showed it
     for folder, storey in zip(summary["folder"], (1, 2, 3), strict=True):
         residuals = pd.read_csv(done.directory / folder / "residuals.csv")
         assert list(zip(residuals["quantity"], residuals["dof"], strict=True)) == [

@@ -63,7 +63,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
         measurements = config.source.measurements(true)
         records = [config.observe(each.record) for each in measurements]
         validate = config.source.validate
-        validation = None if validate is None else validate(true, records[0])
+        validation = None if validate is None else validate(true, records)
     with stages("problem"):
         problem = config.scheme.joint_problem(prescribed, records)
     truths = tuple(each.truth for each in measurements)

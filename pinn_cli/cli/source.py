@@ -45,7 +45,7 @@ class Source:
     measure: Callable[[Structure], Measurements]
     simulated: bool
     snr_db: float | None
-    validate: Callable[[Structure, Record], ValidationRecord] | None = None
+    validate: Callable[[Structure, Sequence[Record]], ValidationRecord] | None = None
     further: tuple[Callable[[Structure], Measurements], ...] = ()
     windows: RecordWindows | None = None
 
@@ -107,9 +107,6 @@ def _is_simulated(config: DictConfig) -> bool:
 def _measured(config: DictConfig, structure: Structure, base: Path | None) -> list[Any]:
     """What measures every record of `data`."""
     nodes = data_of_records(config.data)
-    if len(nodes) > 1 and config.data.get("validation") is not None:
-        allowed = f"null with the {len(nodes)} records of data.records"
-        raise InputError("data.validation", config.data.validation, allowed, "it belongs to one record")
     measured, responds = [], config.scheme.get("_target_") != PREDICT
     for number, node in enumerate(nodes, start=1):
         with of_record(number, len(nodes)), in_names(structure.labels):
@@ -155,8 +152,8 @@ def read_source(
         labels, count = structure.labels, structure.incidence.shape[0]
         connections = [labels.connection(i) for i in range(count)]
         with in_names(structure.labels):
-            held = validation_of(measured[0])
-        seen = measured if held is None else [held.seen]
+            held = validation_of(measured)
+        seen = measured if held is None else held.seen
         first, *further = (partial(_named_record, each, connections) for each in seen)
         validate = None if held is None else partial(_validation_record, held, connections)
         windows = _windows_of(config, seen[0], connections, follows)
@@ -208,7 +205,7 @@ def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: 
 
 
 def _validation_record(
-    held: ValidationData, connections: Sequence[str], true: Structure, seen: Record
+    held: ValidationData, connections: Sequence[str], true: Structure, seen: Sequence[Record]
 ) -> ValidationRecord:
     with in_names(true.labels):
         found = held.read(seen, true.ndof, connections)

@@ -1,4 +1,4 @@
-"""Sensors of DOFs that are held out: no estimator sees them, they score it."""
+"""Response sensors of DOFs that are held out: no estimator sees them, they score it. Forces are inputs, and stay."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import InputError
 
 # Part of a step by which a sample may be off the time where it scores.
@@ -23,12 +24,13 @@ def not_held_out(gauges: Sequence[Gauge], holdout: Sequence[int]) -> tuple[Gauge
     Raises:
         InputError: One that feels a DOF which is held out, and another one too.
     """
-    held = {dof - 1 for dof in holdout}
-    for gauge in gauges:
-        if held & set(gauge.weights) and not gauge.feels_one:
+    dofs = {dof - 1 for dof in holdout}
+    held = [gauge for gauge in gauges if gauge.quantity in RESPONSE_QUANTITIES and dofs & set(gauge.weights)]
+    for gauge in held:
+        if not gauge.feels_one:
             allowed = "DOFs whose every channel measures that DOF alone"
             raise InputError("data.holdout", list(holdout), allowed, f"channel {gauge.name} feels others too")
-    return tuple(gauge for gauge in gauges if not held & set(gauge.weights))
+    return tuple(gauge for gauge in gauges if gauge not in held)
 
 
 def scored_by(gauge: Gauge, time: np.ndarray, holdout: Sequence[int]) -> np.ndarray:

@@ -51,7 +51,8 @@ class MeasuredData:
         displacement, velocity, acceleration: DOF to column, m, m/s, m/s^2.
         ground_acceleration: Column of the ground's acceleration, m/s^2; None: the ground is at rest.
         frame: What the accelerometers measure where the ground moves: ``absolute``, or ``relative`` to the ground.
-        holdout: DOFs whose columns the estimator never sees: they go into the truth, to score it.
+        holdout: DOFs whose response columns the estimator never sees: they go into the truth, to score it. Their forces
+            are inputs, and stay.
         start, stop: Of the window, s, both included; None: the file's ends.
         decimate: Keep every so manieth sample of the window, after an anti-alias filter.
         intersample: How what acts behaves between the samples, one of :data:`BETWEEN_SAMPLES`; None: band-limited,
@@ -136,10 +137,10 @@ class MeasuredData:
         seen.force[:, unforced] = 0.0
         for (quantity, dof), column in found.columns.items():
             if quantity != GROUND:
-                target = truth if dof in self.holdout else seen
-                getattr(target, quantity)[:, dof - 1] = column
+                hidden = quantity in RESPONSE_QUANTITIES and dof in self.holdout
+                getattr(truth if hidden else seen, quantity)[:, dof - 1] = column
         for gauge in found.gauges:
-            if gauge.dof is not None and gauge.quantity != GROUND and gauge.dof + 1 in self.holdout:
+            if gauge.quantity in RESPONSE_QUANTITIES and gauge.dof is not None and gauge.dof + 1 in self.holdout:
                 getattr(truth, gauge.quantity)[:, gauge.dof] = scored_by(gauge, time, self.holdout)
         seen = replace(seen, ground_acceleration=found.columns.get((GROUND, 0)))
         record = Record(
@@ -257,10 +258,11 @@ class MeasuredData:
         if self.responds and not response:
             settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
             raise InputError(settings, "{}", "a map of DOF: column in at least one of them")
-        measured = set().union(*(dofs for _, dofs in felt))
+        measured = set().union(*response)
         for dof in self.holdout:
             if dof not in measured:
-                raise InputError("data.holdout", dof, "a DOF with a column", "there is nothing to score it against")
+                allowed = "a DOF with a column of its response"
+                raise InputError("data.holdout", dof, allowed, "there is nothing to score it against")
         if not self.responds:
             return
         if all(dofs & set(self.holdout) for dofs in response):

@@ -31,11 +31,13 @@ class ValidationRecord:
         record: With every sensor that it has.
         first: Sample from which on it is compared.
         begins: Sample of the estimator's record whose estimated state it begins with; None: at rest.
+        of: Which of several records of the estimator that is, counted from 0; its sensors' calibrations hold.
     """
 
     record: Record
     first: int
     begins: int | None
+    of: int = 0
 
 
 @dataclass(frozen=True)
@@ -44,24 +46,30 @@ class ValidationData:
 
     Attributes:
         data: Its file, columns and window.
-        seen: What the estimator sees, without the segment.
-        follows: Whether it is a later segment of the same file, so that the estimate tells how it begins.
+        seen: What the estimator sees, record by record, without the segment.
+        of: The record that it goes on from, or else has its settings from.
+        follows: Whether it is a later segment of that one's file, so that the estimate tells how it begins.
         settle: Seconds at its start that are simulated and not compared.
     """
 
     data: MeasuredData
-    seen: MeasuredData
+    seen: tuple[MeasuredData, ...]
+    of: int
     follows: bool
     settle: float
 
     @classmethod
-    def of(cls, data: MeasuredData) -> ValidationData | None:
+    def among(cls, records: Sequence[MeasuredData]) -> ValidationData | None:
         """From ``data.validation``; None where there is none.
+
+        Args:
+            records: Of the estimator, which all have that setting. What it does not say is as in the one whose file it
+                is a segment of, or else as in the first.
 
         Raises:
             InputError: Naming ``data.validation.<setting>``; or the estimator sees the segment as well.
         """
-        given = data.validation
+        given = records[0].validation
         if given is None:
             return None
         known = [each.name for each in fields(MeasuredData) if each.name not in FIXED]
@@ -76,23 +84,33 @@ class ValidationData:
         if settle < 0.0:
             raise InputError(f"data.validation.{SETTLE}", settle, ">= 0 s")
         own = {name: value for name, value in given.items() if name != SETTLE}
-        same = own.get("path", data.path) == data.path
+        if "path" not in own and any(each.path != records[0].path for each in records):
+            hint = "the records of data.records are of different files"
+            raise InputError("data.validation.path", None, "the file that it is a segment of, or another one", hint)
+        path = own.get("path", records[0].path)
+        same = [number for number, each in enumerate(records) if each.path == path]
+        of = same[0] if same else 0
         window = {"start": None, "stop": None} | own
-        with_window = replace(data, **(window | {"holdout": (), "validation": None}))
-        seen, follows = _seen(data, with_window) if same else (data, False)
-        return cls(with_window, replace(seen, validation=None), follows, float(settle))
+        with_window = replace(records[of], **(window | {"holdout": (), "validation": None}))
+        cut = [_seen(each, with_window) if each.path == path else (each, False) for each in records]
+        seen = tuple(replace(each, validation=None) for each, _ in cut)
+        before = [number for number, (_, follows) in enumerate(cut) if follows]
+        if before:
+            of = max(before, key=lambda number: seen[number].stop or -math.inf)
+        return cls(with_window, seen, of, bool(before), float(settle))
 
-    def read(self, seen: Record, ndof: int, connections: Sequence[str] = ()) -> ValidationRecord:
+    def read(self, records: Sequence[Record], ndof: int, connections: Sequence[str] = ()) -> ValidationRecord:
         """The record that the identified system is tried on.
 
         Args:
-            seen: What the estimator sees.
+            records: What the estimator sees.
             ndof: DOFs of the structure.
             connections: Names of its connections.
 
         Raises:
             InputError: As of :meth:`MeasuredData.measure`; a force that nobody measured; nothing left to compare.
         """
+        seen = records[self.of]
         begins = max(0, len(seen.time) - 1 - len(seen.time) // LEAD_SHARE) if self.follows else None
         data = self.data
         if begins is not None:
@@ -110,7 +128,7 @@ class ValidationData:
         if len(record.time) - first < MINIMUM_SAMPLES:
             hint = f"{max(0, len(record.time) - first)} samples are left to compare"
             raise InputError(f"data.validation.{SETTLE}", self.settle, f"leaving {MINIMUM_SAMPLES} samples", hint)
-        return ValidationRecord(record, first, begins)
+        return ValidationRecord(record, first, begins, self.of)
 
 
 def _seen(data: MeasuredData, segment: MeasuredData) -> tuple[MeasuredData, bool]:
@@ -142,6 +160,7 @@ def _own_setting(setting: str) -> str:
     )
 
 
-def validation_of(given: Any) -> ValidationData | None:
-    """Of an object that a data option built; None of one that has no such setting."""
-    return ValidationData.of(given) if isinstance(given, MeasuredData) else None
+def validation_of(given: Sequence[Any]) -> ValidationData | None:
+    """Of the objects that a data option built; None of those that have no such setting."""
+    records = [each for each in given if isinstance(each, MeasuredData)]
+    return ValidationData.among(records) if len(records) == len(given) else None

@@ -25,7 +25,7 @@ from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.report.terminal.parameters import diagnostics_text
 from pinn_cli.report.terminal.run import run_text
 from pinn_cli.report.terminal.validation import validation_text
-from pinn_cli.report.validation_run import ValidationRun, validation_table
+from pinn_cli.report.validation_run import ValidationRun, validation_table, with_noise_of
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.verdict.contradictions import contradictions
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from pinn_cli.report.free_run import FreeRun
     from pinn_cli.report.results import Results
     from pinn_cli.runs.stages import Stages
+    from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.finding import Verdict
 
 # Parts that the figures are drawn in, side by side.
@@ -128,11 +129,18 @@ class RunReport:
         if results.validation is None:
             return None
         draws = None if results.posterior is None else results.posterior.samples.pooled
+        seen, estimate = results.by_record[results.validation.of].record, self._tried
         with self.stages("validation_data"):
-            run = ValidationRun.of(
-                results.prescribed, results.estimate, results.record, results.validation, draws, results.run.seed
-            )
-            return run, validation_table(run, results.estimate, results.run.labels_of(estimator="pinn"))
+            run = ValidationRun.of(results.prescribed, estimate, seen, results.validation, draws, results.run.seed)
+            return run, validation_table(run, estimate, results.run.labels_of(estimator="pinn"))
+
+    @property
+    def _tried(self) -> Estimate:
+        """What is tried on other data: of several records that from which it goes on, and the noise of all sensors."""
+        results = self.results
+        assert results.validation is not None
+        every = [own.estimate for own in results.by_record]
+        return with_noise_of(every[results.validation.of], every)
 
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
@@ -195,7 +203,7 @@ class RunReport:
         if self._drawn is not None:
             with self.stages("figures"):
                 if self.validation is not None:
-                    _draw_validation(results, self.validation[0], directory)
+                    _draw_validation(self._tried, self.validation[0], directory)
                 if self.over_time is not None:
                     _draw_over_time(self.over_time, directory)
                 self._drawn()
@@ -236,11 +244,11 @@ def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> 
         write_table(table, directory / f"{name}.csv")
 
 
-def _draw_validation(results: Results, run: ValidationRun, directory: Path) -> None:
+def _draw_validation(estimate: Estimate, run: ValidationRun, directory: Path) -> None:
     from pinn_cli.report.figures import write_validation_figure
 
     if run.response is not None:
-        write_validation_figure(run, results.estimate, directory / "figures")
+        write_validation_figure(run, estimate, directory / "figures")
 
 
 def _draw_over_time(table: pd.DataFrame, directory: Path) -> None:

@@ -10,8 +10,8 @@ may lead out of the band.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -84,7 +84,7 @@ class ValidationRun:
         Args:
             prescribed: The model that the estimator was given.
             estimate: Its parameters, and the state that the run may begin with.
-            seen: What the estimator saw.
+            seen: The record that the estimate is of.
             data: The other data.
             draws: (D, p), of the posterior of the parameters; None: of a Gaussian with their deviations.
             seed: Of what is drawn.
@@ -155,6 +155,16 @@ def validation_table(run: ValidationRun, estimate: Estimate, labels: Mapping[str
             }
         )
     return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
+
+
+def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
+    """The estimate of one record with the noise of sensors that only others of its structure's records had."""
+    summary = dict(estimate.summary)
+    for name in [f"sigma_{quantity}" for quantity in RESPONSE_QUANTITIES]:
+        every = [list(each.summary[name]) for each in (estimate, *records) if each.summary.get(name) is not None]
+        if every:
+            summary[name] = [next((x for x in of_dof if x is not None), None) for of_dof in zip(*every, strict=True)]
+    return replace(estimate, summary=summary)
 
 
 def _at_rest(structure: Structure) -> list[np.ndarray]:

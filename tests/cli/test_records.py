@@ -93,12 +93,14 @@ def test_an_error_says_which_record_it_is_about(composed: Compose, tmp_path: Pat
         RunConfig.read(config)
 
 
-def test_data_to_try_the_system_on_belong_to_one_record(composed: Compose, tmp_path: Path) -> None:
-    a, b = write(tmp_path, "a.csv"), write(tmp_path, "b.csv")
-    records = f"data.records=[{{path: '{a}'}}, {{path: '{b}'}}]"
-    config = composed(*CHAIN, "+data.acceleration={1: a1}", records, f"+data.validation={{path: '{b}'}}")
-    with pytest.raises(InputError, match="data.validation=.*must be null with the 2 records"):
-        RunConfig.read(config)
+def test_data_to_try_the_system_on_beside_several_records(composed: Compose, tmp_path: Path) -> None:
+    a, b = write(tmp_path, "a.csv"), write(tmp_path, "long.csv", 300)
+    records = f"data.records=[{{path: '{a}'}}, {{path: '{b}', acceleration: {{2: a2, 3: a3}}}}]"
+    settings = "+data.force={3: f}", "+data.acceleration={1: a1}", f"+data.validation={{path: '{b}', start: 2}}"
+    prepared = prepare_problem(RunConfig.read(composed(*CHAIN, *settings, records)))
+    assert [len(problem.record.time) for problem in prepared.problem.by_record] == [200, 200]
+    assert prepared.validation.of == 1
+    assert prepared.validation.record.sensors("acceleration").tolist() == [False, True, True]
 
 
 def test_dofs_of_an_entry_go_by_their_names():

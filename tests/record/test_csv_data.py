@@ -79,11 +79,14 @@ def test_a_held_out_dof_is_in_the_truth_and_nowhere_else(rig):
     assert measurements.truth.parameters is None
 
 
-def test_a_force_that_is_held_out_or_not_measured_is_unknown(rig):
+def test_a_dof_that_is_held_out_keeps_its_force(rig):
     held_out = read(rig, holdout=[1])
-    assert np.isnan(held_out.record.force[:, 0]).all()
-    assert not held_out.record.unforced[0]
-    assert np.isfinite(held_out.truth.response.force[:, 0]).all()
+    np.testing.assert_allclose(held_out.record.force[:, 0], table()["f1"], rtol=1e-12)
+    assert held_out.record.observed.tolist() == [False, True, True, False]
+    assert np.isnan(held_out.truth.response.force[:, 0]).all()
+
+
+def test_a_force_that_is_not_measured_is_unknown(rig):
     unmeasured = read(rig, force={1: "f1", 3: None})
     assert np.isnan(unmeasured.record.force[:, 2]).all()
     assert unmeasured.record.unforced.tolist() == [False, True, False, True]

@@ -174,7 +174,7 @@ def test_a_missing_file_is_named_with_the_folder_it_was_looked_for_in(tmp_path):
             {"acceleration": {1: "a1", 2: "a1"}},
         ),
         ("data.displacement, data.velocity, data.acceleration={}", {"acceleration": {}}),
-        ("data.holdout=3: must be a DOF with a column", {"holdout": [3]}),
+        ("data.holdout=3: must be a DOF with a column of its response", {"holdout": [3]}),
         ("data.holdout=[1, 2]: must be such that a displacement", {"holdout": [1, 2]}),
         ("data.holdout=2: must be a list", {"holdout": 2}),
         ("data.holdout=['2']: must be a list", {"holdout": ["2"]}),

@@ -300,6 +300,14 @@ class TestHoldout:
         assert found.record.gauges == ()
         np.testing.assert_array_equal(found.truth.response.acceleration[:, 1], A2)
 
+    def test_a_load_cell_of_the_dof_stays(self, rig):
+        channels = {"a1": {"sensor": "acceleration", "dof": 1}, "a2": ROOF, "f": {"sensor": "force", "dof": 2}}
+        for calibration in ({}, {"gain": "unknown"}):
+            channels["f"] |= calibration
+            found = measured(rig, channels, holdout=[2]).measure(3).record
+            assert np.isfinite(found.force[:, 1]).all()
+            assert [gauge.name for gauge in found.gauges] == (["f"] if calibration else [])
+
     def test_a_sensor_that_feels_another_dof_too_is_refused(self, rig):
         channels = {"a1": {"sensor": "acceleration", "dof": 1}, "u": {"sensor": "displacement", "between": [2, 1]}}
         with pytest.raises(InputError, match="channel u feels others too"):

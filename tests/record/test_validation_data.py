@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -26,9 +28,9 @@ def data(validation, **settings) -> MeasuredData:
 
 
 def read(validation, **settings):
-    held = ValidationData.of(data(validation, **settings))
-    seen = held.seen.measure(2).record
-    return seen, held.read(seen, 2)
+    held = ValidationData.among([data(validation, **settings)])
+    seen = [each.measure(2).record for each in held.seen]
+    return seen[0], held.read(seen, 2)
 
 
 def test_the_file_s_end_is_taken_from_the_estimator(folder):
@@ -103,4 +105,36 @@ def test_what_is_refused(folder, validation, setting, allowed):
 
 
 def test_without_it_nothing_changes(folder):
-    assert ValidationData.of(data(None)) is None
+    assert ValidationData.among([data(None)]) is None
+
+
+def among(validation, *records):
+    """What the estimator is left of several records, and the data that the system is tried on."""
+    held = ValidationData.among([replace(data(validation), **own) for own in records])
+    return held, [each.measure(2).record for each in held.seen]
+
+
+def test_a_segment_of_the_file_of_one_of_several_records(folder):
+    first = {"path": "b.csv", "force": {1: "load"}, "acceleration": {2: "b1"}}
+    held, seen = among({"path": "rig.csv", "start": 30.0}, first, {})
+    found = held.read(seen, 2)
+    assert [record.time[-1] for record in seen] == pytest.approx([10.0, 29.9])
+    assert found.of == 1
+    assert found.record.time[0] == seen[1].time[found.begins]
+    assert found.record.sensors("acceleration").tolist() == [True, True]  # the columns of the record whose file it is
+    held, seen = among({"path": "c.csv", **{n: v for n, v in first.items() if n != "path"}}, {}, first)
+    assert (held.of, held.follows, held.data.acceleration) == (0, False, {2: "b1"})
+
+
+def test_a_segment_between_two_parts_of_one_file(folder):
+    held, seen = among({"start": 12.0, "stop": 18.0}, {"start": 20.0}, {"stop": 5.0}, {"start": 6.0, "stop": 10.0})
+    found = held.read(seen, 2)
+    assert (found.of, found.begins is not None) == (2, True)  # the force from 10 s on is followed
+    assert [record.time[0] for record in seen] == pytest.approx([20.0, 0.0, 6.0])
+    with pytest.raises(InputError, match="outside of what the estimator sees"):
+        among({"start": 12.0, "stop": 18.0}, {"start": 20.0}, {"start": 6.0, "stop": 15.0})
+
+
+def test_a_segment_of_nobody_knows_which_file(folder):
+    with pytest.raises(InputError, match=r"data\.validation\.path=None: must be the file"):
+        among({"start": 30.0}, {}, {"path": "b.csv"})
