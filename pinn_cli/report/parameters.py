@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pinn_cli.system.parameters import Parameter
-    from pinn_cli.training.estimate import Estimate, ParameterEstimate
+    from pinn_cli.training.estimate import ParameterEstimate
 
 PARAMETER_COLUMNS = (
     "parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90",
@@ -76,21 +75,6 @@ def true_value(parameter: Parameter, true: Mapping[str, np.ndarray] | None) -> f
 def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:
     """Whether there is a parameter that was to be identified from the record alone."""
     return any(p.unknown for p in parameters)
-
-
-def before_any_record(estimate: Estimate) -> list[ParameterEstimate]:
-    """The parameters beside what was believed of them before the first record that they were learned from.
-
-    The prior of an update is what earlier records say. That it narrows little says nothing of how well all determine
-    a parameter.
-    """
-    if estimate.changes is None or estimate.known is None:
-        return estimate.parameters
-    first = estimate.known.first_std
-    return [
-        replace(p, parameter=replace(p.parameter, prior_std=float(std)))
-        for p, std in zip(estimate.parameters, first, strict=True)
-    ]
 
 
 def identifiability_table(

@@ -12,7 +12,6 @@ from pinn_cli.report.modes import ModeEstimates, mode_table
 from pinn_cli.report.over_time import FILE, changes_text, parameters_over_time
 from pinn_cli.report.parameters import (
     any_unknown,
-    before_any_record,
     correlation_table,
     identifiability_table,
     parameter_table,
@@ -237,7 +236,7 @@ def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> 
     if results.score is not None:
         files["score"] = results.score.table
     if any_unknown(parameters):
-        files["identifiability"] = identifiability_table(before_any_record(estimate), correlation, labels)
+        files["identifiability"] = identifiability_table(estimate.before_any_record, correlation, labels)
         if correlation is not None:
             files["correlation"] = correlation_table(parameters, correlation)
     for name, table in files.items():

@@ -12,13 +12,13 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import construct
 from pinn_cli.settings.legal_values import finite_number, positive_number
 from pinn_cli.settings.suggestion import suggestion
-from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
 from pinn_cli.system.structure import Structure
 
 SETTING = "scheme.priors"
 # Standard deviation of the priors that nobody chose, over the scale of the parameter's start.
-WIDE = 10.0
+WIDE = PRIOR_WIDTH
 
 
 def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[Parameter, Prior]:

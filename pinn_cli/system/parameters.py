@@ -17,7 +17,9 @@ from pinn_cli.system.quantities import CALIBRATION_UNITS
 if TYPE_CHECKING:
     from pinn_cli.system.priors import Prior
 
-MASS, FACTOR = "m", "factor"
+MASS, FACTOR, GAIN = "m", "factor", "gain"
+# Standard deviation of the prior of an unknown parameter, in orders of magnitude, where nobody says another one.
+PRIOR_WIDTH = 10.0
 # Of the linear part of every structure: what they are called, and their units.
 LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
@@ -60,6 +62,16 @@ class Parameter:
     title: str = field(default="", compare=False)
     label: str = field(default="", compare=False)
     prior: Prior | None = field(default=None, compare=False)
+
+    @property
+    def signed(self) -> bool:
+        """Whether zero is a value like any other; a factor or a gain of zero means that there is nothing."""
+        return not self.positive and self.kind not in (FACTOR, GAIN)
+
+    @property
+    def magnitude(self) -> float:
+        """What it would be where it matters: an offset of the signal's size, a spring as strong as the linear one."""
+        return self.prior_std / PRIOR_WIDTH if self.scale is None else self.scale
 
     @property
     def whose(self) -> str:

@@ -244,6 +244,20 @@ class Estimate:
     misfit: Misfit | None = None
 
     @property
+    def before_any_record(self) -> list[ParameterEstimate]:
+        """The parameters beside what was believed of them before the first record that they were learned from.
+
+        The prior of an update is what earlier records say. That it narrows little says nothing of how well all
+        determine a parameter.
+        """
+        if self.changes is None or self.known is None:
+            return self.parameters
+        return [
+            replace(p, parameter=replace(p.parameter, prior_std=float(std)))
+            for p, std in zip(self.parameters, self.known.first_std, strict=True)
+        ]
+
+    @property
     def by_record(self) -> tuple[Estimate, ...]:
         """That of every record, this one's first."""
         if not self.further:

@@ -45,7 +45,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
         structure: With the estimated parameters.
     """
     kinds = {p.name: p.kind for p in problem.uncertain}
-    unknown = [p for p in estimate.parameters if p.unknown]
+    unknown = [p for p in estimate.before_any_record if p.unknown]
     believed = [p for p in estimate.parameters if not p.unknown]
     found = [f for p in unknown for f in (_far_from_start(p), _undetermined(p, kinds.get(p.name, ""))) if f is not None]
     return (
@@ -58,8 +58,8 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
 
 
 def _far_from_start(p: ParameterEstimate) -> Finding | None:
-    """Of what cannot be negative in decades; else in prior standard deviations."""
-    if p.prescribed > 0 and p.estimate > 0:
+    """Of what may have either sign in prior standard deviations; of all else in decades, where it has any."""
+    if p.prescribed > 0 and p.estimate > 0 and not p.parameter.signed:
         decades = math.log10(p.estimate / p.prescribed)
         if abs(decades) <= DECADES:
             return None
@@ -75,17 +75,20 @@ def _far_from_start(p: ParameterEstimate) -> Finding | None:
 
 
 def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
+    """Beside its value; of what may be zero as well as not, beside its order of magnitude where that is larger."""
     if not np.isfinite(p.std):
         return None
-    if abs(p.estimate) <= 1e-9 * max(abs(p.prescribed), p.std):
+    value, signed = abs(p.estimate), p.parameter.signed
+    if value <= 1e-9 * max(abs(p.prescribed), p.std) and not signed:
         text = f"{p.name} ended at zero"
         return Finding("parameter", p.name, f"{text}; check the model, or start elsewhere (scheme.initial.{p.name})")
     allowed = IDENTIFIED if kind in ("m", "k") else ROUGHLY_IDENTIFIED
-    relative = abs(p.std / p.estimate)
-    if relative <= allowed:
+    size = p.parameter.magnitude if signed else 0.0
+    if p.std <= max(allowed * value, IDENTIFIED * size):
         return None
-    text = f"the record does not determine {p.name}: its standard deviation is {100 * relative:.0f} % of its value"
-    return Finding("not_identified", p.name, f"{text}; prescribe it, or measure nearer to it")
+    of = "its value" if value >= size else f"its order of magnitude, {size:.3g}"
+    text = f"the record does not determine {p.name}: its standard deviation is {100 * p.std / max(value, size):.0f} %"
+    return Finding("not_identified", p.name, f"{text} of {of}; prescribe it, or measure nearer to it")
 
 
 def _rivals(estimate: Estimate) -> list[Finding]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,14 +13,13 @@ from pinn_cli.report.parameters import (
     IDENTIFIABILITY_COLUMNS,
     WELL_DETERMINED,
     any_unknown,
-    before_any_record,
     correlation_table,
     identifiability_table,
     identifiability_warnings,
 )
 from pinn_cli.report.results import LABELS
 from pinn_cli.report.terminal.columns import MARK, WIDTH
-from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.estimate import Changes, ParameterEstimate
 
 NAN = float("nan")
 
@@ -84,15 +82,15 @@ def test_an_update_is_judged_by_what_was_believed_before_the_first_record(make_c
     assert len(identifiability_warnings(last, None)) == 2  # each leans on what the records before say
     nothing = np.zeros(3)
     known = ParameterKnowledge(nothing, np.eye(3), nothing, nothing, np.array([600.0, 10.0, 9.0]))
-    update = SimpleNamespace(parameters=last, known=known, changes=object())
-    judged = before_any_record(update)
+    changes = Changes((), (), 1.0, 1e-3, *[nothing] * 4)
+    update = replace(make_case().estimate, parameters=last, known=known, changes=changes)
+    judged = update.before_any_record
     (line,) = identifiability_warnings(judged, None)
     assert line.startswith("the record says nearly nothing about k_3: its standard deviation is still 80 %")
     table = identifiability_table(judged, None, make_case().labels)
     assert table["prior_std"].tolist() == [600.0, 10.0, 9.0]
     assert table["verdict"][0] == table["verdict"][2] == WELL_DETERMINED
-    update.changes = None
-    assert before_any_record(update) is last
+    assert replace(update, changes=None).before_any_record is last
 
 
 def test_prescribed_parameters_are_not_warned_of(make_case):

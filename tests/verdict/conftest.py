@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from frame_records import measure, measurements
-from small_estimates import parameter_estimate
+from small_estimates import other_estimate, parameter_estimate
 from small_problems import small_chain
 
 from pinn_cli.record.record import Record
@@ -38,6 +38,7 @@ def right_estimate(frame: Structure) -> tuple[Problem, Estimate]:
     unknown = tuple(Parameter("k", i, 10.0, 100.0, unknown=True, positive=True) for i in range(3))
     believed = tuple(Parameter("c", i, 1.0, 0.075) for i in range(3))
     parameters = [parameter_estimate(f"k_{i}", 10.0, 15.0, 0.01, 14.98, 15.02, 100.0, True) for i in (1, 2, 3)]
+    parameters = [other_estimate(p, positive=True) for p in parameters]
     parameters += [parameter_estimate(f"c_{i}", 1.0, 1.0, 0.01, 0.98, 1.02, 0.075) for i in (1, 2, 3)]
     summary = {
         "stop_reason": "converged", "sigma_discrepancy": 1e-4, "parameter_spread": 0.5,

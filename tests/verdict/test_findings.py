@@ -106,7 +106,7 @@ def test_a_parameter_decades_from_its_start(right_estimate, start, word):
 
 def test_an_unknown_parameter_that_left_its_prior(right_estimate):
     problem, estimate = right_estimate
-    left = with_parameter(estimate, "k_2", prescribed=-1.0, prior_std=2.0)
+    left = with_parameter(estimate, "k_2", prescribed=-1.0, prior_std=2.0, positive=False)
     assert of_parameters(problem, left) == [("parameter", "k_2")]
 
 
@@ -118,6 +118,33 @@ def test_an_unknown_parameter_at_zero_or_undetermined(right_estimate):
     rough = replace(problem, uncertain=(Parameter("kappa", 0, 1.0, 1.0, unknown=True),))
     named = with_parameter(estimate, "k_1", kind="kappa", std=3.0)
     assert kinds(parameter_findings(rough, named, problem.structure)) == []
+
+
+@pytest.mark.parametrize(
+    ("start", "value", "std", "prior_std", "told"),
+    [
+        (0.0, 3e-6, 7e-6, 0.55, ""),  # an offset, V, beside a signal of 55 mV
+        (3e-4, 3e-6, 7e-6, 0.55, ""),  # which the record's mean did not start at
+        (0.0, 0.0, 7e-6, 0.55, ""),
+        (0.0, 3e-3, 7e-3, 0.55, "is 13 % of its order of magnitude, 0.055"),
+        (0.0, -0.2, 0.15, 0.55, "is 75 % of its value"),
+        (0.0, 3.0, 0.1, 0.55, "prior standard deviations from its start"),
+    ],
+)
+def test_what_may_be_zero_is_judged_beside_the_signal(right_estimate, start, value, std, prior_std, told):
+    problem, estimate = right_estimate
+    offset = {"kind": "offset", "positive": False, "prescribed": start, "prior_std": prior_std}
+    given = with_parameter(estimate, "k_2", **offset, estimate=value, std=std)
+    found = parameter_findings(problem, given, problem.structure)
+    assert len(found) == bool(told)
+    assert all(told in finding.text for finding in found)
+
+
+def test_a_gain_of_nearly_zero_is_no_gain(right_estimate):
+    problem, estimate = right_estimate
+    gain = {"kind": "gain", "positive": False, "prescribed": 1.0, "prior_std": 10.0}
+    given = with_parameter(estimate, "k_2", **gain, estimate=0.01, std=0.1)
+    assert of_parameters(problem, given) == [("parameter", "gain_2"), ("not_identified", "gain_2")]
 
 
 def test_prescribed_parameters_that_moved(right_estimate):

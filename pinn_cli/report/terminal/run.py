@@ -12,7 +12,7 @@ import pandas as pd
 from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.report import published
 from pinn_cli.report.fitness import FORMULAS
-from pinn_cli.report.parameters import before_any_record, identifiability_warnings
+from pinn_cli.report.parameters import identifiability_warnings
 from pinn_cli.report.terminal.columns import WIDTH, Column, number, percent, sensor_lines
 from pinn_cli.report.terminal.fitness import comparison_text, fitness_text, free_run_line, free_run_text
 from pinn_cli.report.terminal.parameters import parameters_text
@@ -73,7 +73,7 @@ def run_text(
         further: Tables of the network for further records.
     """
     run, estimate = results.run, results.estimate
-    warnings = identifiability_warnings(before_any_record(estimate), estimate.correlation)
+    warnings = identifiability_warnings(estimate.before_any_record, estimate.correlation)
     their_parameters = (baseline.name, baseline.parameters) if baseline else None
     known = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
     paragraphs = [
