@@ -60,7 +60,7 @@ def other_estimate(given: ParameterEstimate, **changes: object) -> ParameterEsti
     """With other values of what was found, and of what was believed of the parameter."""
     believed = {
         name: changes.pop(name)
-        for name in ("kind", "prescribed", "prior_std", "unknown", "positive", "unit", "title")
+        for name in ("kind", "prescribed", "prior_std", "said", "unknown", "positive", "unit", "title")
         if name in changes
     }
     return replace(given, parameter=replace(given.parameter, **believed), **changes)

@@ -93,12 +93,14 @@ class Bayesian(Scheme):
         chosen = unknown_parameters(prescribed, record, named, further)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, None, self.positive)
-        starts = parameter_starts(prescribed, record, chosen, _given(record, chosen), 1, further)[0]
+        given = _given(record, chosen)
+        starts = parameter_starts(prescribed, record, chosen, given, 1, further)[0]
         records = [calibrated_starts(record, {p: start.value for p, start in starts.items()}), *further]
         scales = {parameter: starts[parameter].scale for parameter in chosen}
         own = read_priors(self.priors, prescribed)
         priors = with_defaults(own, scales, self.positive)
-        unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in chosen)
+        said = (replace(p, said=given.get(p, math.nan)) for p in chosen)
+        unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in said)
         structure = at_starts(prescribed, unknown)
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
         problem = Problem.of_records(structure, records, unknown, *settings)

@@ -105,7 +105,7 @@ class StateParameter(Scheme):
         given = self._given(prescribed, record, chosen)
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
         for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
-            unknown = [self._unknown(parameter, start[parameter]) for parameter in chosen]
+            unknown = [self._unknown(p, start[p], given.get(p, math.nan)) for p in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
             own = calibrated_starts(record, {parameter: one.value for parameter, one in start.items()})
             structure = at_starts(prescribed, unknown)
@@ -130,12 +130,13 @@ class StateParameter(Scheme):
             given = {p: p.prescribed for p in unknown if math.isfinite(p.prescribed)} | given
         return {parameter: value for parameter, value in given.items() if parameter in unknown}
 
-    def _unknown(self, parameter: Parameter, start: Start) -> Parameter:
+    def _unknown(self, parameter: Parameter, start: Start, said: float) -> Parameter:
         return replace(
             parameter,
             prescribed=start.value,
             prior_std=self.prior_width * start.scale,
             scale=start.scale,
+            said=said,
             unknown=True,
             positive=parameter.kind in self.positive,
         )

@@ -42,6 +42,7 @@ class Parameter:
         prior_std: Prior standard deviation, in the parameter's unit; NaN where there is none.
         scale: Its order of magnitude, the step of gradient methods; None: its value, or its prior standard deviation
             where that is larger.
+        said: What the user says of an unknown one, wherever it starts; NaN: nothing.
         unknown: Whether it is to be identified from the record; otherwise it is believed, and its prior may be
             sharpened or widened together with that of all others that are believed.
         positive: Whether it cannot be below zero.
@@ -56,6 +57,7 @@ class Parameter:
     prescribed: float = field(default=math.nan, compare=False)
     prior_std: float = field(default=math.nan, compare=False)
     scale: float | None = field(default=None, compare=False)
+    said: float = field(default=math.nan, compare=False)
     unknown: bool = field(default=False, compare=False)
     positive: bool = field(default=False, compare=False)
     unit: str = field(default="", compare=False)

@@ -73,7 +73,7 @@ def judge(
         prescribed = predicted(problem.structure, record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     if any(finding.word != "sound" for finding in findings) and not causes:
-        causes = _causes(problem, structure, excused)
+        causes = _causes(problem, estimate, excused)
     return Verdict.of(own + causes + findings)
 
 
@@ -103,9 +103,14 @@ def _prediction(
     return predicted(structure, record, estimate.response.state(0))
 
 
-def _causes(problem: Problem, estimated: Structure, excused: Sequence[str]) -> list[Finding]:
-    """The first cause that mends the prescribed chain's prediction or the estimated one's; nothing where none does."""
-    doubtful = [s for s in (problem.structure, estimated) if has_faults(s, problem.record, excused)]
+def _causes(problem: Problem, estimate: Estimate, excused: Sequence[str]) -> list[Finding]:
+    """The first cause that mends the believed structure's prediction or the estimated one's; nothing where none does.
+
+    The believed structure has what is prescribed, and of what is unknown the estimate: a start is nobody's belief.
+    """
+    of_each = [p for p in estimate.parameters if p.unknown], estimate.parameters
+    structures = [estimated_structure(problem.structure, parameters) for parameters in of_each]
+    doubtful = [s for s in structures if has_faults(s, problem.record, excused)]
     for test in (time_unit_fault, mass_fault):
         for structure in doubtful:
             found = test(structure, problem.record, excused=excused)

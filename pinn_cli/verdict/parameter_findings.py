@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 # Prior standard deviations that a parameter may move: one in 16 000 moves further by chance.
 MOST_MOVED = 4.0
-# A start is a guess, often a decade off. One and a half decades are no guess any more, and three are another unit.
+# What a user says of an unknown parameter is a guess, often a decade off. One and a half decades are no guess any more,
+# and three are another unit.
 DECADES, UNIT_DECADES = 1.5, 2.5
 # The common spread of the prescribed parameters, in units of what was believed.
 LARGE_SPREAD = 4.0
@@ -47,7 +48,8 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     kinds = {p.name: p.kind for p in problem.uncertain}
     unknown = [p for p in estimate.before_any_record if p.unknown]
     believed = [p for p in estimate.parameters if not p.unknown]
-    found = [f for p in unknown for f in (_far_from_start(p), _undetermined(p, kinds.get(p.name, ""))) if f is not None]
+    of_each = (f for p in unknown for f in (_far_from_believed(p), _undetermined(p, kinds.get(p.name, ""))))
+    found = [f for f in of_each if f is not None]
     return (
         found
         + _rivals(estimate)
@@ -57,17 +59,21 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     )
 
 
-def _far_from_start(p: ParameterEstimate) -> Finding | None:
-    """Of what may have either sign in prior standard deviations; of all else in decades, where it has any."""
-    if p.prescribed > 0 and p.estimate > 0 and not p.parameter.signed:
-        decades = math.log10(p.estimate / p.prescribed)
+def _far_from_believed(p: ParameterEstimate) -> Finding | None:
+    """Of what may have either sign in prior standard deviations; of all else in decades from what the user says.
+
+    Where nothing is said, the record or the program chose the start: that is nobody's belief.
+    """
+    said = p.parameter.said
+    if said > 0 and p.estimate > 0 and not p.parameter.signed:
+        decades = math.log10(p.estimate / said)
         if abs(decades) <= DECADES:
             return None
         where = "above" if decades > 0 else "below"
-        text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} its start"
-        remedy = f"check units and masses, or start elsewhere (scheme.initial.{p.name})"
-        word = failed_if(abs(decades) > UNIT_DECADES)
-        return Finding("parameter", p.name, f"{text}, {p.prescribed:.4g}; {remedy}", word)
+        text = f"{p.name} = {p.estimate:.4g} lies {abs(decades):.1f} decades {where} what you say of it, {said:.4g}"
+        return Finding("parameter", p.name, f"{text}; check units and masses", failed_if(abs(decades) > UNIT_DECADES))
+    if p.parameter.positive:
+        return None
     if p.prior_std > 0 and abs(p.estimate - p.prescribed) > MOST_MOVED * p.prior_std:
         text = f"{p.name} = {p.estimate:.4g} is more than {MOST_MOVED:.0f} prior standard deviations from its start"
         return Finding("parameter", p.name, f"{text}; start elsewhere (scheme.initial.{p.name})")

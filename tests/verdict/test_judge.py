@@ -50,6 +50,20 @@ def test_the_prescribed_chain_tells_the_cause_where_the_estimated_one_absorbed_i
     assert (verdict.reasons[0].kind, verdict.reasons[0].suspect) == ("unit", "acceleration of DOF 3")
 
 
+def test_where_an_unknown_parameter_starts_is_no_cause(right_estimate):
+    """With such springs it does what was measured if the time is in milliseconds; nobody believes in them."""
+    problem, estimate = right_estimate
+    parameters = problem.structure.parameters
+    start = problem.structure.with_parameters(k=1e6 * parameters["k"], c=1e3 * parameters["c"])
+    unknown = [other_estimate(p, unknown=True) for p in estimate.parameters]
+    summary = estimate.summary | {"stop_reason": "iteration limit"}
+    dampers = tuple(p.parameter for p in unknown if p.kind == "c")  # without springs nothing is fitted anew
+    verdict = judge(
+        replace(problem, structure=start, uncertain=dampers), replace(estimate, parameters=unknown, summary=summary)
+    )
+    assert [reason.kind for reason in verdict.reasons] == ["not_converged"]
+
+
 def test_a_wrong_mass_is_the_cause(right_estimate):
     problem, estimate = right_estimate
     m = problem.structure.parameters["m"].clone()
