@@ -44,13 +44,29 @@ def strict_fitness(directory) -> pd.Series:
 
 
 def test_a_cubic_stop_at_the_tip_is_found(in_folder_with_a_beam: PinnRun):
-    outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", "figures=true")
+    pair = "system.drifts={bend: [a, tip]}"
+    outcome = in_folder_with_a_beam(*SMALL, *IDENTIFY, f"system.connections={STOP}", pair)
     assert outcome.status == 0, outcome.err
     parameters = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
     assert parameters["estimate"]["kappa_stop"] == pytest.approx(4e4, rel=0.03)
-    assert pd.read_csv(outcome.directory / "drift.csv")["connection"].tolist() == ["stop"]
+    drifts = pd.read_csv(outcome.directory / "drift.csv").set_index("connection")
+    assert drifts.index.tolist() == ["stop", "bend"]
+    assert (drifts["error_percent"] < 2.0).all()
+    with xr.open_dataset(outcome.directory / "response.nc") as found:
+        u, bend = found["displacement"].values, found.sel(connection="bend")
+        np.testing.assert_allclose(bend["drift"], u[:, 0] - u[:, 1], atol=1e-9 * np.abs(u).max())
+        missed = np.abs(bend["drift"] - bend["drift_true"]) / bend["drift_std"]
+        assert np.mean(missed < 1.96) > 0.85
+        assert np.isnan(bend["connection_force"]).all()
     fitness = strict_fitness(outcome.directory)
     assert (fitness > 99.0).all(), fitness
+
+
+def test_a_model_without_connections_has_no_drifts_to_draw(in_folder_with_a_beam: PinnRun):
+    outcome = in_folder_with_a_beam(*SMALL, "simulation.samples=129", "scheme.parameter_uncertainty=0", "figures=true")
+    assert outcome.status == 0, outcome.err
+    assert (outcome.directory / "run.json").is_file()
+    assert pd.read_csv(outcome.directory / "drift.csv").empty
 
 
 def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):

@@ -77,6 +77,7 @@ class Structure(structure.Structure):
         dofs: Sequence[str],
         mass: float | Mapping[str, float],
         connections: Mapping[str, Mapping[str, Any]],
+        drifts: Mapping[str, Sequence[str]] | None = None,
     ) -> Self:
         """Named coordinates and connections, as ``system=structure`` has them.
 
@@ -85,11 +86,12 @@ class Structure(structure.Structure):
             mass: Of each, kg; or one number for all.
             connections: Name to ``{"between": [a, b], "law": "linear", "c": 10.0, "k": 5e4}``; an end may be
                 ``ground``.
+            drifts: Name to a pair ``[a, b]`` whose drift is wanted beside those of the connections.
 
         Raises:
             InputError: Naming ``system.<setting>``.
         """
-        return cls._of(build_structure(dofs, mass, connections))
+        return cls._of(build_structure(dofs, mass, connections, drifts=drifts))
 
     @classmethod
     def _of(cls, found: structure.Structure) -> Self:

@@ -15,6 +15,7 @@ from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.laws import law_called
+from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Substructure
@@ -44,6 +45,9 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
             arrays["shapes_with_ground"] = structure.shapes.with_ground
         if structure.shapes.stretch is not None:
             arrays |= _sparse("shapes_stretch", structure.shapes.stretch)
+    if structure.pairs is not None:
+        words["pairs"] = list(structure.pairs.names)
+        arrays |= _sparse("pairs", structure.pairs.weights)
     return words, arrays
 
 
@@ -63,7 +67,8 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     if "shapes" in arrays:
         stretch = _matrix("shapes_stretch", arrays) if "shapes_stretch_shape" in arrays else None
         shapes = Shapes(arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"]))
-    return Structure(parameters, groups, labels, arrays.get("influence"), shapes)
+    pairs = Pairs(tuple(words["pairs"]), _matrix("pairs", arrays)) if "pairs" in words else None
+    return Structure(parameters, groups, labels, arrays.get("influence"), shapes, pairs)
 
 
 def difference(structure: Structure, other: Structure) -> str:

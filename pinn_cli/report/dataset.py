@@ -81,7 +81,7 @@ def response_dataset(
             described = {"long_name": f"{words}{quantity} estimated by {name}", "units": UNITS[quantity]}
             variables[f"{quantity}_{name}{suffix}"] = (("time", "dof"), getattr(response, quantity), described)
     variables |= _of_the_ground(estimate, record, truth) | _of_the_connections(drifts)
-    variables |= _internal_forces(forces)
+    variables |= _internal_forces(forces, drifts)
     fixed = {
         "Conventions": "CF-1.11",
         "title": "Estimated response of a structure",
@@ -136,24 +136,31 @@ def _observed(record: Record, quantity: str) -> np.ndarray:
     return np.where(record.missing[quantity], np.nan, shown) if quantity in record.missing else shown
 
 
-def _internal_forces(forces: ConnectionForces | None) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
-    """``connection_force``, ``connection_force_std`` and, where known, ``connection_force_true``."""
+def _internal_forces(
+    forces: ConnectionForces | None, drifts: Drifts | None
+) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """``connection_force``, ``connection_force_std`` and, where known, ``connection_force_true``; NaN of mere pairs."""
     if forces is None:
         return {}
-    return _by_connection("connection_force", "internal force", UNITS["force"], forces)
+    pairs = 0 if drifts is None else len(drifts.names) - len(forces.names)
+    return _by_connection("connection_force", "internal force", UNITS["force"], forces, pairs)
 
 
 def _by_connection(
-    name: str, words: str, units: str, histories: Drifts | ConnectionForces
+    name: str, words: str, units: str, histories: Drifts | ConnectionForces, without: int = 0
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
-    """Estimate, deviation and, where known, truth of something that every connection has."""
+    """Estimate, deviation and, where known, truth of what connections have, NaN of the last ones that are without."""
     sources = {
         name: (histories.estimate, f"estimated {words}"),
         f"{name}_std": (histories.std, f"standard deviation of the estimated {words}"),
         f"{name}_true": (histories.true, f"true {words}"),
     }
     return {
-        key: (("time", "connection"), values, {"long_name": long_name, "units": units})
+        key: (
+            ("time", "connection"),
+            np.pad(values, ((0, 0), (0, without)), constant_values=np.nan),
+            {"long_name": long_name, "units": units},
+        )
         for key, (values, long_name) in sources.items()
         if key != f"{name}_true" or np.isfinite(values).any()
     }

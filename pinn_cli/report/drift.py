@@ -1,4 +1,4 @@
-"""Drifts: how far every connection is stretched, and how far at most (``drift.csv``)."""
+"""Drifts of connections and of pairs of DOFs: how far each is stretched, and how far at most (``drift.csv``)."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Drifts:
-    """Elongations of C connections over time: of a storey, its drift.
+    """Elongations of C connections and pairs over time: of a storey, its drift.
 
     Attributes:
         time: (N,), s.
-        names: Of the connections; their numbers from 1 where they have none.
+        names: Of the connections, their numbers from 1 where they have none; then those of the pairs.
         estimate: (N, C), m.
         std: (N, C), m; NaN where the estimator gives none.
         true: (N, C), m; NaN where unknown.
@@ -53,12 +53,12 @@ class Drifts:
             estimate: Its displacements tell the drifts.
             truth: NaN where unknown: a connection is known where all that it joins are.
         """
-        stretch, known = stretched_by_dofs(structure), estimate.connections
+        stretch, known = structure.drifts_of_dofs, estimate.connections
         found = estimate.response.displacement @ stretch.T
         std = np.full(found.shape, np.nan) if known is None else known.elongation_std
         return cls(
             estimate.response.time,
-            tuple(structure.labels.connection(i) for i in structure.added),
+            structure.drift_names,
             found,
             std,
             _elongation(stretch, truth.displacement),
@@ -71,7 +71,7 @@ class Drifts:
 
 
 def drift_table(drifts: Drifts, labels: Mapping[str, object]) -> pd.DataFrame:
-    """One row per connection (the content of ``drift.csv``).
+    """One row per connection and pair (the content of ``drift.csv``).
 
     Args:
         drifts: Of the estimate.
@@ -102,12 +102,6 @@ def drift_table(drifts: Drifts, labels: Mapping[str, object]) -> pd.DataFrame:
         columns=list(COLUMNS),
     )
     return with_labels(table, labels)
-
-
-def stretched_by_dofs(structure: Structure) -> csr_matrix:
-    """(C, n), how the DOFs stretch the connections; of a finite-element model those that were added to it."""
-    shapes = structure.shapes
-    return structure.incidence.matrix if shapes is None or shapes.stretch is None else shapes.stretch
 
 
 def _elongation(stretch: csr_matrix, displacement: np.ndarray) -> np.ndarray:

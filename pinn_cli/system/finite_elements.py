@@ -24,7 +24,7 @@ from pinn_cli.system.reduction import ReducedModel, enriched, reduced_model
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts, check_parts, read_parts, substructures
-from pinn_cli.system.topology import check_parameters_differ, checked_names, connected, tell_if_loose
+from pinn_cli.system.topology import check_parameters_differ, checked_names, connected, drift_pairs, tell_if_loose
 
 # Modal damping that couples the coordinates by less than this part of their own is written without its coupling.
 UNCOUPLED = 1e-6
@@ -52,6 +52,7 @@ def build_finite_elements(
     factors: Mapping[str, Any] | None = None,
     static_correction: Sequence[str] | None = None,
     ground: str | Sequence[int] | None = None,
+    drifts: Mapping[str, Sequence[str]] | None = None,
     kind: str = "matrices",
     loaded: Sequence[str | int] = (),
     base: Path | None = None,
@@ -75,6 +76,7 @@ def build_finite_elements(
             and those that carry a force.
         ground: The DOFs of the matrices that move with the ground by one: numbers, or ``first:last:step``, where
             ``1::2`` is every second one; None: nobody has said.
+        drifts: Name to a pair ``[a, b]`` of named DOFs or the ground, whose drift is wanted.
         kind: The name of the config group's choice.
         loaded: The named DOFs that carry a force, by name or by number from 1.
         base: The folder that relative paths start from; None: the current one.
@@ -111,7 +113,7 @@ def build_finite_elements(
     )
     check_parameters_differ(structure)
     tell_if_loose(structure)
-    return structure
+    return replace(structure, pairs=drift_pairs(drifts, names, structure))
 
 
 def _named(dofs: Any, size: int) -> tuple[tuple[str, ...], np.ndarray]:

@@ -1,9 +1,10 @@
-"""Matrices of a finite-element model, as other programs save them: ``.npz``, ``.mtx``, ``.mat``."""
+"""Matrices of a finite-element model, as other programs save them: ``.npz``, ``.npy``, ``.mtx``, ``.mat``."""
 
 from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy.sparse import csc_matrix, issparse, load_npz
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.paths import located
 
-SUFFIXES = (".npz", ".mtx", ".mat")
+SUFFIXES = (".npz", ".npy", ".mtx", ".mat")
 # What numpy and scipy raise for files that are not what their names say.
 _UNREADABLE = (
     OSError,
@@ -79,7 +80,12 @@ def _file(setting: str, given: Any, base: Path | None) -> Path:
 
 def _matrix(setting: str, file: Path, name: str, alone: bool) -> Any:
     """The matrix as it was saved; None where a file of several has none of that name."""
-    reader: dict[str, Callable[[Path, str, bool], Any]] = {".npz": _of_npz, ".mtx": _of_mtx, ".mat": _of_mat}
+    reader: dict[str, Callable[[Path, str, bool], Any]] = {
+        ".npz": _of_npz,
+        ".npy": partial(_of_one, partial(np.load, allow_pickle=False)),
+        ".mtx": partial(_of_one, mmread),
+        ".mat": _of_mat,
+    }
     try:
         return reader[file.suffix.lower()](file, name, alone)
     except _UNREADABLE as error:
@@ -100,10 +106,11 @@ def _of_mat(file: Path, name: str, alone: bool) -> Any:
     return _chosen({key: value for key, value in arrays.items() if not key.startswith("__")}, name, alone)
 
 
-def _of_mtx(file: Path, name: str, alone: bool) -> Any:
+def _of_one(read: Callable[[str], Any], file: Path, name: str, alone: bool) -> Any:
+    """Of a format that holds one matrix, without a name."""
     if not alone:
         raise ValueError(f"it holds one matrix only: give it as system.{name}")
-    return mmread(str(file))
+    return read(str(file))
 
 
 def _wanted(names: list[str], name: str, alone: bool) -> list[str]:

@@ -185,22 +185,21 @@ def _residual_vectors(
     M: csc_matrix, K: csc_matrix, vectors: np.ndarray, shifted: SuperLU, static: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, s) orthonormal vectors beyond the modes, and their stiffnesses (s,), ascending."""
-    none = np.zeros((M.shape[0], 0)), np.zeros(0)
     unit = np.zeros((M.shape[0], len(static)))
     unit[static, np.arange(len(static))] = 1.0
     beyond = unit - M @ (vectors @ vectors[static].T)
-    beyond = beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]
-    if not beyond.shape[1]:
-        return none
-    return _beside(M, K, vectors, shifted.solve(beyond))
+    return _beside(M, K, vectors, shifted.solve(beyond[:, np.linalg.norm(beyond, axis=0) > SPANNED]))
 
 
 def _beside(M: csc_matrix, K: csc_matrix, vectors: np.ndarray, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, s) orthonormal vectors that hold what shapes (N, t) are beyond some vectors, and their stiffnesses (s,)."""
+    """(N, s) orthonormal vectors that hold what shapes (N, t) are beyond some vectors, and their stiffnesses (s,).
+
+    None where the vectors are all that there are.
+    """
     moved = moved - vectors @ (vectors.T @ (M @ moved))
     moved /= np.sqrt(np.sum(moved * (M @ moved), axis=0))
     size, turned = np.linalg.eigh(moved.T @ (M @ moved))
-    kept = size > DEPENDENT * size.max()
+    kept = size > DEPENDENT * size.max(initial=0.0)
     basis = moved @ (turned[:, kept] / np.sqrt(size[kept]))
     stiffness, turned = np.linalg.eigh(basis.T @ (K @ basis))
     return basis @ turned, stiffness

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix, vstack
 
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Hysteresis
@@ -17,6 +18,7 @@ from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, carrie
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.shapes import Shapes
 
@@ -47,6 +49,7 @@ class Structure:
         influence: (n,), how far each coordinate moves with the ground; None: all of them, by one.
         shapes: How the DOFs move with the coordinates, where these are modes; None: the coordinates are the DOFs.
             Records, sensors and forces belong to DOFs, everything here to coordinates.
+        pairs: Of DOFs whose drift is to be told as well; None: none.
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -57,6 +60,7 @@ class Structure:
     labels: Labels = field(default_factory=Labels)
     influence: np.ndarray | None = None
     shapes: Shapes | None = None
+    pairs: Pairs | None = None
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
@@ -183,6 +187,28 @@ class Structure:
         """(C',), the connections that somebody wrote down: all of them, but for the springs of modes and for parts."""
         own = 0 if self.shapes is None else self.groups[0].incidence.shape[0]
         return np.arange(own, len(self.parameters["k"]))
+
+    @property
+    def drift_names(self) -> tuple[str, ...]:
+        """Of all drifts, D: those of :attr:`added`, then those of :attr:`pairs`."""
+        own = tuple(self.labels.connection(i) for i in self.added.tolist())
+        return own + (() if self.pairs is None else self.pairs.names)
+
+    @cached_property
+    def drifts(self) -> csr_matrix:
+        """(D, n), how the coordinates make them."""
+        own = self.incidence.matrix[self.added]
+        if self.pairs is None:
+            return own
+        weights = self.pairs.weights if self.shapes is None else csr_matrix(self.pairs.weights @ self.shapes.matrix)
+        return vstack([own, weights], format="csr")
+
+    @cached_property
+    def drifts_of_dofs(self) -> csr_matrix:
+        """(D, dofs), how the DOFs make them."""
+        shapes = self.shapes
+        own = self.incidence.matrix if shapes is None or shapes.stretch is None else shapes.stretch
+        return own if self.pairs is None else vstack([own, self.pairs.weights], format="csr")
 
     @cached_property
     def laws(self) -> tuple[Nonlinearity, ...]:

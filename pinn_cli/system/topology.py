@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -18,6 +18,7 @@ from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.laws import law_called, law_settings
+from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.support import loose_dofs
@@ -51,6 +52,7 @@ def build_structure(
     mass: float | Mapping[str, float],
     connections: Mapping[str, Mapping[str, Any]],
     kind: str = "structure",
+    drifts: Mapping[str, Sequence[str]] | None = None,
 ) -> Structure:
     """A structure of which everything is given.
 
@@ -60,11 +62,12 @@ def build_structure(
         connections: Name to ``between: [a, b]`` (its elongation is that of b less that of a; ``ground`` does not move)
             or ``weights: {a: 0.8, b: -0.6}``, ``law``, its settings, and the value of each of its parameters.
         kind: The name of the config group's choice.
+        drifts: Name to a pair ``[a, b]`` of coordinates, whose drift is wanted beside those of the connections.
 
     Raises:
         InputError: Naming ``system.<setting>``.
     """
-    return whole(build_partial_structure(dofs, mass, connections, kind))
+    return whole(build_partial_structure(dofs, mass, connections, kind, drifts))
 
 
 def whole(structure: Structure) -> Structure:
@@ -86,6 +89,7 @@ def build_partial_structure(
     mass: float | Mapping[str, float | None] | None,
     connections: Mapping[str, Mapping[str, Any]],
     kind: str = "structure",
+    drifts: Mapping[str, Sequence[str]] | None = None,
 ) -> Structure:
     """The same where a value may be missing, null or left out: it is NaN in the structure.
 
@@ -94,7 +98,30 @@ def build_partial_structure(
     names = checked_names(dofs)
     structure = connected(names, _masses(mass, names), connections)
     tell_if_loose(structure)
-    return structure
+    return replace(structure, pairs=drift_pairs(drifts, names, structure))
+
+
+def drift_pairs(drifts: Any, names: tuple[str, ...], structure: Structure) -> Pairs | None:
+    """The pairs of ``system.drifts``.
+
+    Args:
+        drifts: Name to ``[a, b]``; empty or None: there are none.
+        names: Of the DOFs.
+        structure: Whose connections have drifts, and names, as well.
+
+    Raises:
+        InputError: Naming ``system.drifts`` or one of them.
+    """
+    if not drifts:
+        return None
+    if not isinstance(drifts, Mapping):
+        raise InputError("system.drifts", drifts, "a map of name: [a, b], such as {roof: [ground, x3]}")
+    for name in drifts:
+        check_name("system.drifts", name)
+        if name in structure.drift_names:
+            raise InputError("system.drifts", name, "another name", "a connection is called so, and has a drift")
+    weights = [_between(f"system.drifts.{name}", ends, names) for name, ends in drifts.items()]
+    return Pairs.of(list(drifts), weights, len(names))
 
 
 def connected(

@@ -181,8 +181,8 @@ class ConnectionHistories:
     """What the connections do, in the order of the structure's; of modes, those that were added to them.
 
     Attributes:
-        elongation: (N, C), m.
-        elongation_std: (N, C), m, its posterior standard deviation.
+        elongation: (N, D), m, :attr:`Structure.drifts`, the connections' own first.
+        elongation_std: (N, D), m, its posterior standard deviation.
         force: (N, C), N, internal forces, those of memory included.
         force_std: (N, C), N.
         dissipated: (C,), J, energy dissipated over the record; None where the training does not say.

@@ -91,20 +91,20 @@ class _Band:
     """What the members do about the response of the mean structure."""
 
     def __init__(self, structure: Structure, record: Record, response: Response, members: Members) -> None:
-        self.structure, self.response, added = structure, response, structure.added
+        self.structure, self.response, added, drifts = structure, response, structure.added, structure.drifts.toarray()
         self.elongation, self.force = _connections(structure, response)
         unknown = Response.unknown(record.time, record.ndof)
         self.std = replace(unknown, force=0.0 * response.force)
-        self.elongation_std, self.force_std = np.full((2, *self.elongation.shape), np.nan)
+        self.elongation_std, self.force_std = (np.full(x.shape, np.nan) for x in (self.elongation, self.force))
         count, n = len(members.start), structure.coordinates
         largest = {q: np.zeros((count, record.ndof)) for q in RESPONSE_QUANTITIES}
-        largest |= {name: np.zeros((count, len(added))) for name in ("drift", "connection_force")}
+        largest |= {"drift": np.zeros((count, drifts.shape[0])), "connection_force": np.zeros((count, len(added)))}
         with np.errstate(over="ignore", invalid="ignore"):
             for part, motion, states in followed_members(members, structure, record):
                 e, de = structure.elongation(states[..., :n]), structure.elongation(states[..., n : 2 * n])
                 z = states[..., 2 * n :] if len(structure.memory) else None
                 force = structure.connection_force(e, de, members.parameters, z)
-                every = motion | {"drift": e[..., added], "connection_force": force[..., added]}
+                every = motion | {"drift": states[..., :n] @ drifts.T, "connection_force": force[..., added]}
                 for name, values in every.items():
                     np.maximum(largest[name], np.abs(values).max(axis=0), out=largest[name])
                     centre, into = self._of(name)
@@ -121,7 +121,9 @@ class _Band:
 
     def peaks(self) -> list[Peak]:
         """Of every history that is known to its end."""
-        found, labels = [], self.structure.labels
+        found, structure = [], self.structure
+        connections = [structure.labels.connection(i) for i in structure.added.tolist()]
+        names = {"drift": structure.drift_names, "connection_force": connections}
         units = {**UNITS, "drift": "m", "connection_force": "N"}
         for name, largest in self.largest.items():
             history, std = self._of(name)
@@ -129,19 +131,19 @@ class _Band:
                 continue
             lower, upper = np.percentile(largest, INTERVAL, axis=0)
             for i, sample in enumerate(np.abs(history).argmax(axis=0)):
-                of = labels.dof(i) if name in RESPONSE_QUANTITIES else labels.connection(int(self.structure.added[i]))
+                of = names[name][i] if name in names else structure.dof_name(i)
                 peak, time = abs(float(history[sample, i])), float(self.response.time[sample])
                 found.append(Peak(name, of, units[name], peak, time, float(lower[i]), float(upper[i])))
         return found
 
 
 def _connections(structure: Structure, response: Response) -> tuple[np.ndarray, np.ndarray]:
-    """Elongations and forces (N, C') of the mean structure's connections."""
+    """Drifts (N, D) of the mean structure, and forces (N, C') of its connections."""
     motion = response.displacement, response.velocity
     if response.coordinates is not None:
         motion = response.coordinates[:, 0], response.coordinates[:, 1]
     e, de = (structure.elongation(x) for x in motion)
-    return e[:, structure.added], structure.connection_force(e, de, None, response.hidden)[:, structure.added]
+    return motion[0] @ structure.drifts.T, structure.connection_force(e, de, None, response.hidden)[:, structure.added]
 
 
 def _estimates(problem: Problem) -> list[ParameterEstimate]:

@@ -19,6 +19,7 @@ from pinn_cli.system.connection.friction import Friction
 from pinn_cli.system.connection.polynomial import Polynomial
 from pinn_cli.system.finite_elements import build_finite_elements
 from pinn_cli.system.labels import Labels
+from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.structure import Structure
 
 
@@ -37,7 +38,8 @@ def sliding() -> Structure:
 
 def named() -> Structure:
     labels = Labels(tuple("abc"), ("one", "two", "three", "brace", "other", "damper"))
-    return replace(braced(), labels=labels, influence=np.array([1.0, 0.5, 1.0]))
+    pairs = Pairs.of(["roof"], [{0: -1.0, 2: 1.0}], 3)
+    return replace(braced(), labels=labels, influence=np.array([1.0, 0.5, 1.0]), pairs=pairs)
 
 
 @pytest.mark.parametrize("make", [braced, shuffled, hysteretic, modal, polynomial, sliding, named])
@@ -55,6 +57,8 @@ def test_the_same_forces_and_names(make):
     assert copy.labels == structure.labels
     assert [p.name for p in copy.every_parameter()] == [p.name for p in structure.every_parameter()]
     np.testing.assert_array_equal(copy.with_ground, structure.with_ground)
+    assert copy.drift_names == structure.drift_names
+    np.testing.assert_array_equal(copy.drifts.toarray(), structure.drifts.toarray())
     if structure.shapes is not None:
         np.testing.assert_array_equal(copy.shapes.matrix, structure.shapes.matrix)
     assert difference(copy, structure) == ""

@@ -61,6 +61,16 @@ def test_elongations_and_forces_are_those_of_the_dofs(folder):
     )
 
 
+def test_drifts_are_those_of_the_dofs(folder):
+    structure = built(folder, connections=STOP, drifts={"bend": ["middle", "tip"], "sway": ["middle", "ground"]})
+    q = np.random.default_rng(1).standard_normal((3, 5))
+    u = structure.shapes.of_dofs(q)
+    expected = np.column_stack([u[:, 0], u[:, 0] - u[:, 1], -u[:, 1]])
+    assert structure.drift_names == ("stop", "bend", "sway")
+    np.testing.assert_allclose(q @ structure.drifts.T, expected)
+    np.testing.assert_allclose(u @ structure.drifts_of_dofs.T, expected)
+
+
 def test_damping_of_the_modes_is_that_of_c(folder):
     structure = built(folder, "damped.npz", damping_ratio=None)
     p = structure.parameters
@@ -112,6 +122,10 @@ def test_a_body_that_nothing_holds_is_told(folder, caplog):
         ({"ground": [21]}, "system.ground", "DOFs from 1 to 20"),
         ({"ground": "every"}, "system.ground", "first:last:step"),
         ({"connections": {"s": {**STOP["stop"], "between": ["ground", "top"]}}}, "system.connections.s.between", "tip"),
+        ({"drifts": {"d": ["tip", "top"]}}, "system.drifts.d", "ground or one of tip, middle"),
+        ({"drifts": {"d": ["tip", "tip"]}}, "system.drifts.d", "two different ends"),
+        ({"drifts": [["tip", "middle"]]}, "system.drifts", "{roof: [ground, x3]}"),
+        ({"drifts": {"stop": ["tip", "middle"]}, "connections": STOP}, "system.drifts", "another name"),
         ({"connections": {"mode_1": STOP["stop"]}}, "system.connections", "another name"),
     ],
 )

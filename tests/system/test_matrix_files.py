@@ -21,6 +21,7 @@ def folder(tmp_path):
         save_npz(tmp_path / f"{name}.npz", matrix)
         mmwrite(tmp_path / f"{name}.mtx", matrix)
         savemat(tmp_path / f"{name}.mat", {"stored": matrix})
+        np.save(tmp_path / f"{name}.npy", matrix.toarray())
     return tmp_path
 
 
@@ -32,6 +33,7 @@ def folder(tmp_path):
         ({"M": "M.npz", "K": "K.npz", "C": None}, None, ["M", "K"]),
         ({"M": "M.mtx", "K": "K.mtx", "C": None}, None, ["M", "K"]),
         ({"M": "M.mat", "K": "K.mat", "C": None}, None, ["M", "K"]),
+        ({"M": "M.npy", "K": "K.npy", "C": None}, None, ["M", "K"]),
         ({"M": None, "K": None, "C": "M.mtx"}, "model.mat", ["M", "K", "C"]),
     ],
 )
@@ -46,8 +48,9 @@ def test_every_kind_of_file_gives_the_same_matrices(folder, files, path, names):
     ("files", "path", "setting", "said"),
     [
         ({"M": "absent.npz"}, None, "system.M", "there is none at"),
-        ({"M": "M.csv"}, None, "system.M", "ends in .npz, .mtx, .mat"),
+        ({"M": "M.csv"}, None, "system.M", "ends in .npz, .npy, .mtx, .mat"),
         ({"M": None}, "M.mtx", "system.path", "give it as system.M"),
+        ({"M": None}, "M.npy", "system.path", "give it as system.M"),
         ({"X": None}, "dense.npz", "system.path", "no matrix called X"),
         ({"M": "broken.npz"}, None, "system.M", "a readable .npz file"),
         ({"M": "broken.mat"}, None, "system.M", "a readable .mat file"),

@@ -57,6 +57,14 @@ def test_frequencies_are_those_of_the_whole_model(folder, factors):
     np.testing.assert_allclose(found, expected, rtol=5e-3)  # shapes with mass added move a little with the highest
 
 
+@pytest.mark.parametrize("modes", [2 * ELEMENTS - 1, 2 * ELEMENTS])
+def test_all_modes_may_be_kept(folder, modes):
+    structure = built(folder, modes=modes)
+    assert structure.coordinates == 2 * ELEMENTS
+    found = Modes.of(with_factors(structure, [0.7, 1.3, 0.7])).natural_frequencies
+    np.testing.assert_allclose(found[:50], full_frequencies([0.7, 1.3, 0.7], 50), rtol=1e-6)
+
+
 def test_modes_alone_would_not_do(folder):
     """Else the shapes that are added to the basis would be there for nothing."""
     structure = with_factors(built(folder), [0.7, 1.3, 0.7])

@@ -111,13 +111,14 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
         response_figure, estimate, record, truth.response, results.linear_response, run.truth_label, baseline
     )
     rows = len(shown_dofs(record.ndof))
-    drifts = partial(Drifts.of, results.prescribed, estimate, truth.response)
+    drifts = Drifts.of(results.prescribed, estimate, truth.response)
     found: list[tuple[str, int, Callable[[], Figure]]] = [
         ("response", 5 * rows, response),
         ("residuals", 12, partial(residuals_figure, estimate, record)),
         ("error_map", 8, partial(error_map_figure, estimate, record, truth.response)),
-        ("drift", 2 * rows, lambda: drift_figure(drifts(), run.truth_label)),
     ]
+    if drifts.names:
+        found.append(("drift", 2 * rows, partial(drift_figure, drifts, run.truth_label)))
     forces = ConnectionForces.of(results.prescribed, estimate, truth)
     if forces is not None and forces.memory.size:
         found.append(("hysteresis", rows, partial(hysteresis_figure, forces, run.truth_label)))

@@ -126,18 +126,19 @@ def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str
 
 
 def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:
-    """Elongations, sums of functions whose errors are not independent, and forces of :attr:`Structure.added`."""
+    """Drifts, sums of functions whose errors are not independent, and forces of :attr:`Structure.added`."""
     dynamics, segments = posterior.equations.dynamics, posterior.equations.observation
-    structure, added = dynamics.structure, dynamics.structure.added
+    structure = dynamics.structure
     motion = response.displacement if response.coordinates is None else response.coordinates[:, 0]
-    elongation = structure.elongation(motion)[:, added]
-    if not len(added):
-        return ConnectionHistories(*[np.zeros((len(motion), 0))] * 4, *[np.zeros(0)] * 2)
-    stretch = structure.incidence.matrix[added]
-    by_function = csr_matrix((stretch.data, stretch.indices, stretch.indptr), (len(added), dynamics.size))
-    std = posterior.combined(segments, [(0, by_function)])
-    forces, energy = connection_forces(posterior), dissipated_energy(posterior)
-    return ConnectionHistories(elongation, std.numpy(), *forces, *energy)
+    forces, energy = [np.zeros((len(motion), 0))] * 2, [np.zeros(0)] * 2
+    if len(structure.added):
+        forces, energy = list(connection_forces(posterior)), list(dissipated_energy(posterior))
+    drifts = structure.drifts
+    std = np.zeros((len(motion), 0))
+    if drifts.shape[0]:
+        by_function = csr_matrix((drifts.data, drifts.indices, drifts.indptr), (drifts.shape[0], dynamics.size))
+        std = posterior.combined(segments, [(0, by_function)]).numpy()
+    return ConnectionHistories(motion @ drifts.T, std, *forces, *energy)
 
 
 def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
