@@ -157,18 +157,26 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
     return float(np.sqrt(above.mean()))
 
 
-def reaches_nyquist(x: np.ndarray, step: float) -> bool:
-    """Whether a channel (N,) has content up to its Nyquist frequency: power that still falls off in the last parts.
+def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
+    """Whether a channel (N,) has content up to its Nyquist frequency, with power that falls off in the last parts.
 
-    White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance.
+    White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance; and in
+    the uppermost tenth of a channel whose content ends below it there is nothing else.
+
+    Args:
+        x: The channel.
+        step: From sample to sample, s.
+        noise: Standard deviation of its noise, where somebody knows it.
     """
     frequency, power = periodogram(x, step)
-    lower, upper = (
-        power[(frequency > low * frequency[-1]) & (frequency <= (low + 0.2) * frequency[-1])] for low in (0.6, 0.8)
+    lower, upper, last = (
+        power[(frequency > low * frequency[-1]) & (frequency <= high * frequency[-1])]
+        for low, high in ((0.6, 0.8), (0.8, 1.0), (0.9, 1.0))
     )
-    if min(len(lower), len(upper)) < FEWEST_BINS or not upper.any():
+    if min(len(lower), len(last)) < FEWEST_BINS or not upper.any():
         return False
-    return bool(np.log(lower.mean() / upper.mean()) > _by_chance(lower, upper))
+    falls = np.log(lower.mean() / upper.mean()) > _by_chance(lower, upper)
+    return bool(falls and last.mean() > noise**2 * (1.0 + 3.0 / np.sqrt(len(last))))
 
 
 def _by_chance(lower: np.ndarray, upper: np.ndarray) -> float:

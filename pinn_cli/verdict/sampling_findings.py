@@ -10,7 +10,7 @@ import numpy as np
 from pinn_cli.record.channels import channels
 from pinn_cli.record.interpolation import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.noise_findings import noise_found
 from pinn_cli.verdict.prediction import is_linear, predicted
@@ -60,7 +60,10 @@ def _rare_forces(record: Record) -> list[Finding]:
 def _rare_ground(record: Record, estimate: Estimate, structure: Structure) -> list[Finding]:
     """That straight lines between the ground's samples would shake the structure differently, and nobody said."""
     ground = record.ground_acceleration
-    if ground is None or not record.assumed or not is_linear(structure) or not reaches_nyquist(ground, record.step):
+    if ground is None or not record.assumed or not is_linear(structure):
+        return []
+    (channel,) = channels(record, (GROUND,))
+    if not reaches_nyquist(ground, record.step, float(np.nan_to_num(noise_found(estimate, channel)))):
         return []
     told = _told_apart(structure, record, replace(record, ground_acceleration=held_by_lines(ground)), estimate)
     if told < TOLD_APART:

@@ -58,3 +58,15 @@ def test_content_at_the_nyquist_frequency_falls_off_and_noise_does_not():
     assert reaches_nyquist(falling, 0.01)
     smooth = noise(4, 3000, 0.2)
     assert not any(reaches_nyquist(smooth + 0.05 * rng.standard_normal(3000), 0.01) for _ in range(20))
+
+
+@pytest.mark.parametrize("end", [0.63, 0.7, 0.76])
+def test_content_that_ends_below_the_nyquist_frequency_leaves_noise_in_the_uppermost_tenth(end: float):
+    """A cutoff is a share of the sampling rate."""
+    rng = np.random.default_rng(5)
+    for seed in range(10):
+        ended = noise(seed, 3000, 0.5 * end)
+        level = 0.01 * ended.std()
+        assert not reaches_nyquist(ended + level * rng.standard_normal(3000), 0.01, level)
+    falling = np.convolve(rng.standard_normal(3000), [0.5, 0.5], "valid")
+    assert reaches_nyquist(falling + 0.01 * rng.standard_normal(2999), 0.01, 0.01)
