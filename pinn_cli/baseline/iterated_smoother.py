@@ -79,6 +79,7 @@ class IteratedSmoother:
         Raises:
             FloatingPointError: A pass left the finite numbers.
         """
+        self.space.follow_modes(trajectory)
         for _ in range(self.passes):
             done = self.once(trajectory, levels)
             trajectory, levels = done.trajectory, done.levels

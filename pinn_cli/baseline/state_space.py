@@ -113,8 +113,6 @@ class StateSpace:
         self.vector = ParameterVector(self.prescribed, problem.uncertain)
         self.of_sensors = uncertain_numbers(problem.uncertain)
         self.structural = [p for p in problem.uncertain if p.kind not in CALIBRATION_UNITS]
-        self.participation = problem.structure.participation(self.structural)
-        self.pull = problem.structure.incidence.matrix.toarray().T  # row i: what a unit displacement of DOF i stretches
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
         self.loads = Loads(record, substeps_needed(problem.structure, self.step))
@@ -138,6 +136,10 @@ class StateSpace:
     def parameters(self, trajectory: Trajectory) -> dict[str, np.ndarray]:
         """Every parameter of the structure by kind."""
         return self.vector.values(self.vector.each("prior_std") * trajectory.parameters)
+
+    def follow_modes(self, trajectory: Trajectory) -> None:
+        """Take damping of the whole to the modes of the trajectory's masses and stiffnesses."""
+        self.problem = self.problem.present(self.parameters(trajectory))
 
     def acceleration(self, trajectory: Trajectory) -> np.ndarray:
         """(N, n), at the samples, under the measured and the hidden force."""
@@ -257,9 +259,9 @@ class StateSpace:
     @cached_property
     def stretch(self) -> np.ndarray:
         """(n, n), from coordinates to as many elongations; where a structure has more, the coordinates themselves."""
-        return (
-            self.pull if self.pull.shape[1] == self.n and np.linalg.matrix_rank(self.pull) == self.n else np.eye(self.n)
-        )
+        structure = self.problem.structure
+        pull = structure.incidence.matrix[structure.added].toarray().T
+        return pull if pull.shape[1] == self.n and np.linalg.matrix_rank(pull) == self.n else np.eye(self.n)
 
     @cached_property
     def initial_std(self) -> np.ndarray:
@@ -280,7 +282,7 @@ class StateSpace:
         u, v, _, _ = self.split(trajectory.states)
         tensors = {name: torch.as_tensor(value) for name, value in parameters.items()}
         slope = self.problem.structure.linearise(torch.as_tensor(u), torch.as_tensor(v), tensors)
-        mass, pull = parameters["m"][:, None], self.pull
+        mass, pull = parameters["m"][:, None], self.problem.structure.incidence.matrix.toarray().T
         by_state = np.zeros((len(u), self.n, self.size))
         by_state[:, :, : self.n] = -(pull * slope.stiffness.numpy()[:, None]) @ pull.T / mass
         by_state[:, :, self.n : 2 * self.n] = -(pull * slope.damping.numpy()[:, None]) @ pull.T / mass
@@ -291,10 +293,9 @@ class StateSpace:
         self, slope: Linearisation, parameters: dict[str, np.ndarray], acceleration: np.ndarray
     ) -> np.ndarray:
         mass = parameters["m"]
-        own = slope.by_parameters(self.structural, torch.as_tensor(acceleration)).numpy()
-        force = self.vector.each("prior_std")[~self.of_sensors] * own
+        own = self.problem.structure.by_parameters(slope, self.structural, torch.as_tensor(acceleration)).numpy()
         out = self.loads.by_numbers(parameters, self.problem.uncertain) / mass[:, None]
-        out[:, :, ~self.of_sensors] = -force[:, None] * self.participation / mass[:, None]
+        out[:, :, ~self.of_sensors] = -self.vector.each("prior_std")[~self.of_sensors] * own / mass[:, None]
         return out
 
     def _fastest(self, by_state: np.ndarray) -> float:

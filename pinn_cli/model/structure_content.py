@@ -12,6 +12,7 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.system.connection.base import Nonlinearity
 from pinn_cli.system.connection_groups import ConnectionGroup
+from pinn_cli.system.damping import MassProportional, ModalRatios, StiffnessProportional, StructuralDamping
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.laws import law_called
@@ -22,6 +23,8 @@ from pinn_cli.system.substructures import Substructure
 
 # What the law of a finite-element model's parts is called here; no connection can be given it.
 PART = "part"
+# Likewise damping of the whole.
+DAMPING = {law.kind: law for law in (ModalRatios, MassProportional, StiffnessProportional)}
 
 
 def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -86,7 +89,9 @@ def difference(structure: Structure, other: Structure) -> str:
         return f"{structure.nonlinearity_name} connections of other settings"
     if structure.labels != other.labels:
         return "other names of connections"
-    mine, theirs = structure.incidence.matrix, other.incidence.matrix
+    mine, theirs = (
+        Incidence.stacked(g.incidence for g in one.groups if not g.damps_whole).matrix for one in (structure, other)
+    )
     if mine.shape != theirs.shape or abs(mine - theirs).max() > 1e-9 * abs(theirs).max():
         return "other connections"
     return ""
@@ -105,12 +110,16 @@ def _group_words(group: ConnectionGroup) -> dict[str, Any]:
     if isinstance(group.nonlinearity, Substructure):
         return {"law": PART, "settings": {}, "parts": list(group.parts or ())}
     law = group.nonlinearity
+    if isinstance(law, StructuralDamping):
+        return {"law": law.kind, "settings": {}, "parts": list(group.parts or ())}
     settings = {name: getattr(law, name) for name in inspect.signature(type(law)).parameters if hasattr(law, name)}
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in settings.items()}
     return {"law": law.name, "settings": plain, "parts": None if group.parts is None else list(group.parts)}
 
 
 def _law(words: Mapping[str, Any]) -> Nonlinearity:
+    if words["law"] in DAMPING:
+        return DAMPING[words["law"]]()
     return Substructure() if words["law"] == PART else law_called(words["law"], words["settings"], "model")
 
 

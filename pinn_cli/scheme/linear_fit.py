@@ -29,6 +29,8 @@ EVALUATIONS = 30
 class LinearFit:
     """Masses, stiffnesses and the damping of a structure as logarithms, and the misfit of its frequency response.
 
+    A damping ratio of the whole structure is half a loss factor of its springs: at every resonance they do the same.
+
     Args:
         spectra: Of the record.
         stretch, known: See :func:`pinn_cli.scheme.screening.screened`.
@@ -50,11 +52,11 @@ class LinearFit:
     ) -> None:
         self.doubts = doubts if doubts is not None and len(doubts) else None
         self.influence = np.ones(stretch.shape[1]) if influence is None else influence
-        self.spectra, self.known = spectra, known
+        self.spectra, self.known = spectra, {"loss": np.zeros(1)} | dict(known)
         self.end, self.typical = last_ends(stretch), float(np.median(typical))
-        self.free = {kind: np.flatnonzero(np.isnan(known[kind])) for kind in ("m", "k", "c")}
-        self.damped = len(self.free["c"]) > 0
-        self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped
+        self.free = {kind: np.flatnonzero(np.isnan(self.known[kind])) for kind in ("m", "k", "c", "loss")}
+        self.damped, self.lossy = len(self.free["c"]) > 0, len(self.free["loss"]) > 0
+        self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped + self.lossy
         self.stretch = stretch
         self.smooth(width)
 
@@ -81,20 +83,21 @@ class LinearFit:
             np.where(np.isnan(self.known[kind]), value, self.known[kind])
             for kind, value in (("m", mass), ("k", stiffness))
         )
-        damping = [np.log(DAMPING)] if self.damped else []
+        damping = [np.log(DAMPING)] * self.damped + [np.log(2.0 * DAMPING)] * self.lossy
         in_doubt = np.zeros(0 if self.doubts is None else len(self.doubts))
         return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping, in_doubt))
 
     def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """``m`` (n,), ``c`` and ``k`` (C,) at the unknowns x; unknown dampers have one damping ratio."""
-        m, k, c = (self.known[kind].copy() for kind in ("m", "k", "c"))
+        """``m`` (n,), ``c``, ``k`` (C,) and ``loss`` (1,) at the unknowns x; unknown dampers have one damping ratio."""
+        m, k, c, loss = (self.known[kind].copy() for kind in ("m", "k", "c", "loss"))
         split = len(self.free["m"])
         m[self.free["m"]] = np.exp(x[:split])
         k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
         if self.damped:
             critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
-            c[self.free["c"]] = np.exp(x[self.count - 1]) * critical[self.free["c"]]
-        return {"m": m, "c": c, "k": k}
+            c[self.free["c"]] = np.exp(x[split + len(self.free["k"])]) * critical[self.free["c"]]
+        loss[self.free["loss"]] = np.exp(x[self.count - 1])
+        return {"m": m, "c": c, "k": k, "loss": loss}
 
     def calibration(self, x: np.ndarray) -> dict[int, dict[str, float]]:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
@@ -164,11 +167,15 @@ class LinearFit:
                 slope = slope - 0.5j * s.omega[:, None, None] * p["c"][i] * pull[:, :, [i]] * stretched[:, [i]]
             by.append(slope)
         for i in self.free["k"]:
-            rate = p["k"][i] * (1.0 + LEAST_LOSS * 1j) + (0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0)
+            rate = p["k"][i] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + (
+                0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0
+            )
             by.append(-np.reshape(rate, (-1, 1, 1)) * pull[:, :, [i]] * stretched[:, [i]])
         if self.damped:
             c = self.free["c"]
             by.append(-1j * s.omega[:, None, None] * (pull[:, :, c] * p["c"][c]) @ stretched[:, c])
+        if self.lossy:
+            by.append(-1j * (pull * p["loss"] * p["k"]) @ stretched)
         if self.doubts is not None:
             by += self.doubts.slopes(cross, driven_by)
         return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
@@ -181,7 +188,7 @@ class LinearFit:
             are shown (B, F, F); what each force adds to the first (F, B, S, F), empty where no channel is in doubt.
         """
         s, p = self.spectra, self.parameters(x)
-        connection = p["k"] * (1.0 + LEAST_LOSS * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
+        connection = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
         stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
         stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
         flexibility = np.linalg.inv(stiffness)

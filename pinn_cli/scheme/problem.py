@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+
+import numpy as np
 
 from pinn_cli.model.knowledge import EndState
 from pinn_cli.record.record import Record
@@ -89,6 +91,12 @@ class Problem:
             for record in records
         )
         return replace(first, further=tuple(further)) if further else first
+
+    def present(self, values: Mapping[str, np.ndarray]) -> Problem:
+        """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
+        structure = self.structure.present(values)
+        further = tuple(replace(own, structure=structure) for own in self.further)
+        return replace(self, structure=structure, further=further)
 
     @property
     def by_record(self) -> tuple[Problem, ...]:

@@ -36,7 +36,7 @@ class Candidate:
     """A linear chain that may be the measured one.
 
     Attributes:
-        parameters: ``m`` to (n,); ``c``, ``k`` to (C,).
+        parameters: ``m`` to (n,); ``c``, ``k`` to (C,); ``loss``, of all springs, to (1,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
         scatter: Part that missing samples alone leave unexplained, 0 to 1.
         calibration: Number of a gauge to its gain and its delay, s, where those are in doubt.
@@ -61,7 +61,7 @@ def screened(
     Args:
         record: What was measured.
         stretch: (C, n), row i: which displacements stretch connection i.
-        known: ``m`` to (n,), ``c`` and ``k`` to (C,), NaN where unknown.
+        known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,) if there is one, NaN where unknown.
         guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
         influence: (n,), how far each coordinate moves with the ground; None: by one.
         further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown

@@ -21,12 +21,15 @@ from pinn_cli.scheme.starting_values import parameter_scales, starting_value, un
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.system.connection.base import Hysteresis
+from pinn_cli.system.damping import of_ratio
 from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 AUTO, GIVEN = "auto", "given"
 # Of the factor of a part of a finite-element model.
 FACTOR_SCALE = 1.0
+# Damping ratios of structures that may start.
+RATIOS = 1e-3, 0.3
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
 # a start of their own, so many at most.
 HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
@@ -78,7 +81,7 @@ def parameter_starts(
     if prescribed.shapes is not None:
         return [_starts(prescribed, records, unknown, given, _of_modes(prescribed, unknown, given))]
     known, guess = _known(prescribed, unknown), _guess(prescribed, records, unknown, given)
-    stretch, moved = prescribed.incidence.matrix.toarray(), prescribed.with_ground
+    stretch, moved = prescribed.incidence.matrix[prescribed.added].toarray(), prescribed.with_ground
     every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
     candidates = [c for c in every if c.misfit < HOPELESS + (NEARLY_NOTHING - HOPELESS) * c.scatter]
     if most is None:
@@ -101,12 +104,12 @@ def _of_sensors(calibration: Mapping[int, Mapping[str, float]]) -> dict[Paramete
 
 
 def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
-    """``m`` to (n,), ``c`` and ``k`` to (C,), NaN where unknown."""
+    """``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,), NaN where unknown."""
     known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
     for parameter in unknown:
         if parameter.kind in known:
             known[parameter.kind][parameter.index] = np.nan
-    return known
+    return known | {"loss": np.array([np.nan if prescribed.is_damped_as_whole else 0.0])}
 
 
 def _guess(
@@ -170,10 +173,17 @@ def _starts(
     if prescribed.shapes is not None:
         usual = _stiffness_felt(prescribed)
         usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
-    mass = linear["m"][last_ends(prescribed.incidence.matrix.toarray()[: len(usual)])]
+    stretch = prescribed.incidence.matrix[: len(usual)]
+    mass = linear["m"][last_ends(stretch.toarray())]
     damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
+    ratio = float(np.clip(linear.get("loss", np.array([2.0 * DAMPING]))[0] / 2.0, *RATIOS))
+    of_whole = of_ratio(ratio, linear["m"], stretch, linear["k"]) if prescribed.is_damped_as_whole else {}
     for parameter in unknown:
         kind, index = parameter.kind, parameter.index
+        if kind in of_whole:
+            value = given.get(parameter, of_whole[kind])
+            out[parameter] = Start(value, max(value, of_whole[kind] * max(DAMPING / ratio, 1.0)))
+            continue
         if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
             out[parameter] = Start(given.get(parameter, 1.0), FACTOR_SCALE)
             continue

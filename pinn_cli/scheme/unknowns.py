@@ -13,12 +13,13 @@ from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number
 from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.damping import WHOLE
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 # Kinds that cannot be negative unless the user says otherwise.
-POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c", "factor")
+POSITIVE = ("m", "c", "k", "kappa", "mu", "A", "n", "F_c", "factor", *WHOLE)
 # Instead of names: what the structure has no value for.
 MISSING = "missing"
 # In a message.
@@ -59,7 +60,7 @@ def unknown_parameters(
         chosen = {
             name
             for name, p in names.items()
-            if p.kind not in (MASS, "c") and hidden[structure.members[p.kind][p.index]]
+            if p.kind not in (MASS, "c", *WHOLE) and hidden[structure.members[p.kind][p.index]]
         }
         if not chosen:
             raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
@@ -80,8 +81,9 @@ def unknown_parameters(
 
 def _hidden_connections(structure: Structure, observed: np.ndarray) -> np.ndarray:
     """(C,) bool: those that end at a DOF without a sensor; of a chain DOF i counts as the end of connection i alone."""
-    stretch = structure.incidence.matrix
+    stretch = structure.incidence.matrix[: len(structure.parameters["k"])]
     if structure.shapes is not None:  # the modes come first, and no sensor measures them
+        stretch = structure.incidence.matrix
         return np.arange(stretch.shape[0]) >= structure.groups[0].incidence.shape[0]
     if stretch.shape[0] == stretch.shape[1] and (stretch != Incidence.chain(structure.ndof).matrix).nnz == 0:
         return ~observed

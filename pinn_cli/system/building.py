@@ -13,6 +13,7 @@ from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is
 from pinn_cli.system.chain import chain_of
 from pinn_cli.system.parameters import LINEAR_UNITS
 from pinn_cli.system.structure import Structure
+from pinn_cli.system.whole_damping import damped
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,12 +24,18 @@ if TYPE_CHECKING:
 MOST_DOFS = 2000
 
 
-def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float]) -> Structure:
+def build_chain(
+    ndof: int,
+    nonlinearity: Nonlinearity,
+    damping: Mapping[str, Any] | None = None,
+    **parameters: float | Sequence[float],
+) -> Structure:
     """A chain from numbers (the same for every connection) or lists of ndof numbers.
 
     Args:
         ndof: Number of degrees of freedom.
         nonlinearity: Which decides what parameters there are beyond m, c and k.
+        damping: Of the whole, see :func:`pinn_cli.system.whole_damping.damped`; beside it c is 0 unless given.
         **parameters: m (kg), c (N s/m), k (N/m), and kappa (N/m^3) or mu, each a number or a list of ndof numbers.
 
     Raises:
@@ -37,20 +44,25 @@ def build_chain(ndof: int, nonlinearity: Nonlinearity, **parameters: float | Seq
     """
     nonlinearity = _with_given(nonlinearity, parameters)
     for name in (*LINEAR_UNITS, *nonlinearity.parameters):
-        if parameters.get(name) is None:
+        if parameters.get(name) is None and (name != "c" or damping is None):
             names = ", ".join((*LINEAR_UNITS, *nonlinearity.parameters))
             raise InputError(f"system.{name}", "nothing", f"given: a {nonlinearity.name} chain has {names}")
-    structure = build_partial_chain(ndof, nonlinearity, **parameters)
+    structure = build_partial_chain(ndof, nonlinearity, damping, **parameters)
     for name, tensor in structure.parameters.items():
         if tensor.isnan().any():
             raise InputError(
-                f"system.{name}", parameters[name], "given in every entry: null is for what is unknown of a record"
+                f"system.{name}",
+                parameters.get(name, damping),
+                "given in every entry: null is for what is unknown of a record",
             )
     return structure
 
 
 def build_partial_chain(
-    ndof: int, nonlinearity: Nonlinearity, **parameters: float | Sequence[float | None] | None
+    ndof: int,
+    nonlinearity: Nonlinearity,
+    damping: Mapping[str, Any] | None = None,
+    **parameters: float | Sequence[float | None] | None,
 ) -> Structure:
     """The same where a value may be missing, None or left out, alone or in a list: it is NaN in the chain.
 
@@ -63,9 +75,12 @@ def build_partial_chain(
     for name, value in parameters.items():
         if name not in names and (value is not None or name not in nonlinearity.optional):
             raise InputError(f"system.{name}", value, f"left out: a {nonlinearity.name} chain has {', '.join(names)}")
+    if damping is not None and parameters.get("c") is None:
+        parameters["c"] = 0.0
     values = {name: _per_connection(name, parameters.get(name), ndof) for name in names}
     _check_signs(values, nonlinearity)
-    return chain_of({name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}, nonlinearity)
+    tensors = {name: torch.tensor(value, dtype=torch.float64) for name, value in values.items()}
+    return damped(chain_of(tensors, nonlinearity), damping)
 
 
 def _with_given(nonlinearity: Nonlinearity, parameters: Mapping[str, Any]) -> Nonlinearity:

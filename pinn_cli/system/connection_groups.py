@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
+from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence
 
 if TYPE_CHECKING:
@@ -22,13 +24,24 @@ class ConnectionGroup:
     Attributes:
         nonlinearity: Of all of them, beside their dampers c and springs k.
         incidence: Which coordinates stretch them.
-        parts: Of which part of a finite-element model each connection is, counted from 0. Its law's parameters are then
-            those of the parts, and it has no damper and no spring of its own. None: every connection has its own.
+        parts: Of which part of a finite-element model each connection is, or which mode it damps, counted from 0. Its
+            law's parameters are then those of the parts, and it has no damper and no spring of its own. None: every
+            connection has its own.
     """
 
     nonlinearity: Nonlinearity
     incidence: Incidence
     parts: tuple[int, ...] | None = None
+
+    @property
+    def damps_whole(self) -> bool:
+        """Whether they are damping of the structure as a whole, and stand for no device."""
+        return isinstance(self.nonlinearity, StructuralDamping)
+
+    def of_rows(self, rows: csr_matrix) -> ConnectionGroup:
+        """Structural damping with other rows; where each has not its own parameter, all have the last one's."""
+        parts = self.parts or (0,)
+        return replace(self, incidence=Incidence(rows), parts=(*parts, *parts[-1:] * rows.shape[0])[: rows.shape[0]])
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -59,6 +72,8 @@ class ConnectionGroup:
         none = np.zeros(self.incidence.shape[0])
         law = self.nonlinearity.stiffness_at_rest(parameters), self.nonlinearity.damping_at_rest(parameters)
         own = parameters.get("k", none), parameters.get("c", none)
+        if self.damps_whole:
+            own, law = (none, none + law[1]), (none, none)
         stiffness, damping = (np.stack([x, none + y]) for x, y in zip(own, law, strict=True))
         return stiffness, damping
 

@@ -25,6 +25,7 @@ from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts, check_parts, read_parts, substructures
 from pinn_cli.system.topology import check_parameters_differ, checked_names, connected, drift_pairs, tell_if_loose
+from pinn_cli.system.whole_damping import damped
 
 # Modal damping that couples the coordinates by less than this part of their own is written without its coupling.
 UNCOUPLED = 1e-6
@@ -53,6 +54,7 @@ def build_finite_elements(
     static_correction: Sequence[str] | None = None,
     ground: str | Sequence[int] | None = None,
     drifts: Mapping[str, Sequence[str]] | None = None,
+    damping: Mapping[str, Any] | None = None,
     kind: str = "matrices",
     loaded: Sequence[str | int] = (),
     base: Path | None = None,
@@ -77,6 +79,7 @@ def build_finite_elements(
         ground: The DOFs of the matrices that move with the ground by one: numbers, or ``first:last:step``, where
             ``1::2`` is every second one; None: nobody has said.
         drifts: Name to a pair ``[a, b]`` of named DOFs or the ground, whose drift is wanted.
+        damping: Of the whole, connections and factors included, see :func:`pinn_cli.system.whole_damping.damped`.
         kind: The name of the config group's choice.
         loaded: The named DOFs that carry a force, by name or by number from 1.
         base: The folder that relative paths start from; None: the current one.
@@ -98,7 +101,10 @@ def build_finite_elements(
     if parts.matrices:
         check_parts(reduced, parts)
         reduced = enriched(matrices["M"], matrices["K"], reduced, list(parts.matrices.values()), static)
-    springs = _springs(reduced, matrices.get("C"), damping_ratio)
+    if damping is not None and (damping_ratio is not None or "C" in matrices):
+        given = "C" if "C" in matrices else f"system.damping_ratio={damping_ratio}"
+        raise InputError("system.damping", damping, f"null beside {given}", "each says all of the damping")
+    springs = _springs(reduced, matrices.get("C"), damping_ratio if damping is None else 0.0)
     moved = None if ground is None else _moved_by_ground(ground, size)
     structure = _with_parts(_assembled(names, reduced.vectors[places], springs, own), reduced, parts)
     structure = replace(
@@ -113,7 +119,7 @@ def build_finite_elements(
     )
     check_parameters_differ(structure)
     tell_if_loose(structure)
-    return replace(structure, pairs=drift_pairs(drifts, names, structure))
+    return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
 
 
 def _named(dofs: Any, size: int) -> tuple[tuple[str, ...], np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pinn_cli.system.damping import WHOLE
 from pinn_cli.system.parameters import FACTOR, MASS
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ class Labels:
 
     def setting(self, parameter: Parameter) -> str:
         """Where a user gives a parameter: ``system.k``, or of what has a name ``system.connections.brace.k``."""
+        if parameter.kind in WHOLE:
+            return "system.damping"
         if not parameter.label:
             return f"system.{parameter.kind}"
         if parameter.label in self.modes:

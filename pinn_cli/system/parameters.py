@@ -24,8 +24,8 @@ PRIOR_WIDTH = 10.0
 LINEAR_UNITS = {MASS: "kg", "c": "N s/m", "k": "N/m"}
 LINEAR_TITLES = {MASS: "Mass", "c": "Damping", "k": "Stiffness"}
 # Whose a parameter is, where that is no connection.
-_OWNERS = {MASS: "DOF", FACTOR: "part"}
-_GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau")
+_OWNERS = {MASS: "DOF", FACTOR: "part", "zeta": "mode"}
+_GREEK = ("alpha", "beta", "gamma", "kappa", "mu", "tau", "zeta")
 
 T = TypeVar("T")
 
@@ -49,6 +49,7 @@ class Parameter:
         unit: Powers as ``m^3``; "" where nobody has said.
         title: What a figure calls its kind; "" where it goes by its symbol.
         label: Name of its mass, connection or sensor; "": its number.
+        alone: Whether it is the whole structure's, which has one of its kind.
         prior: Where its posterior distribution is wanted.
     """
 
@@ -63,6 +64,7 @@ class Parameter:
     unit: str = field(default="", compare=False)
     title: str = field(default="", compare=False)
     label: str = field(default="", compare=False)
+    alone: bool = field(default=False, compare=False)
     prior: Prior | None = field(default=None, compare=False)
 
     @property
@@ -85,17 +87,21 @@ class Parameter:
         """Whose it is, as people say it: ``DOF 2``, ``connection 2``, ``sensor a1``."""
         if self.kind in CALIBRATION_UNITS:
             return f"sensor {self.whose}"
+        if self.alone:
+            return "the structure"
         return f"{_OWNERS.get(self.kind, 'connection')} {self.whose}"
 
     @property
     def name(self) -> str:
         """As tables print it: ``k_2``."""
-        return f"{self.kind}_{self.whose}"
+        return self.kind if self.alone else f"{self.kind}_{self.whose}"
 
     @property
     def symbol(self) -> str:
         """As mathematics, for matplotlib: ``k_2`` of connection 3 has both numbers below the letter."""
         kind, _, order = self.kind.partition("_")
+        if self.alone:
+            return f"${letter(self.kind)}$"
         whose = upright(self.label) if self.label else self.whose
         below = f"{upright(order)},{whose}" if order else whose
         return rf"${letter(kind)}_{{{below}}}$"

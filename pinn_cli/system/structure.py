@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from scipy.sparse import csr_matrix, vstack
+from scipy.sparse.linalg import norm as sparse_norm
 
 from pinn_cli.system.array_namespace import Array, namespace
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, carriers, group_parts
+from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.linearisation import Linearisation
@@ -41,8 +43,8 @@ class Structure:
 
     Attributes:
         parameters: "m" kg, (n,); "c" N s/m, "k" N/m, (C,); and those of the nonlinearities, each of the connections
-            that have it, in the order of the groups; "factor" of parts of a finite-element model, whose connections
-            come last and have neither c nor k.
+            that have it, in the order of the groups; "factor" of parts of a finite-element model, and the damping
+            of the structure as a whole ("zeta", "a_0", "a_1"), whose connections come last and have neither c nor k.
         groups: Connections, C in all. A group's law is elementwise, so a law with memory adds its hidden states to the
             group, and a coordinate that is no displacement of a mass differs by its column of the incidence alone.
         labels: What the user calls its coordinates and connections.
@@ -140,6 +142,8 @@ class Structure:
         connection = int(self.members[kind][index])
         law = self.laws[connection]
         unit, title = (LINEAR_UNITS | {**law.units}).get(kind, ""), (LINEAR_TITLES | {**law.titles}).get(kind, "")
+        if isinstance(law, StructuralDamping):
+            return Parameter(kind, index, value, unit=unit, title=title, alone=len(self.parameters[kind]) == 1)
         label = self.labels.owner(kind, connection)
         return Parameter(kind, index, value, unit=unit, title=title, label=label)
 
@@ -156,15 +160,26 @@ class Structure:
         connections, which = self.carriers[parameter.kind]
         return np.unique(self.incidence.matrix[connections[which == parameter.index]].indices)
 
-    def participation(self, parameters: Sequence[Parameter]) -> np.ndarray:
-        """(n, p), how the force of each parameter's one connection, or its mass's inertia, enters the equations."""
-        rows = [
-            np.eye(1, self.coordinates, p.index)[0]
-            if p.kind == MASS
-            else self.incidence.matrix[self.members[p.kind][p.index]].toarray()[0]
-            for p in parameters
-        ]
-        return np.stack(rows, axis=-1) if rows else np.zeros((self.coordinates, 0))
+    def by_parameters(
+        self, slope: Linearisation, parameters: Sequence[Parameter], acceleration: torch.Tensor
+    ) -> torch.Tensor:
+        """(..., n, p), what single parameters do to the force that the motion takes, m a + B' r.
+
+        Args:
+            slope: Of the connections.
+            parameters: p of them.
+            acceleration: (..., n), of the masses.
+        """
+        out = acceleration.new_zeros((*acceleration.shape, len(parameters)))
+        for column, p in enumerate(parameters):
+            if p.kind == MASS:
+                out[..., p.index, column] = acceleration[..., p.index]
+                continue
+            connections, which = self.carriers[p.kind]
+            own = which == p.index
+            pull = torch.as_tensor(self.incidence.matrix[connections[own]].toarray()).to(acceleration)
+            out[..., column] = slope.by_parameter[p.kind][..., own] @ pull
+        return out
 
     def elongation(self, x: Array) -> Array:
         """B x, (..., C): of displacements, velocities or accelerations alike."""
@@ -207,7 +222,7 @@ class Structure:
     def drifts_of_dofs(self) -> csr_matrix:
         """(D, dofs), how the DOFs make them."""
         shapes = self.shapes
-        own = self.incidence.matrix if shapes is None or shapes.stretch is None else shapes.stretch
+        own = self.incidence.matrix[self.added] if shapes is None or shapes.stretch is None else shapes.stretch
         return own if self.pairs is None else vstack([own, self.pairs.weights], format="csr")
 
     @cached_property
@@ -305,8 +320,49 @@ class Structure:
         return {name: value.to(x) for name, value in self.parameters.items()}
 
     def with_parameters(self, **tensors: torch.Tensor) -> Structure:
-        """The same structure with the named kinds of parameters replaced."""
-        return replace(self, parameters={**self.parameters, **tensors})
+        """The same structure with the named kinds of parameters replaced, and its own modes damped."""
+        return replace(self, parameters={**self.parameters, **tensors}).present()
+
+    def damping_apart(self, other: Structure) -> float:
+        """How far the damping of the whole and another's are apart for equal parameters, relative, 0 without any."""
+        apart = [0.0]
+        for mine, theirs in zip(self.groups, other.groups, strict=True):
+            if mine.damps_whole:
+                own, others = (g.incidence.matrix.T @ g.incidence.matrix for g in (mine, theirs))
+                apart.append(float(sparse_norm(own - others) / sparse_norm(own)))
+        return max(apart)
+
+    @property
+    def is_damped_as_whole(self) -> bool:
+        """Whether it has ratios of its modes or Rayleigh damping, beside the dampers of its connections."""
+        return any(group.damps_whole for group in self.groups)
+
+    def present(self, values: Mapping[str, np.ndarray] | None = None) -> Structure:
+        """The same with the damping of the whole in the modes of some masses and stiffnesses, its parameters as before.
+
+        Args:
+            values: Every parameter by kind; None: its own. Where they are no structure, the rows stay as they are.
+        """
+        if not self.is_damped_as_whole:
+            return self
+        own = self.parameters_like(np.empty(0)) if values is None else dict(values)
+        stiffness = np.concatenate(
+            [g.at_rest(p.own(own))[0].sum(axis=0) for g, p in zip(self.groups, self.parts, strict=True)]
+        )
+        mass, holds = (
+            own[MASS],
+            ~np.repeat([g.damps_whole for g in self.groups], [g.incidence.shape[0] for g in self.groups]),
+        )
+        if not np.isfinite(stiffness[holds]).all() or not (mass > 0).all():
+            return self
+        stretch = self.incidence.matrix[holds]
+        groups = tuple(
+            group.of_rows(group.nonlinearity.rows(mass, stretch, stiffness[holds]))
+            if isinstance(group.nonlinearity, StructuralDamping)
+            else group
+            for group in self.groups
+        )
+        return replace(self, groups=groups)
 
     def with_values(self, values: Mapping[Parameter, float]) -> Structure:
         """The same structure with single parameters at other values, all of them float64 on the CPU."""

@@ -22,6 +22,7 @@ from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.support import loose_dofs
+from pinn_cli.system.whole_damping import damped
 
 log = logging.getLogger(__name__)
 
@@ -53,6 +54,7 @@ def build_structure(
     connections: Mapping[str, Mapping[str, Any]],
     kind: str = "structure",
     drifts: Mapping[str, Sequence[str]] | None = None,
+    damping: Mapping[str, Any] | None = None,
 ) -> Structure:
     """A structure of which everything is given.
 
@@ -63,11 +65,12 @@ def build_structure(
             or ``weights: {a: 0.8, b: -0.6}``, ``law``, its settings, and the value of each of its parameters.
         kind: The name of the config group's choice.
         drifts: Name to a pair ``[a, b]`` of coordinates, whose drift is wanted beside those of the connections.
+        damping: Of the whole, see :func:`pinn_cli.system.whole_damping.damped`; beside it c is 0 unless given.
 
     Raises:
         InputError: Naming ``system.<setting>``.
     """
-    return whole(build_partial_structure(dofs, mass, connections, kind, drifts))
+    return whole(build_partial_structure(dofs, mass, connections, kind, drifts, damping))
 
 
 def whole(structure: Structure) -> Structure:
@@ -90,15 +93,18 @@ def build_partial_structure(
     connections: Mapping[str, Mapping[str, Any]],
     kind: str = "structure",
     drifts: Mapping[str, Sequence[str]] | None = None,
+    damping: Mapping[str, Any] | None = None,
 ) -> Structure:
     """The same where a value may be missing, null or left out: it is NaN in the structure.
 
     Of an optional parameter (an order of a polynomial) null says that the connection has it.
     """
     names = checked_names(dofs)
+    if damping is not None and isinstance(connections, Mapping):
+        connections = {k: {"c": 0.0, **one} if isinstance(one, Mapping) else one for k, one in connections.items()}
     structure = connected(names, _masses(mass, names), connections)
     tell_if_loose(structure)
-    return replace(structure, pairs=drift_pairs(drifts, names, structure))
+    return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
 
 
 def drift_pairs(drifts: Any, names: tuple[str, ...], structure: Structure) -> Pairs | None:

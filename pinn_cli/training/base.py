@@ -101,6 +101,11 @@ class TrainedNetwork(Estimator):
             allowed = f"network=spline with training=gauss_newton where {problem.dynamics.beside_motion} is to be found"
             hint = "scheme.unknown_force=free leaves an unmeasured force to the motion" if problem.inputs.forces else ""
             raise InputError("network", self.design.name, allowed, hint)
+        if problem.structure.is_damped_as_whole and not self.training.solves_inputs(self.design):
+            hint = (
+                "the modes that system.damping speaks of move with the parameters; other trainings do not follow them"
+            )
+            raise InputError("network", self.design.name, "spline with training=gauss_newton and system.damping", hint)
         if problem.record.gauges and not self.training.solves_inputs(self.design):
             allowed = "network=spline with training=gauss_newton where samples are missing or a sensor is in doubt"
             raise InputError("network", self.design.name, allowed, f"channel {problem.record.gauges[0].name} is such")

@@ -47,7 +47,7 @@ def structure_figure(structure: Structure) -> Figure:
         structure: With names.
     """
     connections = _connections(structure)
-    layout = layout_of(structure.incidence.matrix)
+    layout = layout_of(structure.incidence.matrix[structure.added])
     laws = list(dict.fromkeys(connection.law for connection in connections))
     colours = {law: style.CYCLE[i % len(style.CYCLE)] for i, law in enumerate(laws)}
     few = len(connections) <= _FEW
@@ -74,7 +74,8 @@ def structure_figure(structure: Structure) -> Figure:
 def _connections(structure: Structure) -> list[_Connection]:
     matrix = structure.incidence.matrix
     laws = [group.nonlinearity.name for group in structure.groups for _ in range(group.incidence.shape[0])]
-    rows = [matrix[i] for i in range(matrix.shape[0])]
+    laws = laws[: len(structure.added)]  # what is behind them is damping of the whole
+    rows = [matrix[i] for i in structure.added]
     return [
         _Connection(name, law, row.indices, row.data)
         for name, law, row in zip(structure.labels.connections, laws, rows, strict=True)

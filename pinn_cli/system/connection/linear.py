@@ -15,7 +15,7 @@ class Linear(Nonlinearity):
     """r_n = 0: the connection is its spring and its dashpot."""
 
     name = "linear"
-    parameters = ()
+    parameters: tuple[str, ...] = ()
 
     def force(self, e: Array, de: Array, parameters: Mapping[str, Array]) -> Array:
         """See :meth:`Nonlinearity.force`."""

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.system.coupling import Coupling
+from pinn_cli.system.damping import WHOLE
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.incidence import padded
 from pinn_cli.system.linearisation import Linearisation
@@ -161,8 +162,9 @@ class RowPattern:
         return torch.cat(blocks, -1)
 
     def _length(self, kind: str, like: Tensor) -> Tensor | float:
-        """How far the coordinates pull at every connection of a kind; of DOFs each by one."""
-        if self.dynamics.structure.shapes is None or kind not in self.kinds or kind == MASS:
+        """How far the coordinates pull at every connection of a kind; DOFs at those between them by one."""
+        between = self.dynamics.structure.shapes is None and kind not in WHOLE
+        if between or kind not in self.kinds or kind == MASS:
             return 1.0
         pull = self.dynamics.branches.matrix[self.dynamics.branch(kind)]
         return torch.as_tensor(np.sqrt(pull.power(2).sum(axis=1)).A1).to(like)

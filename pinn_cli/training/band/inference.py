@@ -14,6 +14,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.coloured import coloured, driven_in_band, has_forces
 from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, Trained
@@ -44,6 +45,9 @@ NEAR_TOLERANCE = 3e-5
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
+# Times that damping of the whole is taken to the modes of the last solution at most, and the relative change of its
+# matrix below which they are the same: beside what else is uncertain of damping that is nothing.
+MODE_ROUNDS, SAME_MODES = 3, 2e-3
 # Finer features whose sensors come out so many times as noisy have not found the solution.
 SUSPECT = 2.0
 
@@ -67,6 +71,7 @@ def inferred(
     if has_forces(problem):
         found = _in_their_band(found, problem, designs, settings, device, history)
         found = coloured(found, settings, device, history)
+    found = _in_present_modes(found, designs, settings, device, history)
     # Finer features would reach further beyond the band, where forces that nobody measured are free.
     for _ in range(0 if has_forces(problem) else REFINEMENTS):
         finer = _finer(designs, found)
@@ -74,6 +79,7 @@ def inferred(
         if finer is None or again is None:
             break
         designs, found = finer, again
+    found = _in_present_modes(found, designs, settings, device, history)
     evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
     told = settings.known is not None or problem.prior is not None  # by spectra, or by earlier records
     choice = Choice(found.trained) if told else weighed(evidence, found.trained, settle)
@@ -98,6 +104,8 @@ def _of_spectra(problem: Problem, settings: InferenceSettings) -> tuple[Problem,
     if not found:
         return problem, settings
     best, known = max(found, key=lambda one: one[1].log_likelihood)
+    vector = ParameterVector(best.structure.parameters_like(np.empty(0)), best.uncertain)
+    best = best.present(vector.values(known.distance * vector.each("prior_std")))
     return best, replace(settings, known=known, learn_spread=False)
 
 
@@ -249,11 +257,34 @@ def _of_wider_band(problem: Problem, factor: float) -> Problem:
     return replace(problem, inputs=wider, further=())
 
 
+def _in_present_modes(
+    found: Inferred, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
+) -> Inferred:
+    """The solution whose damping of the whole is that of its own modes: they move with masses and stiffnesses.
+
+    The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
+    equations: of the stiffness's part it is the damping ratio.
+    """
+    for _ in range(MODE_ROUNDS):
+        moved = _present(found).structure.damping_apart(found.evidence.problem.structure)
+        again = _refined(found, designs, settings, device, history) if moved > SAME_MODES else None
+        if again is None:
+            break
+        found = again
+    return found
+
+
+def _present(found: Inferred) -> Problem:
+    """The problem of a solution, with damping of the whole in the modes that the structure has there."""
+    equations, point = found.by_record[0]
+    return found.evidence.problem.present({k: x.cpu().numpy() for k, x in equations.parameters(point).items()})
+
+
 def _refined(
     found: Inferred, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
 ) -> Inferred | None:
     """The same solution in finer features; None where they cannot be solved."""
-    problem = replace(found.evidence.problem, alternatives=())
+    problem = replace(_present(found), alternatives=())
     networks = [_built(design, own) for design, own in zip(designs, problem.by_record, strict=True)]
     evidence = settings.all_solved_by(problem, networks, device, history)
     levels, points = [], []

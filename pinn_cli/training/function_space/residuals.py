@@ -118,8 +118,8 @@ class ResidualRows:
         self, columns: Sequence[Parameter], states: States, parameters: Mapping[str, Tensor]
     ) -> Tensor:
         """(P, n, p), of the force that the motion takes: m a + B' r."""
-        own = self.own_by_parameter(columns, states, parameters)
-        return own[:, None] * torch.as_tensor(self.structure.participation(columns)).to(own)
+        linear = self.structure.linearise(states.displacement, states.velocity, parameters)
+        return self.structure.by_parameters(linear, columns, states.acceleration)
 
     def own_by_parameter(
         self, columns: Sequence[Parameter], states: States, parameters: Mapping[str, Tensor]

@@ -135,6 +135,13 @@ class SpectralModel:
         of_connections = (stretch.T @ (x.numpy()[:, None] * stretch) for x in (slope.damping, slope.stiffness))
         return np.diag(values[MASS].numpy()), *of_connections
 
+    def follow_modes(self, x: np.ndarray) -> None:
+        """Take the damping of the whole to the modes of the masses and stiffnesses at the unknowns (q,)."""
+        if self.structure.is_damped_as_whole:
+            values = self.vector.values(torch.as_tensor(x[self.places["parameters"]] * self.spread))
+            self.structure = self.structure.present({kind: value.numpy() for kind, value in values.items()})
+            self.__dict__.pop("_by_parameter", None)
+
     @cached_property
     def _by_parameter(self) -> list[tuple[np.ndarray, ...]]:
         """What one prior standard deviation of each parameter adds to the three matrices: they are linear in them."""

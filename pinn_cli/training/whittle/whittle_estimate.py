@@ -252,6 +252,7 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
         if found is None:
             return None
         x, scored, converged = found
+        model.follow_modes(x)
         covariance, before = np.linalg.inv(scored.information), spreads
         spreads = whittle.updated(spreads, x, covariance)
         if np.abs(np.log(spreads / before)).max() < SETTLED:
