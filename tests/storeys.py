@@ -19,7 +19,12 @@ RATE, DURATION = 50.0, 12.0
 
 
 def response(
-    seed: int, k: np.ndarray = K, duration: float = DURATION, start: np.ndarray | None = None, first: float = 0.0
+    seed: int,
+    k: np.ndarray = K,
+    duration: float = DURATION,
+    start: np.ndarray | None = None,
+    first: float = 0.0,
+    most: float = 9.0,
 ) -> Response:
     """Motion under sinusoids on the roof, each of which is a state of the exact transition matrix.
 
@@ -29,9 +34,10 @@ def response(
         duration: s.
         start: Displacement and velocity (6,) at the first sample; None: at rest.
         first: Time of the first sample, s.
+        most: Greatest frequency of the force, Hz.
     """
     rng = np.random.default_rng([seed, 7])
-    omega, phase = 2.0 * np.pi * rng.uniform(0.5, 9.0, 40), rng.uniform(0.0, 2.0 * np.pi, 40)
+    omega, phase = 2.0 * np.pi * rng.uniform(0.5, most, 40), rng.uniform(0.0, 2.0 * np.pi, 40)
     n, waves = len(M), len(omega)
     generator = np.zeros((2 * n + 2 * waves,) * 2)
     generator[:n, n : 2 * n] = np.eye(n)

@@ -16,8 +16,6 @@ from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
 CHUNK = 256
-# Steps of Runge-Kutta, about 0.2 ms each: beyond them the spread of a long record is left unknown.
-MOST_STEPS = 40_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +82,7 @@ def spread_of(members: Members, structure: Structure, record: Record, about: Res
         members: At least one.
         structure: Whose law they share.
         record: Whose force and ground motion act on all.
-        about: From which it is counted: that of the structure itself. What comes after `MOST_STEPS` is NaN.
+        about: From which it is counted: that of the structure itself.
     """
     out = Response.unknown(record.time, record.ndof)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -98,7 +96,7 @@ def spread_of(members: Members, structure: Structure, record: Record, about: Res
 def followed_members(
     members: Members, structure: Structure, record: Record
 ) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray]]:
-    """The motion of all members, some hundred samples at a time, as far as `MOST_STEPS` go.
+    """The motion of all members, some hundred samples at a time: a step of Runge-Kutta takes about 0.2 ms.
 
     Args:
         members: At least one.
@@ -108,8 +106,7 @@ def followed_members(
     Yields:
         Samples, quantity to (M, H, dofs) at these, and the states (M, H, 2 n + h). Parts overlap by one sample.
     """
-    substeps = substeps_needed(structure, record.step)
-    samples = min(len(record.time), MOST_STEPS // substeps)
+    substeps, samples = substeps_needed(structure, record.step), len(record.time)
     ensemble = _Ensemble(structure, members, record)
     random = np.random.default_rng(members.seed)
     state, last = members.start, _drawn(members, random, 0, 1)

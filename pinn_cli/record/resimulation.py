@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force
@@ -17,11 +18,10 @@ from pinn_cli.record.steps import has_equation_of_motion, substeps_needed
 if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
-# A spline through the samples of a measured force. Degree 5 puts an error of 4e-6 into the response to noise up to a
-# quarter of the Nyquist frequency, and 2e-4 up to half of it (degree 3: 2e-4, 3e-3). Higher degrees follow the force
-# better inside the record and overshoot at its ends: in the first interval white noise grows 2-fold with degree 5,
-# 5-fold with 7, 14-fold with 9.
-SPLINE_DEGREE = 5
+# A spline goes through so many times as many samples, which kriging tells: it follows a history up to 0.9 of the
+# Nyquist frequency to 1e-5. Through the samples themselves it is off by 7e-4 up to half of that frequency, by 6e-3 up
+# to 0.65 of it and by a tenth up to 0.9; in the first intervals and the last by some forty times as much.
+DENSER, SPLINE_DEGREE, AT_ENDS = 4, 5, 40.0
 
 # A chain can be absurdly stiff, and its simulation would never end. Fifty steps of Runge-Kutta per sample put the
 # highest mode at three times the Nyquist frequency of the record.
@@ -77,13 +77,15 @@ def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
 
 
 def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
-    """A band-limited history at any time, from its samples (N, ...) at times (N,): the spline of `SPLINE_DEGREE`.
+    """A band-limited history at any time, from its samples (N, ...) at times (N,).
 
     Most columns of a force are zero as a rule, and stay so.
     """
     columns = force.reshape(len(force), -1)
     acting = np.flatnonzero(columns.any(axis=0))
-    spline = make_interp_spline(time, columns[:, acting], k=SPLINE_DEGREE) if acting.size else None
+    spline = None
+    if acting.size:
+        spline = make_interp_spline(refined_times(time, DENSER), _denser(time, columns[:, acting]), k=SPLINE_DEGREE)
 
     def history(at: np.ndarray) -> np.ndarray:
         out = np.zeros((*np.shape(at), columns.shape[1]))
@@ -92,3 +94,18 @@ def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
         return out.reshape(*np.shape(at), *force.shape[1:])
 
     return history
+
+
+def _denser(time: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Histories (N, n) at `DENSER` times as many times.
+
+    At the ends of a record kriging, which takes them to fill the band, knows less of a slow history than the spline
+    through the samples. How far that one is off shows in the middle: each counts by its variance.
+    """
+    dense, spread = refined_history(samples, DENSER)
+    off = make_interp_spline(time, samples, k=SPLINE_DEGREE)(refined_times(time, DENSER)) - dense
+    quarter = len(dense) // 4
+    of_spline = (AT_ENDS * np.std(off[quarter:-quarter], axis=0)) ** 2
+    of_kriging = np.outer(spread**2, np.mean(samples**2, axis=0))
+    total = of_kriging + of_spline
+    return dense + off * np.divide(of_kriging, total, out=np.zeros_like(total), where=total > 0.0)

@@ -32,8 +32,8 @@ class Predict(Scheme):
         start: ``rest``, or displacement (m) and velocity (m/s) of every DOF at the first sample; one that is left out
             is zero.
         draws: How many structures are simulated for the bands.
-        measured_input: Whether the force and the ground's motion were measured by the sensors of the run, and have
-            their noise.
+        measured_input: Whether the force and the ground's motion have noise: what their spectra show, else that of the
+            run's sensors as far as their spectra allow.
 
     Raises:
         InputError: A setting outside its range, or no model.
@@ -47,7 +47,7 @@ class Predict(Scheme):
         model: Model | None,
         start: str | Mapping[str, Sequence[float]] = REST,
         draws: int = 200,
-        measured_input: bool = False,
+        measured_input: bool = True,
     ) -> None:
         self.model = given(model, self.name)
         self.start = _checked_start(start, self.model.structure)

@@ -15,7 +15,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.record.simulation import OverflowsError
-from pinn_cli.record.spectrum import visible_floor
+from pinn_cli.record.spectrum import lowest_level, visible_floor
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import MASS
@@ -177,7 +177,7 @@ def _left_out(problem: Problem, model: Model, response: Response, count: int, se
 
 
 def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
-    """A row (n,) for the noise of every measured input: what its spectrum shows, or the run found."""
+    """A row (n,) for the noise of every measured input."""
     structure, record, levels = problem.structure, problem.record, model.levels
     felt = np.eye(structure.coordinates) if structure.shapes is None else structure.shapes.matrix
     nothing = np.full(record.ndof, np.nan)
@@ -186,5 +186,14 @@ def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
     if record.ground_acceleration is not None:
         pushed = structure.parameters_like(np.empty(0))[MASS] * structure.with_ground
         inputs.append((pushed, record.ground_acceleration, levels.sensors.get(GROUND, nothing)[0]))
-    shown = [(column, visible_floor(samples, record.step) or found) for column, samples, found in inputs]
-    return [float(sigma) * column for column, sigma in shown if np.isfinite(sigma)]
+    levels_of = [(column, _noise_of_input(samples, record.step, found)) for column, samples, found in inputs]
+    return [sigma * column for column, sigma in levels_of if np.isfinite(sigma)]
+
+
+def _noise_of_input(samples: np.ndarray, step: float, found: float) -> float:
+    """Standard deviation of a channel's noise: what its spectrum shows, else what the run found of its sensor.
+
+    White noise is nowhere less than in the emptiest part of a spectrum: an input that was computed has none.
+    """
+    floor = visible_floor(samples, step)
+    return float(found if np.isnan(found) else min(found, lowest_level(samples, step))) if floor is None else floor

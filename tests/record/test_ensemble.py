@@ -110,19 +110,6 @@ def test_a_replayed_resonance_moves_an_oscillator_more_than_white_noise_of_its_s
     assert np.sqrt(np.mean(found[late] ** 2)) == pytest.approx(1.0 / (0.2 * 5.0) / np.sqrt(2.0), rel=0.1)
 
 
-def test_what_comes_after_too_many_steps_is_unknown(monkeypatch):
-    structure = small_chain("linear")
-    record = record_of(structure)
-    monkeypatch.setattr("pinn_cli.record.ensemble.MOST_STEPS", 100)
-    parameters = {kind: x[None] for kind, x in structure.parameters_like(np.empty(0)).items()}
-    members = Members(parameters, np.zeros((1, 6)), np.zeros((0, 3)), 0)
-    found = spread_of(members, structure, record, resimulate(structure, record, None))
-    known = np.isfinite(found.displacement).all(axis=1)
-    assert known[0]
-    assert not known[-1]
-    assert 0 < known.sum() <= 100
-
-
 def found(structure, relative: float) -> list[ParameterEstimate]:
     return [
         ParameterEstimate(replace(p, positive=True), p.prescribed, relative * p.prescribed)

@@ -46,7 +46,7 @@ def predicted(given: Model, seen: Record, **settings) -> Estimate:
 
 
 def test_it_is_the_motion_of_the_structure():
-    true, found = response(5), predicted(model(), force_alone(), draws=20)
+    true, found = response(5), predicted(model(), force_alone(), draws=20, measured_input=False)
     for quantity in ("displacement", "velocity", "acceleration"):
         exact = getattr(true, quantity)
         assert np.abs(getattr(found.response, quantity) - exact).max() < 1e-3 * np.abs(exact).max()
@@ -78,12 +78,34 @@ def test_bands_and_peaks_are_those_of_other_structures_that_are_possible():
         assert peak.unit == "m"
 
 
+def with_noise(seen: Record, sigma: float, seed: int = 1) -> Record:
+    noise = np.where(seen.unforced, 0.0, sigma * np.random.default_rng(seed).standard_normal(seen.force.shape))
+    return replace(seen, force=seen.force + noise)
+
+
+def spread(given: Model, seen: Record, **settings) -> float:
+    return float(np.sqrt(np.mean(predicted(given, seen, draws=40, **settings).std.displacement ** 2)))
+
+
 def test_discrepancy_and_noise_of_a_measured_force_widen_the_bands():
-    quiet = predicted(model(0.001), force_alone(), draws=40)
-    noisy = predicted(model(0.001), force_alone(), draws=40, measured_input=True)
-    wrong = predicted(model(0.001, discrepancy=200.0), force_alone(), draws=40)
-    last = [np.sqrt(np.mean(each.std.displacement**2)) for each in (quiet, noisy, wrong)]
-    assert last[0] < 0.8 * last[1] < last[2]
+    known, exact, noisy = model(0.001), force_alone(), with_noise(force_alone(), 30.0)
+    quiet = spread(known, noisy, measured_input=False)
+    assert quiet < 0.8 * spread(known, noisy)
+    assert spread(known, noisy) < spread(model(0.001, discrepancy=200.0), noisy)
+    # A computed force shows that it has none.
+    assert spread(known, exact) == pytest.approx(spread(known, exact, measured_input=False), rel=1e-3)
+
+
+@pytest.mark.parametrize("most", [9.0, 22.0])
+def test_bands_of_a_measured_force_hold_what_its_noise_does(most):
+    """By default: whether the spectrum shows the noise, or content up to 22 of 25 Hz hides it and the run tells it."""
+    inside = []
+    for seed in range(4):
+        exact = response(seed, most=most)
+        found = predicted(model(), with_noise(replace(force_alone(), force=exact.force), 30.0, seed), draws=20)
+        off = np.abs(found.response.displacement - exact.displacement)
+        inside.append(np.mean(off < 1.645 * found.std.displacement))
+    assert 0.7 < np.mean(inside) < 0.99, inside
 
 
 def with_misfit(history: np.ndarray, acting: float, rest: float = 0.0, step: float = 0.02) -> Model:
@@ -95,34 +117,35 @@ def test_the_force_that_was_left_out_acts_again_as_large_a_part_of_the_input():
     acting, moved = float(np.sqrt(np.mean(seen.force**2))), response(9).acceleration
     history = 100.0 * moved / np.sqrt(np.mean(moved**2))  # as of wrong masses
 
-    def spread(given: Model) -> float:
-        return float(np.sqrt(np.mean(predicted(given, seen, draws=20).std.displacement ** 2)))
+    def left_out(acting: float, part: float = 1.0, rest: float = 0.0) -> float:
+        return spread(with_misfit(part * history, acting, rest), seen, measured_input=False)
 
-    usual = spread(with_misfit(history, acting))
-    assert spread(with_misfit(history, 2.0 * acting)) == pytest.approx(0.5 * usual, rel=1e-6)
-    white = spread(model(discrepancy=100.0))
-    assert usual > 1.5 * white  # it has most of its power where the structure answers
-    assert spread(with_misfit(0.0 * history, acting, rest=100.0)) == pytest.approx(
-        spread(with_misfit(0.0 * history, 0.0, rest=100.0)), rel=1e-6
-    )
+    usual = left_out(acting)
+    assert left_out(2.0 * acting) == pytest.approx(0.5 * usual, rel=1e-6)
+    assert usual > 1.5 * spread(model(discrepancy=100.0), seen)  # it has most of its power where the structure answers
+    assert left_out(acting, 0.0, 100.0) == pytest.approx(left_out(0.0, 0.0, 100.0), rel=1e-6)
 
 
 def test_noise_of_a_measured_ground_and_what_a_channel_shows_of_it():
     rng = np.random.default_rng(0)
     seen = force_alone(duration=4.0)
-    still, moved = np.zeros_like(seen.force), np.sin(3.0 * seen.time)
+    still, moved = np.zeros_like(seen.force), rng.standard_normal(len(seen.time))
     seen = replace(seen, force=still, unforced=np.ones(3, dtype=bool), ground_acceleration=moved)
     known = model()
     known = replace(known, levels=replace(known.levels, sensors={"ground_acceleration": np.array([0.05])}))
+    of_the_run = spread(known, seen)  # content up to the Nyquist frequency shows no noise
+    slow = np.sin(3.0 * seen.time)
+    noisy = replace(seen, ground_acceleration=slow + 0.1 * rng.standard_normal(len(moved)))
+    assert spread(known, noisy) == pytest.approx(2.0 * of_the_run, rel=0.2)
+    assert spread(known, replace(seen, ground_acceleration=slow)) < 0.02 * of_the_run
 
-    def spread(record: Record) -> float:
-        found = predicted(known, record, draws=20, measured_input=True)
-        return float(np.sqrt(np.mean(found.std.displacement**2)))
 
-    of_the_run = spread(seen)
-    assert of_the_run > 0.0
-    noisy = replace(seen, ground_acceleration=moved + 0.1 * rng.standard_normal(len(moved)))
-    assert spread(noisy) == pytest.approx(2.0 * of_the_run, rel=0.2)
+def test_bands_go_on_to_the_end_of_a_long_record():
+    """As the same bands of its beginning: 45 000 steps of integration, and peaks of all of it."""
+    seen = force_alone(duration=180.0)
+    found = predicted(model(0.01), seen, draws=20)
+    assert np.isfinite(found.std.displacement).all()
+    assert len(found.peaks) == 15
 
 
 def test_what_is_no_prediction_is_refused():
