@@ -140,6 +140,7 @@ def test_noise_of_a_measured_ground_and_what_a_channel_shows_of_it():
     assert spread(known, replace(seen, ground_acceleration=slow)) < 0.02 * of_the_run
 
 
+@pytest.mark.slow
 def test_bands_go_on_to_the_end_of_a_long_record():
     """As the same bands of its beginning: 45 000 steps of integration, and peaks of all of it."""
     seen = force_alone(duration=180.0)
