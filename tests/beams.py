@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.signal import lsim
 from scipy.sparse import csc_matrix, lil_matrix
 
 
@@ -63,3 +65,27 @@ def _assembled(elements: int, own: range, of_element: np.ndarray, clamped: bool)
 def deflection(node: int) -> int:
     """DOF of a node's deflection in a clamped beam, both counted from 1."""
     return 2 * node - 1
+
+
+def response(
+    M: csc_matrix, K: csc_matrix, ratio: float, load: tuple[int, np.ndarray], step: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacement, velocity and acceleration (N, DOFs) of the whole model, at rest at first, under one force.
+
+    Args:
+        M: Mass matrix, kg.
+        K: Stiffness matrix, N/m.
+        ratio: Damping ratio of every mode.
+        load: The DOF that carries it, counted from 1, and the force (N,), N; straight lines between its samples.
+        step: Of the samples, s.
+    """
+    at, force = load
+    squares, shapes = eigh(K.toarray(), M.toarray())
+    n, c = len(squares), 2.0 * ratio * np.sqrt(squares)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(squares), -np.diag(c)]])
+    b = np.concatenate((np.zeros(n), shapes[at - 1]))[:, None]
+    time = step * np.arange(len(force))
+    _, state, _ = lsim((a, b, np.eye(2 * n), np.zeros((2 * n, 1))), force, time)
+    q, dq = state[:, :n], state[:, n:]
+    ddq = np.outer(force, shapes[at - 1]) - squares * q - c * dq
+    return q @ shapes.T, dq @ shapes.T, ddq @ shapes.T

@@ -1,4 +1,9 @@
-"""What a linear readout's normal equations gain where it is known how the motion begins."""
+"""What a linear readout's normal equations gain where something is known of the motion at an end of the record.
+
+How it begins may be known: at rest, at an earlier record's end. And no mode moves at either end as it never does in
+between. Modes above the record's band, which no sensor tells, otherwise balance each other there, in the physics'
+equations and at the sensors, however large they are.
+"""
 
 from __future__ import annotations
 
@@ -15,59 +20,67 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.beginning import TIE, Beginning
 from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.modal_scale import modal_deviation
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviation of an unknown force at the first sample, over the force that the record is about.
 FIRST_FORCE = 3.0
 
 
-class First(NamedTuple):
-    """The values and rates that functions have at the first sample.
+class State(NamedTuple):
+    """Two derivatives of every function at one sample, one after the other: values and rates, or rates and curvatures.
 
     Attributes:
-        deviation: (functions, 2), standard deviations of the functions and of their derivatives about these; infinite
-            where nothing is known.
+        order: Of the first of them, 0 or 1.
+        deviation: (functions, 2), their standard deviations; infinite where nothing is known.
         column: (functions, 2), which of the uncertain numbers each is, -1 where it is 0.
         value: (p,), of the uncertain numbers what they are where none has moved.
         unit: (p,), what one of them moves by.
     """
 
+    order: int
     deviation: np.ndarray
     column: np.ndarray
     value: np.ndarray
     unit: np.ndarray
 
+    @classmethod
+    def about_zero(cls, order: int, deviation: np.ndarray) -> State:
+        """With no number uncertain."""
+        return cls(order, deviation, np.full(deviation.shape, -1), np.zeros(0), np.zeros(0))
 
-class InitialMotion:
-    """Displacement and velocity of every DOF at the first sample, and hidden forces, over standard deviations.
 
-    Two residuals per function, linear in the readout: J w - x with J (F, 2, B) over the B features alive there; of a
-    hidden force the second is 0. All of it is on the CPU, where the solver is.
+class StateRows:
+    """What is known of the functions at one sample, over standard deviations.
+
+    Two residuals per function, linear in the readout: J w - x with J (F, 2, B) over the B features alive there. All of
+    it is on the CPU, where the solver is.
 
     Args:
         network: Fixed features, linear readout.
-        first: What they are.
+        state: What is known.
         layout: Of the readout weights.
-        time: (N,), s, the record's.
+        time: (1,), s, of the sample.
     """
 
-    def __init__(self, network: LinearReadout, first: First, layout: BandLayout, time: Tensor) -> None:
-        segments = network.segments(time[:1])
+    def __init__(self, network: LinearReadout, state: State, layout: BandLayout, time: Tensor) -> None:
+        segments = network.segments(time)
         alive = segments.mask[:, 0] > 0
         feature = segments.feature[alive][0].cpu().numpy()
-        rows = torch.stack((segments.displacement[alive][0, 0], segments.velocity[alive][0, 0])).cpu()
-        self.jacobian = rows / rows.new_tensor(first.deviation)[:, :, None]
-        place = layout.positions(feature[None], np.arange(len(first.deviation))[:, None])  # (F, B)
+        jet = segments.displacement, segments.velocity, segments.acceleration
+        rows = torch.stack([x[alive][0, 0] for x in jet[state.order : state.order + 2]]).cpu()
+        self.jacobian = rows / rows.new_tensor(state.deviation)[:, :, None]
+        place = layout.positions(feature[None], np.arange(len(state.deviation))[:, None])  # (F, B)
         self.place = torch.as_tensor(place)
         row, column = np.broadcast_arrays(place[:, :, None], place[:, None, :])
         self.lower = row >= column
         self.row, self.column = row[self.lower], column[self.lower]
         self.size = layout.size
         # Of the uncertain numbers: which residual has each, where that stands, and how large it is there.
-        self.of, self.rate = np.nonzero(first.column >= 0)
-        self.number = first.column[self.of, self.rate]
-        over = first.deviation[self.of, self.rate]
-        self.value, self.unit = (rows.new_tensor(x[self.number] / over) for x in (first.value, first.unit))
+        self.of, self.rate = np.nonzero(state.column >= 0)
+        self.number = state.column[self.of, self.rate]
+        over = state.deviation[self.of, self.rate]
+        self.value, self.unit = (rows.new_tensor(x[self.number] / over) for x in (state.value, state.unit))
 
     def loss(self, unknowns: Tensor, numbers: Tensor) -> float:
         """Sum of squares, with the uncertain numbers (p,)."""
@@ -100,10 +113,23 @@ class InitialMotion:
         return out
 
 
-def initial_motion(
+def states_known(
     network: LinearReadout, problem: Problem, layout: BandLayout, time: Tensor, beginning: Beginning | None = None
-) -> InitialMotion | None:
-    """Of a problem whose motion begins at rest, at a known state or with unknown forces; None where all begins anyhow.
+) -> list[StateRows]:
+    """At the first sample and at the last one, (N,) ``time`` being the record's; none where both are anyhow."""
+    first, last = time[:1], time[-1:]
+    states = [(_first(problem, beginning), first)]
+    size = modal_deviation(problem)
+    if size is not None:
+        every = np.full((problem.dynamics.size, 2), np.inf)
+        every[: problem.dynamics.ndof] = size
+        of_modes = State.about_zero(1, every)
+        states += [(of_modes, last)] if beginning is not None else [(of_modes, first), (of_modes, last)]
+    return [StateRows(network, state, layout, at) for state, at in states if state is not None]
+
+
+def _first(problem: Problem, beginning: Beginning | None) -> State | None:
+    """Where motion begins at rest or at a known state, or with unknown forces; None where all begins anyhow.
 
     A process that white noise drives begins somewhere, too: without a word on that, a force that nobody measured and
     the motion of a DOF without a sensor balance each other at the first samples, however large they are.
@@ -120,11 +146,10 @@ def initial_motion(
         every[dynamics.hidden, 0] = RESIDUAL_MOTION * force
     every[dynamics.forces] = FIRST_FORCE * force / per_dof * np.array((1.0, problem.inputs.force_edge))
     if beginning is None:
-        nothing = np.zeros(0)
-        return InitialMotion(network, First(every, np.full(every.shape, -1), nothing, nothing), layout, time)
+        return State.about_zero(0, every)
     own = beginning.of_functions(dynamics.ndof, dynamics.hidden, dynamics.size)
     every[own >= 0] = TIE * beginning.std[own[own >= 0]]
     before = beginning.parameters
     column = np.where(own >= 0, before + own, -1)
     value, unit = (np.array([getattr(p, name) for p in beginning.uncertain]) for name in ("prescribed", "prior_std"))
-    return InitialMotion(network, First(every, column, value, unit), layout, time)
+    return State(0, every, column, value, unit)

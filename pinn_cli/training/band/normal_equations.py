@@ -23,7 +23,7 @@ from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.front_tree import FrontTree
-from pinn_cli.training.band.initial_motion import initial_motion
+from pinn_cli.training.band.initial_motion import states_known
 from pinn_cli.training.band.known_border import KnownBorderSystem
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.residuals import Residuals
@@ -50,7 +50,7 @@ class NormalEquations(Residuals):
         super().__init__(network, problem, device, known)
         self._grams: dict[str, Tensor] = {}
         self.sensor_rows = self._sensor_rows()
-        self.begins = initial_motion(network, problem, self.layout, self.target.observation_time, self.beginning)
+        self.states_known = states_known(network, problem, self.layout, self.target.observation_time, self.beginning)
         self.ridge: float | np.ndarray | None = None
         self._tree: FrontTree | None = None
 
@@ -115,8 +115,8 @@ class NormalEquations(Residuals):
             out[GAUGE] = float(np.sum(squares / noise.response[GAUGE] ** 2))
             out["gain"] = self._of_gains(point, noise)
         out["prior"] = float((point.parameters * self.prior_force(point.parameters, noise)).sum())
-        if self.begins is not None:
-            out["initial"] = self.begins.loss(point.unknowns, point.parameters)
+        if self.states_known:
+            out["initial"] = sum(rows.loss(point.unknowns, point.parameters) for rows in self.states_known)
         out["ridge"] = ridge_loss(self.ridge, point.unknowns)
         return out
 
@@ -214,12 +214,12 @@ class NormalEquations(Residuals):
         # Fronts have a border's entries one by one; within a band it is dense as soon as it is half solved.
         by_fronts = self.layout.dissection is not None
         border = sums.border[:, pick] if by_fronts else sums.dense_border(pick)
-        if self.begins is not None:
-            at = point.unknowns.cpu(), point.parameters.cpu()
-            self.begins.add(band, torch.from_numpy(gradient), *at)
-            if self.beginning is not None:
-                self.begins.add_numbers(corner, slope, *at)
-                of_state = self.begins.border(len(slope))
+        at = point.unknowns.cpu(), point.parameters.cpu()
+        for rows in self.states_known:
+            rows.add(band, torch.from_numpy(gradient), *at)
+            if len(rows.number):
+                rows.add_numbers(corner, slope, *at)
+                of_state = rows.border(len(slope))
                 border = border + (of_state if by_fronts else of_state.toarray())
         system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
         return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)

@@ -105,8 +105,8 @@ def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseMod
     def weighted(unknowns, parameters):
         residuals = equations.residuals(Point(unknowns, parameters))
         rows = [(r * weights[name].sqrt()).flatten() for name, r in residuals.items()]
-        begins = [] if equations.begins is None else [equations.begins._residuals(unknowns, parameters).flatten()]
-        return torch.cat([*rows, *begins])
+        states = [known._residuals(unknowns, parameters).flatten() for known in equations.states_known]
+        return torch.cat([*rows, *states])
 
     inputs = (point.unknowns, point.parameters)
     jacobian = torch.cat(torch.autograd.functional.jacobian(weighted, inputs, vectorize=True), -1)
