@@ -179,13 +179,15 @@ class Record:
         missing = self.missing.get(quantity)
         return None if missing is None or not missing[:, channel].any() else ~missing[:, channel]
 
-    def started_at(self, calibrations: Mapping[int, Mapping[str, float]]) -> Record:
+    def started_at(self, calibrations: Mapping[str, Mapping[str, float]]) -> Record:
         """The record whose gauges' unknown numbers start elsewhere; its columns show what they then say.
 
         Args:
-            calibrations: Number of a gauge, from 0, to its numbers by kind.
+            calibrations: Name of a gauge to its numbers by kind.
         """
-        gauges = tuple(gauge.started_at(calibrations.get(i, {})) for i, gauge in enumerate(self.gauges))
+        if not {gauge.name for gauge in self.gauges} & set(calibrations):
+            return self
+        gauges = tuple(gauge.started_at(calibrations.get(gauge.name, {})) for gauge in self.gauges)
         columns: dict[str, Any] = {
             name: np.array(getattr(self, name)) for name in {g.quantity for g in gauges if g.dof is not None}
         }

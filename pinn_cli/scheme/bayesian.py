@@ -95,7 +95,8 @@ class Bayesian(Scheme):
         check_used(prescribed, chosen, None, self.positive)
         given = _given(record, chosen)
         starts = parameter_starts(prescribed, record, chosen, given, 1, further)[0]
-        records = [calibrated_starts(record, {p: start.value for p, start in starts.items()}), *further]
+        values = {p: start.value for p, start in starts.items()}
+        records = [calibrated_starts(each, values) for each in records]
         scales = {parameter: starts[parameter].scale for parameter in chosen}
         own = read_priors(self.priors, prescribed)
         priors = with_defaults(own, scales, self.positive)

@@ -19,11 +19,11 @@ def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Reco
         record: What was measured.
         starts: Where parameters start, those of the structure among them.
     """
-    found: defaultdict[int, dict[str, float]] = defaultdict(dict)
+    found: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for parameter, value in starts.items():
         if parameter.kind in CALIBRATION_UNITS:
-            found[parameter.index][parameter.kind] = value
-    return record.started_at(found) if found else record
+            found[parameter.label][parameter.kind] = value
+    return record.started_at(found)
 
 
 def sensor_parameters(record: Record) -> tuple[Parameter, ...]:

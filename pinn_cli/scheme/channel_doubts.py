@@ -22,14 +22,16 @@ class Doubt:
 
     Attributes:
         kind: ``gain`` or ``delay``.
-        gauge: Number of the gauge in its record, from 0.
+        gauge: Name of the gauge.
         channel: Of the sensors, then of what acts.
+        believed: The number before the record is looked at.
         std: Of a delay, s.
     """
 
     kind: str
-    gauge: int
+    gauge: str
     channel: int
+    believed: float
     std: float = 0.0
 
 
@@ -53,13 +55,12 @@ class ChannelDoubts:
         ]
         self.count = len(channels)
         self.doubts = tuple(
-            Doubt(kind, number, channels.index((gauge.quantity, gauge.dof)), gauge.of(kind).std)
-            for number, gauge in enumerate(record.gauges)
+            Doubt(kind, gauge.name, channels.index((gauge.quantity, gauge.dof)), number.value, number.std)
+            for gauge in record.gauges
             if (gauge.quantity, gauge.dof) in channels
-            for kind in ("gain", "delay")
-            if not gauge.of(kind).is_known
+            for kind, number in (("gain", gauge.of("gain")), ("delay", gauge.of("delay")))
+            if not number.is_known
         )
-        self.gauges = record.gauges
 
     def __len__(self) -> int:
         return len(self.doubts)
@@ -107,11 +108,10 @@ class ChannelDoubts:
         step = 2.0 * np.pi / (PER_PERIOD * self.omega[-1] * doubt.std)
         return np.linspace(-DELAYS_ALLOWED, DELAYS_ALLOWED, 2 * int(np.ceil(DELAYS_ALLOWED / step)) + 1)
 
-    def calibration(self, y: np.ndarray) -> dict[int, dict[str, float]]:
-        """Number of a gauge to the gain and delay (s) that the unknowns say."""
-        out: dict[int, dict[str, float]] = {}
+    def calibration(self, y: np.ndarray) -> dict[str, dict[str, float]]:
+        """Name of a gauge to the gain and delay (s) that the unknowns say."""
+        out: dict[str, dict[str, float]] = {}
         for value, doubt in zip(y, self.doubts, strict=True):
-            believed = self.gauges[doubt.gauge].of(doubt.kind).value
-            found = believed * np.exp(value) if doubt.kind == "gain" else believed + value * doubt.std
+            found = doubt.believed * np.exp(value) if doubt.kind == "gain" else doubt.believed + value * doubt.std
             out.setdefault(doubt.gauge, {})[doubt.kind] = float(found)
         return out

@@ -99,16 +99,16 @@ class LinearFit:
         loss[self.free["loss"]] = np.exp(x[self.count - 1])
         return {"m": m, "c": c, "k": k, "loss": loss}
 
-    def calibration(self, x: np.ndarray) -> dict[int, dict[str, float]]:
+    def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
         return {} if self.doubts is None else self.doubts.calibration(x[self.count :])
 
     def outline(self, x: np.ndarray) -> float:
-        """The misfit of the sizes alone, each channel's as large as it comes nearest: whatever gains and delays are."""
+        """Squares of the misfit of sizes alone, each channel as large as it comes nearest, whatever is in doubt."""
         cross, _, _, _ = self._cross(x, np.zeros(0))
         size, common = np.abs(self.scale * self._smoothed(cross)), np.abs(self.common)
         gain = (size * common).sum(0) / np.maximum((size**2).sum(0), 1e-300)
-        return float(np.sum((gain * size - common) ** 2)) / max(self.size, 1e-300)
+        return float(np.sum((gain * size - common) ** 2))
 
     def aligned(self, x: np.ndarray) -> np.ndarray:
         """The unknowns with every doubtful channel shifted and scaled to where the others want it, one by one."""
@@ -214,46 +214,101 @@ class LinearFit:
 class JointFit:
     """The same of several records of one structure: one vector of unknowns, and the misfits of all of them.
 
+    Gain and delay of a sensor that has one name in two records are one gain and one delay.
+
     Args:
-        each: Of every record; they differ in their spectra alone.
+        each: Of every record; they differ in their spectra and in what is in doubt of their channels.
+
+    Attributes:
+        doubts: Kind and name of the gauge, of everything that is in doubt.
     """
 
     def __init__(self, each: Sequence[LinearFit]) -> None:
         self.each = each
-        self.known, self.free, self.stretch = each[0].known, each[0].free, each[0].stretch
-        self.start, self.parameters = each[0].start, each[0].parameters
-        # Only of a lone record is anything in doubt, see `screening.screened`.
-        self.doubts, self.calibration = each[0].doubts, each[0].calibration
-        self.outline, self.aligned = each[0].outline, each[0].aligned
+        self.known, self.free, self.stretch, self.count = each[0].known, each[0].free, each[0].stretch, each[0].count
+        self.parameters = each[0].parameters
+        of_each = [() if fit.doubts is None else fit.doubts.doubts for fit in each]
+        std: dict[tuple[str, str], float] = {}
+        for doubt in (doubt for own in of_each for doubt in own):
+            std.setdefault((doubt.kind, doubt.gauge), doubt.std)
+        self.doubts = list(std)
+        # Of every record's own unknowns the places among all of them, and one over their unit, that of the first.
+        structure = np.arange(self.count)
+        self.places = [
+            np.append(structure, [self.count + self.doubts.index((d.kind, d.gauge)) for d in own]).astype(int)
+            for own in of_each
+        ]
+        self.rates = [
+            np.append(np.ones(self.count), [std[d.kind, d.gauge] / d.std if d.kind == "delay" else 1.0 for d in own])
+            for own in of_each
+        ]
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
         for fit in self.each:
             fit.smooth(width)
 
+    @property
+    def size(self) -> float:
+        """Sum of squares of all that there is to explain."""
+        return max(sum(fit.size for fit in self.each), 1e-300)
+
+    def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """See :meth:`LinearFit.start`."""
+        return np.append(self.each[0].start(mass, stiffness)[: self.count], np.zeros(len(self.doubts)))
+
+    def _own(self, x: np.ndarray) -> list[tuple[LinearFit, np.ndarray]]:
+        """Every record's fit and its own unknowns."""
+        return [(fit, x[at] * rate) for fit, at, rate in zip(self.each, self.places, self.rates, strict=True)]
+
+    def aligned(self, x: np.ndarray) -> np.ndarray:
+        """See :meth:`LinearFit.aligned`; a sensor of two records is where the last of them wants it."""
+        x = x.copy()
+        for (fit, own), at, rate in zip(self._own(x), self.places, self.rates, strict=True):
+            x[at] = fit.aligned(own) / rate
+        return x
+
+    def outline(self, x: np.ndarray) -> float:
+        """See :meth:`LinearFit.outline`, over all that there is to explain."""
+        return sum(fit.outline(own) for fit, own in self._own(x)) / self.size
+
     def misfit(self, x: np.ndarray) -> float:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        residuals = [fit.residual(x, slopes=False)[0] for fit in self.each]
-        square = sum(float(np.sum(np.abs(residual) ** 2)) for residual in residuals)
-        return square / max(sum(fit.size for fit in self.each), 1e-300)
+        residuals = [fit.residual(own, slopes=False)[0] for fit, own in self._own(x)]
+        return sum(float(np.sum(np.abs(residual) ** 2)) for residual in residuals) / self.size
+
+    def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
+        """See :class:`pinn_cli.scheme.screening.Candidate`."""
+        out: dict[str, dict[str, float]] = {}
+        for fit, own in self._own(x):
+            for name, numbers in fit.calibration(own).items():
+                out[name] = numbers | out.get(name, {})
+        return out
 
     @property
     def scatter(self) -> float:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        return min(sum(fit.scatter for fit in self.each) / max(sum(fit.size for fit in self.each), 1e-300), 1.0)
+        return min(sum(fit.scatter for fit in self.each) / self.size, 1.0)
 
     def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """The misfit and the unknowns at the bottom of the valley that x lies in."""
 
         def residual(x: np.ndarray) -> np.ndarray:
-            return _real(np.concatenate([fit.residual(x, slopes=False)[0].reshape(-1) for fit in self.each]))
+            return _real(np.concatenate([fit.residual(own, slopes=False)[0].reshape(-1) for fit, own in self._own(x)]))
 
         def jacobian(x: np.ndarray) -> np.ndarray:
-            return _real(np.concatenate([fit.residual(x, slopes=True)[1].reshape(-1, len(x)) for fit in self.each]))
+            return _real(np.concatenate([self._slopes(i, own, len(x)) for i, (_, own) in enumerate(self._own(x))]))
 
         bounds = (x - FARTHEST, x + FARTHEST)
         found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
         return self.misfit(found.x), found.x
+
+    def _slopes(self, record: int, own: np.ndarray, unknowns: int) -> np.ndarray:
+        """Of one record's residuals, by all unknowns."""
+        slopes = self.each[record].residual(own, slopes=True)[1].reshape(-1, len(own)) * self.rates[record]
+        out = np.zeros((len(slopes), unknowns), complex)
+        out[:, self.places[record]] = slopes
+        return out
 
 
 def last_ends(stretch: np.ndarray) -> np.ndarray:

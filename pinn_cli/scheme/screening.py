@@ -39,13 +39,13 @@ class Candidate:
         parameters: ``m`` to (n,); ``c``, ``k`` to (C,); ``loss``, of all springs, to (1,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
         scatter: Part that missing samples alone leave unexplained, 0 to 1.
-        calibration: Number of a gauge to its gain and its delay, s, where those are in doubt.
+        calibration: Name of a gauge to its gain and its delay, s, where those are in doubt.
     """
 
     parameters: dict[str, np.ndarray]
     misfit: float
     scatter: float = 0.0
-    calibration: dict[int, dict[str, float]] = field(default_factory=dict)
+    calibration: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 def screened(
@@ -70,10 +70,8 @@ def screened(
     records = [record, *further]
     found_spectra = [CrossSpectra.of(each, len(records)) for each in records]
     seen = [(each, spectra) for each, spectra in zip(records, found_spectra, strict=True) if spectra is not None]
-    # Of several records the channels are taken as they are believed to be: a sensor may be the same one in two of them.
-    doubts = [ChannelDoubts(each, spectra) for each, spectra in seen] if len(records) == 1 else [None] * len(seen)
-    doubtful = any(one is not None and len(one) for one in doubts)
-    if not seen or not (doubtful or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+    doubts = [ChannelDoubts(each, spectra) for each, spectra in seen]
+    if not seen or not (any(map(len, doubts)) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
         return []
     pairs = zip(seen, doubts, strict=True)
     model = JointFit([LinearFit(spectra, stretch, known, guess["k"], influence, own) for (_, spectra), own in pairs])
@@ -108,7 +106,7 @@ def _starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.n
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
     lighter = np.ones_like(factors) if len(model.free["k"]) else factors
     tried = [model.start(mass / by, factor * stiffness) for factor, by in zip(factors, lighter, strict=True)]
-    misfits = np.array([model.misfit(x) if model.doubts is None else model.outline(x) for x in tried])
+    misfits = np.array([model.outline(x) if model.doubts else model.misfit(x) for x in tried])
     valleys = [
         i
         for i in range(len(tried))

@@ -70,21 +70,23 @@ class SparseRecovery(Scheme):
         """See :meth:`Scheme.joint_problem`."""
         through, begins = self.acceleration_through, self.initial_motion
         if self.model is not None:
-            record = self._calibrated(self.model.structure, only_one(records))
+            (record,) = _calibrated(self.model.structure, [only_one(records)])
             return problem_of_model(self.model, record, False, through, begins, self.unknown_force)
         check_given(prescribed)
-        if len(records) == 1:
-            records = [self._calibrated(prescribed, records[0])]
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
-        return Problem.of_records(prescribed, records, uncertain, through, begins, self.unknown_force)
+        calibrated = _calibrated(prescribed, records)
+        return Problem.of_records(prescribed, calibrated, uncertain, through, begins, self.unknown_force)
 
     def next_problem(self, model: Model, record: Record) -> Problem:
         """See :meth:`Scheme.next_problem`."""
         return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
 
-    def _calibrated(self, prescribed: Structure, record: Record) -> Record:
-        """The record whose sensors' unknown gains and delays start where they fit the prescribed structure."""
-        if not any(parameter.unknown for parameter in sensor_parameters(record)):
-            return record
-        starts = parameter_starts(prescribed, record, (), {}, most=1)[0]
-        return calibrated_starts(record, {parameter: start.value for parameter, start in starts.items()})
+
+def _calibrated(prescribed: Structure, records: Sequence[Record]) -> list[Record]:
+    """The records whose sensors' unknown gains and delays start where they fit the prescribed structure."""
+    record, *further = records
+    if not any(parameter.unknown for each in records for parameter in sensor_parameters(each)):
+        return list(records)
+    (starts,) = parameter_starts(prescribed, record, (), {}, most=1, further=further)
+    values = {parameter: start.value for parameter, start in starts.items()}
+    return [calibrated_starts(each, values) for each in records]

@@ -8,6 +8,7 @@ import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.structure import Structure
 
 
@@ -19,7 +20,7 @@ def parameter_scales(structure: Structure, records: Sequence[Record]) -> dict[st
     magnitude: an elongation is not a displacement. Of several records the median counts.
 
     Args:
-        structure: For its nonlinearity; its parameters are not read.
+        structure: For its laws and, where no force is measured, its masses.
         records: What was measured.
     """
     every = [_scales(structure, record) for record in records]
@@ -30,8 +31,10 @@ def _scales(structure: Structure, record: Record) -> dict[str, float]:
     size = motion_amplitudes(record)
     measured = record.force[:, record.sensors("force")]
     force = float(np.sqrt(np.mean(measured**2))) if measured.size else 0.0
-    # Without a load cell there is no force to compare with: newtons then have no scale but one kilogram's.
-    force = force if force > 0 else size["acceleration"]
+    masses = structure.parameters[MASS].detach().cpu().double().numpy()
+    known = masses[np.isfinite(masses) & (masses > 0)]
+    # Without a load cell the force is that of the masses; where nobody knows those either, of one kilogram.
+    force = force if force > 0 else size["acceleration"] * (float(np.median(known)) if known.size else 1.0)
     scales = {"m": force / size["acceleration"]}
     for kind, alone in unit_forces(structure, size["displacement"], size["velocity"]).items():
         per_unit = float(alone.max())

@@ -16,7 +16,7 @@ import numpy as np
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import DAMPING, last_ends
-from pinn_cli.scheme.screening import screened
+from pinn_cli.scheme.screening import Candidate, screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value, unit_forces
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
@@ -33,6 +33,8 @@ RATIOS = 1e-3, 0.3
 # Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
 # a start of their own, so many at most.
 HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
+# What the user says is a start of its own where a mass or spring lies further from all others, as a logarithm.
+ELSEWHERE = 0.1
 # Where missing samples scatter everything, the right chain explains a little only. One that does not move has 1.
 NEARLY_NOTHING = 0.98
 
@@ -74,7 +76,7 @@ def parameter_starts(
         unknown: The unknown parameters.
         given: What the user says of them. Of masses and springs their ratios count, and one start is what was given; a
             damper or a nonlinear parameter starts there.
-        most: Starts at most; None: those that compete; 0: one, at what was given, whatever the record says.
+        most: Starts at most; None: those that compete, and what was given; 0: that alone, whatever the record says.
         further: Other records of the same structure.
     """
     records = (record, *further)
@@ -86,19 +88,34 @@ def parameter_starts(
     candidates = [c for c in every if c.misfit < HOPELESS + (NEARLY_NOTHING - HOPELESS) * c.scatter]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
+    own = Candidate(_unscreened(known, guess), np.inf, calibration=candidates[0].calibration if candidates else {})
     if not candidates[:most]:
-        return [_starts(prescribed, records, unknown, given, _unscreened(known, guess))]
+        candidates = [own]
+    elif most != 1 and _is_said(unknown, given) and all(_apart(own, one, unknown) for one in candidates[:most]):
+        candidates = [*candidates[: None if most is None else most - 1], own]
     return [
         _starts(prescribed, records, unknown, given, one.parameters) | _of_sensors(one.calibration)
-        for one in candidates[:most]
+        for one in candidates[: most or None]
     ]
 
 
-def _of_sensors(calibration: Mapping[int, Mapping[str, float]]) -> dict[Parameter, Start]:
+def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -> bool:
+    """Whether the user says where every unknown mass and spring may be."""
+    said = [given.get(p, np.nan) > 0 for p in unknown if p.kind in (MASS, "k")]
+    return bool(said) and all(said)
+
+
+def _apart(one: Candidate, other: Candidate, unknown: Collection[Parameter]) -> bool:
+    """Whether two starts are two."""
+    places = [(p.kind, p.index) for p in unknown if p.kind in (MASS, "k")]
+    return any(abs(np.log(one.parameters[k][i] / other.parameters[k][i])) > ELSEWHERE for k, i in places)
+
+
+def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Parameter, Start]:
     """Gains and delays that sensors may have."""
     return {
-        Parameter(kind, number): Start(value, abs(value))
-        for number, of in calibration.items()
+        Parameter(kind, number, label=name): Start(value, abs(value))
+        for number, (name, of) in enumerate(calibration.items())
         for kind, value in of.items()
     }
 
@@ -168,7 +185,8 @@ def _starts(
     size = float(np.median([motion_amplitudes(record)["displacement"] for record in records]))
     out, springs = {}, unit_forces(prescribed, size, 0.0)
     # A start that is decades below the others is poorly told: its own value would be a prior that shuts the truth out.
-    typical = {kind: float(np.median(np.abs(linear[kind]))) for kind in ("m", "k")}
+    # Where there is no spring at all the force tells what one would be like.
+    typical = {kind: _median_size(linear[kind], scales[kind]) for kind in (MASS, "k")}
     usual = np.full(len(linear["k"]), typical["k"])
     if prescribed.shapes is not None:
         usual = _stiffness_felt(prescribed)
@@ -176,6 +194,8 @@ def _starts(
     stretch = prescribed.incidence.matrix[: len(usual)]
     mass = linear["m"][last_ends(stretch.toarray())]
     damping = DAMPING * 2.0 * np.sqrt(mass * np.maximum(np.abs(linear["k"]), usual))
+    # A damper is compared with the spring beside it, and one without a spring with the force.
+    damping = np.where(linear["k"] == 0, np.maximum(damping, scales["c"]), damping)
     ratio = float(np.clip(linear.get("loss", np.array([2.0 * DAMPING]))[0] / 2.0, *RATIOS))
     of_whole = of_ratio(ratio, linear["m"], stretch, linear["k"]) if prescribed.is_damped_as_whole else {}
     for parameter in unknown:
@@ -206,6 +226,12 @@ def _starts(
             scale = stiffness * size / per_unit if per_unit > 0 else scales[kind]
             out[parameter] = Start(value, max(abs(value), scale))
     return out
+
+
+def _median_size(values: np.ndarray, otherwise: float) -> float:
+    """Of those that are not zero."""
+    sizes = np.abs(values[values != 0])
+    return float(np.median(sizes)) if sizes.size else otherwise
 
 
 def _of_memory(

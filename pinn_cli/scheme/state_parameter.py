@@ -107,9 +107,10 @@ class StateParameter(Scheme):
         for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
             unknown = [self._unknown(p, start[p], given.get(p, math.nan)) for p in chosen]
             uncertain = tuple(sorted((*unknown, *believed), key=lambda p: (order[p.kind], p.index)))
-            own = calibrated_starts(record, {parameter: one.value for parameter, one in start.items()})
+            values = {parameter: one.value for parameter, one in start.items()}
+            own = [calibrated_starts(each, values) for each in records]
             structure = at_starts(prescribed, unknown)
-            problems.append(Problem.of_records(structure, [own, *further], uncertain, *settings))
+            problems.append(Problem.of_records(structure, own, uncertain, *settings))
         return replace(problems[0], alternatives=tuple(problems[1:]))
 
     def next_problem(self, model: Model, record: Record) -> Problem:

@@ -102,7 +102,7 @@ def test_a_search_may_start_elsewhere_where_a_number_is_unknown_and_nowhere_else
     acceleration[:, 0] = gauge.history(TIME)
     still = np.zeros((400, 2))
     record = Record(TIME, nothing, nothing, acceleration, still, np.array([True, True]), gauges=(gauge,))
-    again = record.started_at({0: {"gain": 2.0, "delay": 0.03}})
+    again = record.started_at({"a1": {"gain": 2.0, "delay": 0.03}})
     (moved,) = again.gauges
     assert (moved.of("gain").value, moved.of("gain").std, moved.of("delay").value) == (2.0, 10.0, 0.0)
     np.testing.assert_allclose(again.acceleration[:, 0], acceleration[:, 0] / 2.0)

@@ -148,6 +148,7 @@ class TestScreening:
 def test_what_is_believed_stays_where_it_is_believed():
     gauge = replace(changed("acceleration", 0, 1.0, 0), calibration={**BELIEVED, "delay": Calibration(0.0, 0.05, True)})
     record = with_gauges(gauge)
-    again = calibrated_starts(record, {Parameter("gain", 0): 2.0, Parameter("delay", 0): 0.02, Parameter("k", 0): 5.0})
+    found = {Parameter("gain", 0, label=gauge.name): 2.0, Parameter("delay", 0, label=gauge.name): 0.02}
+    again = calibrated_starts(record, {**found, Parameter("k", 0): 5.0})
     assert (again.gauges[0].of("gain").value, again.gauges[0].of("delay").value) == (1.0, 0.02)
     assert calibrated_starts(record, {Parameter("k", 0): 5.0}) is record

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from independent_records import frame, frame_record
 from small_problems import accelerations, measured, small_chain
 
-from pinn_cli.record.gauge import Calibration, Gauge
+from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.bayesian import Bayesian
@@ -20,6 +21,8 @@ from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.starting_values import parameter_scales
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
 from pinn_cli.system.structure import Structure
 
 CHAIN = small_chain("linear")
@@ -125,6 +128,30 @@ def test_a_sensor_of_one_name_is_one_sensor():
     records = [with_gauge(record, gain=own) for record, own in zip(roving((1, 2)), (unknown, believed), strict=True)]
     with pytest.raises(InputError, match="gain_f.*the same in all records"):
         SparseRecovery(parameter_uncertainty=0.0).joint_problem(CHAIN, records)
+
+
+def test_one_gain_of_several_records_is_found_together_with_where_springs_start():
+    """Both show one accelerometer in volts: without its gain, springs are read off motions six times smaller."""
+    records = []
+    for seed in (1, 2):
+        record = frame_record(cubic=False, duration=10.0, sensors=(("acceleration", (1,)),), seed=seed).record
+        shown = record.acceleration.copy()
+        shown[:, 0] *= 0.16
+        calibration = {"gain": unknown_calibration("gain", record.time, shown[:, 0])}
+        own = Gauge("v1", "acceleration", {0: 1.0}, record.time, shown[:, 0], calibration)
+        other = Gauge("cell", "force", {2: 1.0}, record.time, record.force[:, 2], {})
+        gauges = (own, other) if seed == 1 else (other, own)  # its number is another one there
+        records.append(replace(record, acceleration=shown, gauges=gauges))
+    truth = frame(cubic=False)
+    structure = build_chain(3, Linear(), m=truth.m.tolist(), c=truth.c.tolist(), k=1000.0)
+    problem = StateParameter(unobserved=[], unknown="k_*").joint_problem(structure, records)
+    for one in problem.by_record:
+        start = {p.name: p.prescribed for p in one.uncertain if p.unknown}
+        assert start["gain_v1"] == pytest.approx(0.16, rel=0.05)
+        assert [start[f"k_{i}"] for i in (1, 2, 3)] == pytest.approx(truth.k, rel=0.05)
+    right = structure.with_parameters(k=torch.as_tensor(truth.k))
+    for one in SparseRecovery().joint_problem(right, records).by_record:
+        assert {p.name: p.prescribed for p in one.uncertain}["gain_v1"] == pytest.approx(0.16, rel=0.02)
 
 
 def test_a_bayesian_scheme_has_priors_of_what_is_in_doubt_of_sensors():

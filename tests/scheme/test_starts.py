@@ -7,10 +7,13 @@ import pytest
 from calls import PinnRun
 from independent_records import IndependentRecord, frame_record
 
+from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.record import Record
 from pinn_cli.scheme.starts import checked_starts
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
+from pinn_cli.system.topology import build_partial_structure
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +61,34 @@ def test_there_are_no_more_starts_than_asked_for(made):
     assert 1 <= len(several) <= 3
     for i, one in enumerate(several):
         assert all(np.abs(np.log(one / other)).max() > 0.01 for other in several[:i])
+
+
+@pytest.mark.parametrize("factor", [0.01, 1.0, 100.0])
+def test_what_the_user_says_is_a_start_of_its_own_beside_those_of_the_record(made, factor):
+    """Unless the record starts there anyway, or a single start is asked for."""
+    said = factor * made.structure.k * np.array([1.0, 1.3, 0.8])
+    structure = build_chain(3, Duffing(), m=2000.0, c=[3000.0, 2800.0, 2400.0], k=said.tolist(), kappa=[5e9, 0.0, 0.0])
+    for settings, last in (({}, True), ({"starts": 2}, True), ({"starts": 1}, False)):
+        problem = StateParameter(unobserved=[], unknown="k_*", **settings).problem(structure, made.record)
+        assert np.allclose(starts(problem)[-1], said, rtol=1e-12) is last
+        assert [p.said for p in problem.uncertain if p.unknown] == pytest.approx(said)
+    alone = build_chain(3, Duffing(), m=2000.0, c=3000.0, k=(1.05 * starts(problem)[0]).tolist(), kappa=0.0)
+    near = StateParameter(unobserved=[], unknown="k_*").problem(alone, made.record)
+    assert not any(np.allclose(one, [p.said for p in near.uncertain if p.unknown]) for one in starts(near))
+
+
+def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(made):
+    """A mass on a guide; a spring of no stiffness was 0 / 0."""
+    guide = {"between": ["ground", "x"], "law": "friction", "speed": 0.01, "c": None, "k": 0.0, "F_c": None}
+    structure = build_partial_structure(["x"], {"x": 2000.0}, {"guide": guide})
+    one = slice(2, 3)
+    columns = {q: getattr(made.record, q)[:, one] for q in ("displacement", "velocity", "acceleration", "force")}
+    record = Record(made.record.time, **columns, unforced=np.zeros(1, bool))
+    unknown = {p.kind: p for p in StateParameter(unobserved=[], unknown="missing").problem(structure, record).uncertain}
+    force, size = record.force.std(), motion_amplitudes(record)
+    assert unknown["c"].scale == pytest.approx(force / size["velocity"], rel=0.01)
+    assert unknown["F_c"].scale == pytest.approx(force, rel=0.1)
+    assert (unknown["c"].prior_std, unknown["F_c"].prior_std) == (10 * unknown["c"].scale, 10 * unknown["F_c"].scale)
 
 
 def test_alternatives_are_the_same_problem_from_elsewhere(made):
