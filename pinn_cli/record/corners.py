@@ -52,26 +52,31 @@ class Corners:
 
     @property
     def shortest(self) -> float:
-        """What a part of a step is not divided below, over the step."""
-        return 3.0 * MARGIN if not self.width.any() else MARGIN / 32.0
+        """Least length of the parts that a step is divided into, over the step."""
+        return MARGIN / 32.0 if self.width.any() else MARGIN
 
-    def divided(self, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-        """The parts (over the whole) that a step from one state to another is taken in; None: in one."""
+    def cuts(self, before: np.ndarray, after: np.ndarray, least: float) -> np.ndarray:
+        """Where a step from one state to another is divided, in ascending order, over the step; none: nowhere.
+
+        Args:
+            before: The state at the beginning.
+            after: That at the end, if the step is taken at once.
+            least: Distance of a cut from either end, over the step, at most a half. Without one, a step that begins
+                at a corner would be divided there again and again.
+        """
         before, after = before.reshape(-1), after.reshape(-1)
         first = np.concatenate((self.rate @ before, before[self.hidden]))
         last = np.concatenate((self.rate @ after, after[self.hidden]))
         sharp, wide = self._sharp & (first * last < 0.0), self._across(first, last)
         if not sharp.any() and not wide.any():
-            return None
+            return np.zeros(0)
         there = first[sharp] / (first[sharp] - last[sharp])
         cuts = [there - MARGIN, there + MARGIN]
         for x, y, width in zip(first[wide], last[wide], self._widths[wide], strict=True):
             ends = np.clip([x, y], -STRAIGHT * width, STRAIGHT * width)
             count = int(np.ceil(abs(ends[1] - ends[0]) / (FINE * width)))
             cuts.append((np.linspace(ends[0], ends[1], count + 1) - x) / (y - x))
-        inside = np.unique(np.concatenate(cuts))
-        inside = inside[(inside > 0.0) & (inside < 1.0)]
-        return np.diff(np.concatenate(([0.0], inside, [1.0])))
+        return np.unique(np.clip(np.concatenate(cuts), least, 1.0 - least))
 
     @cached_property
     def _widths(self) -> np.ndarray:

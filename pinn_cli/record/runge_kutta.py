@@ -52,9 +52,9 @@ def runge_kutta(
     states[0] = z
     for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
         after = runge_kutta_step(slope, z, f0, f1, f2, h)
-        if corners is not None and (parts := corners.divided(z, after)) is not None:
+        if corners is not None and corners.cuts(z, after, corners.shortest).size:
             at = force if hold == "exact" else _held(f0)
-            after = _in_parts(slope, at, corners, z, time[0] + h * step, h, parts, corners.shortest * h)
+            after = _in_parts(slope, at, corners, z, time[0] + h * step, h)
         z = after
         states[step + 1] = z
     return states[::substeps]
@@ -64,23 +64,17 @@ def _held(load: np.ndarray) -> Force:
     return lambda time: np.broadcast_to(load, (len(time), *load.shape))
 
 
-def _in_parts(
-    slope: Slope,
-    force: Force,
-    corners: Corners,
-    z: np.ndarray,
-    begin: float,
-    step: float,
-    parts: np.ndarray,
-    shortest: float,
-) -> np.ndarray:
-    """The state at the end of a step, taken in parts of it; a part across a corner is divided again."""
-    ends = begin + step * np.concatenate(([0.0], np.cumsum(parts)))
-    loads = force(np.concatenate((ends, 0.5 * (ends[:-1] + ends[1:]))))
-    for i, part in enumerate(step * parts):
-        after = runge_kutta_step(slope, z, loads[i], loads[len(ends) + i], loads[i + 1], part)
-        again = corners.divided(z, after) if part > shortest else None
-        if again is not None:
-            after = _in_parts(slope, force, corners, z, ends[i], part, again, shortest)
-        z = after
+def _in_parts(slope: Slope, force: Force, corners: Corners, z: np.ndarray, begin: float, step: float) -> np.ndarray:
+    """The state at the end of a step, from z at its beginning, taken in parts; a part across a corner is divided."""
+    shortest = corners.shortest * step
+    at, ahead = begin, [begin + step]  # the ends of the parts to come, the next one last
+    while ahead:
+        part = ahead[-1] - at
+        left, middle, right = force(at + part * np.array([0.0, 0.5, 1.0]))
+        after = runge_kutta_step(slope, z, left, middle, right, part)
+        cuts = corners.cuts(z, after, shortest / part) if part > 2.0 * shortest else np.zeros(0)
+        if cuts.size:
+            ahead.extend(at + part * cuts[::-1])
+        else:
+            z, at = after, ahead.pop()
     return z

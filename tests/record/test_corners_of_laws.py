@@ -95,13 +95,28 @@ def test_smooth_laws_are_stepped_as_ever():
     assert Simulation(1.0, 101).steps_per_sample(structure) < 100
 
 
-def test_parts_of_a_step_about_a_corner():
+def test_cuts_of_a_step_about_a_corner():
     corners = Corners.of(oscillator(law="bouc_wen", A=5e4, beta=8.0, gamma=3.0, n=1))
-    assert corners.divided(np.array([0.0, 1.0, 1.0]), np.array([0.0, 2.0, 2.0])) is None
-    parts = corners.divided(np.array([0.0, 1.0, 1.0]), np.array([0.0, -3.0, 2.0]))
-    assert parts.sum() == pytest.approx(1.0)
-    assert parts[0] + parts[1] / 2.0 == pytest.approx(0.25)
-    assert parts[1] < 0.02
+    assert not corners.cuts(np.array([0.0, 1.0, 1.0]), np.array([0.0, 2.0, 2.0]), 0.01).size
+    first, last = corners.cuts(np.array([0.0, 1.0, 1.0]), np.array([0.0, -3.0, 2.0]), 0.01)
+    assert (first + last) / 2.0 == pytest.approx(0.25)
+    assert last - first < 0.02
+
+
+@pytest.mark.parametrize("below", [0.0, 1e-16, 1e-13, 1e-6])
+def test_a_step_that_begins_just_inside_a_corner(below):
+    """It was divided into 1e-14 of it and the rest, which begins just inside the corner too, for ever."""
+    speed, time = 1e-3, np.arange(20) / 200.0
+    start = 6.0 * speed * (1.0 - below)  # from there on the law is straight
+
+    def motion(t, y):
+        return [y[1], (0.6 + 3e4 * t - 10.0 * y[1] - 5e4 * y[0] - 0.5 * math.tanh(y[1] / speed)) / 2.0]
+
+    options = {"rtol": 1e-11, "atol": 1e-15, "max_step": 1e-4}
+    expected = solve_ivp(motion, (time[0], time[-1]), [0.0, start], "DOP853", time, **options).y.T
+    push = lambda t: 0.6 + 3e4 * t[:, None]  # noqa: E731
+    found = simulate(oscillator(law="friction", speed=speed, F_c=0.5), push, time, initial=([0.0], [start]))
+    assert relative(np.column_stack((found.displacement, found.velocity)), expected) < 1e-6
 
 
 def test_a_held_force_is_held_in_the_parts_of_a_step_too():
