@@ -16,6 +16,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 from pinn_cli.training.record_scales import force_and_velocity_scale
@@ -66,4 +67,5 @@ def solved(problem: Problem, intervals: int | None = None) -> Example:
     evidence = Evidence(NormalEquations(network, problem), 40, PRECISE, lambda losses, noise: None)
     force, _ = force_and_velocity_scale(problem)
     noise = NoiseModel(*sensor_noise(network, problem.record), force, 1.0)
-    return Example(problem, evidence, evidence.widen_for_colour(evidence.search(noise, force, lambda: None)))
+    found = settled(evidence, evidence.search(noise, force, lambda: None))
+    return Example(problem, evidence, evidence.widen_for_colour(found))

@@ -82,6 +82,8 @@ def check_run_record(outcome: Outcome) -> None:
     assert len(told["seconds_by_chain"]) == 2
     assert told["smallest_ess_bulk"] < 400.0
     assert any("effective" in text or "ESS" in text for text in told["quality_check"])  # 200 draws are too few
+    assert record["verdict"] != "sound"
+    assert any("quality check" in text for text in record["reasons"])
     assert record["seconds"]["posterior"] >= 0.9 * sum(told["seconds_by_chain"])
     printed = " ".join(outcome.out.split())
     assert all(text in printed for text in told["quality_check"])

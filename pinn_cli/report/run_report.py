@@ -28,6 +28,7 @@ from pinn_cli.report.validation_run import ValidationRun, validation_table, with
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.writing import tidy, write_json, write_table
 from pinn_cli.verdict.contradictions import contradictions
+from pinn_cli.verdict.posterior_findings import posterior_findings
 from pinn_cli.verdict.records import verdict_of_records
 
 if TYPE_CHECKING:
@@ -102,7 +103,9 @@ class RunReport:
     @cached_property
     def verdict(self) -> Verdict | None:
         """Of all records; None without a problem."""
-        return verdict_of_records(self.verdicts, contradictions(self.results.estimate))
+        results = self.results
+        among = contradictions(results.estimate) + posterior_findings(results.posterior)
+        return verdict_of_records(self.verdicts, among)
 
     @cached_property
     def free_run(self) -> tuple[FreeRun, pd.DataFrame]:

@@ -6,17 +6,17 @@ import numpy as np
 
 from pinn_cli.training.likelihood import ParameterLikelihood
 
-# Half-width of the tabulated range of s, in its standard deviations, and the number of points in it: over one to two
-# per cent of the noise everything is smooth.
-S_RANGE, S_POINTS = 6.0, 5
+# Half-width of the tabulated range of s, in its standard deviations and at most, and the number of points in it:
+# parameters follow s smoothly, and little.
+S_RANGE, S_REACH, S_POINTS = 6.0, 0.6, 5
 
 
 class MarginalLikelihood(ParameterLikelihood):
-    """log p(record | theta, s) = level(s) - (theta - peak(s))^T precision(s) (theta - peak(s)) / 2.
+    """log p(record | theta, s) = level(s) - away^T precision(s) away / 2 + log N(s), with away = theta - peak(s).
 
     The readout weights are integrated out by Laplace's method about the most probable motion: the precision is the
     Schur complement of the joint Gauss-Newton Hessian. Level, peak and precision are polynomials through their values
-    at a few s.
+    at a few s, and beyond those what they are at the nearest. N is what the residuals say of the noise by themselves.
 
     Args:
         names: See :class:`ParameterLikelihood`.
@@ -25,7 +25,7 @@ class MarginalLikelihood(ParameterLikelihood):
         level: (G,).
         peak: (G, p).
         precision: (G, p, p), symmetric, not negative.
-        s_std: See :class:`ParameterLikelihood`.
+        s_told: Mean and standard deviation of N, a Gaussian.
     """
 
     def __init__(
@@ -36,9 +36,10 @@ class MarginalLikelihood(ParameterLikelihood):
         level: np.ndarray,
         peak: np.ndarray,
         precision: np.ndarray,
-        s_std: float,
+        s_told: tuple[float, float],
     ) -> None:
-        self.names, self.sigma_force, self.s_std = names, sigma_force, s_std
+        self.names, self.sigma_force = names, sigma_force
+        self.s_mean, self.s_std = s_told
         self.reach = float(np.max(np.abs(s))) or 1.0
         powers = np.vander(s / self.reach, increasing=True)
         solve = np.linalg.inv(powers)
@@ -58,9 +59,9 @@ class MarginalLikelihood(ParameterLikelihood):
         value = float(powers @ self._level - 0.5 * away @ pull)
         turn = np.tensordot(slopes, self._precision, 1) @ away
         by_s = float(slopes @ self._level + pull @ (slopes @ self._peak) - 0.5 * away @ turn)
-        # Beyond the table only its width is known: a Gaussian of the standard deviation of s goes on from its ends.
-        beyond = s - within  # exactly zero within: inside * reach is not, by rounding
-        if beyond:
-            by_s = -beyond / self.s_std**2
-            value += 0.5 * by_s * beyond
+        if s != within:
+            by_s = 0.0
+        if len(order) > 1:
+            off = (s - self.s_mean) / self.s_std
+            value, by_s = value - 0.5 * off**2, by_s - off / self.s_std
         return value, -pull, by_s

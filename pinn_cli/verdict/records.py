@@ -16,11 +16,11 @@ def verdict_of_records(each: Sequence[Verdict | None], among: Sequence[Finding] 
 
     Args:
         each: Of every record; None where there is none.
-        among: What they say of each other.
+        among: What they say of each other, and what is said of all.
     """
     verdicts = [verdict for verdict in each if verdict is not None]
     if len(verdicts) < 2:
-        return verdicts[0] if verdicts else None
+        return Verdict.of([*verdicts[0].reasons, *among]) if verdicts else None
     texts = [{finding.text for finding in verdict.reasons} for verdict in verdicts]
     common = set.intersection(*texts)
     findings = [*among]

@@ -12,7 +12,7 @@ from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, MarginalLik
 
 STD = np.array([0.1, 2.0, 0.5])
 PEAK = np.array([1.0, 15.0, -3.0])
-S_STD = 0.02
+S_MEAN, S_STD = 0.01, 0.02
 NAMES, SIGMA = ("c_1", "k_1", "kappa_2"), np.array([0.1, np.nan])
 
 
@@ -20,20 +20,25 @@ def table() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """S, level, peak and precision of a likelihood all of which depends on s, and not in a polynomial way."""
     s = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * S_STD
     gram = np.linalg.inv(correlated(STD, 0.6))
-    level = -0.5 * (np.exp(-2.0 * s) + 2.0 * s) / (2.0 * S_STD**2)
+    level = -1.5 * np.log(0.2 + 0.8 * np.exp(2.0 * s))
     peak = PEAK + STD * np.sin(3.0 * s)[:, None]
     precision = gram / (0.2 + 0.8 * np.exp(2.0 * s))[:, None, None]
     return s, level, peak, precision
 
 
 def marginal() -> MarginalLikelihood:
-    return MarginalLikelihood(NAMES, SIGMA, *table(), S_STD)
+    return MarginalLikelihood(NAMES, SIGMA, *table(), (S_MEAN, S_STD))
+
+
+def told(s: float) -> float:
+    """Logarithm of what residuals say of s."""
+    return -0.5 * ((s - S_MEAN) / S_STD) ** 2
 
 
 def unforced() -> MarginalLikelihood:
     """Without a force sensor nothing depends on s."""
     s, level, peak, precision = (values[2:3] for values in table())
-    return MarginalLikelihood(NAMES, np.full(2, np.nan), s, level, peak, precision, 1.0)
+    return MarginalLikelihood(NAMES, np.full(2, np.nan), s, level, peak, precision, (0.0, 1.0))
 
 
 def conditional() -> ConditionalLikelihood:
@@ -83,14 +88,14 @@ def test_the_marginal_is_its_table_at_the_tables_points():
     theta = PEAK + STD
     for s, level, peak, precision in zip(*table(), strict=True):
         away = theta - peak
-        expected = level - 0.5 * away @ precision @ away
+        expected = level - 0.5 * away @ precision @ away + told(s)
         assert likelihood.evaluate(theta, s)[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_between_the_points_it_is_as_smooth_as_what_was_tabulated():
     likelihood, theta = marginal(), PEAK + STD * [1.0, -1.0, 0.5]
     for s in np.linspace(-5.5, 5.5, 12) * S_STD:
-        level = -0.5 * (np.exp(-2.0 * s) + 2.0 * s) / (2.0 * S_STD**2)
+        level = told(s) - 1.5 * np.log(0.2 + 0.8 * np.exp(2.0 * s))
         away = theta - PEAK - STD * np.sin(3.0 * s)
         gram = np.linalg.inv(correlated(STD, 0.6)) / (0.2 + 0.8 * np.exp(2.0 * s))
         assert likelihood.evaluate(theta, s)[0] == pytest.approx(level - 0.5 * away @ gram @ away, abs=2e-3)
@@ -100,8 +105,8 @@ def test_beyond_the_table_it_falls_as_a_gaussian_and_never_rises_again():
     likelihood = marginal()
     ends = [likelihood.evaluate(PEAK, s * S_STD) for s in (6.0, 8.0, 50.0, 1e6)]
     assert np.all(np.diff([value for value, *_ in ends]) < 0)
-    assert ends[1][0] == pytest.approx(ends[0][0] - 0.5 * 2.0**2, rel=1e-9)
-    assert ends[1][2] == pytest.approx(-2.0 / S_STD)
+    assert ends[1][0] - ends[0][0] == pytest.approx(told(8.0 * S_STD) - told(6.0 * S_STD), rel=1e-9)
+    assert ends[1][2] == pytest.approx(-7.5 / S_STD)
     left = [likelihood.evaluate(PEAK, -s * S_STD)[0] for s in (6.0, 8.0, 50.0, 1e6)]
     assert np.all(np.diff(left) < 0)
     assert np.isfinite(left).all()

@@ -24,6 +24,6 @@ def test_what_every_record_says_is_told_once_and_the_worst_word_counts():
 
 def test_one_record_is_judged_as_it_always_was():
     alone = Verdict.of([NOISE])
-    assert verdict_of_records([alone]) is alone
+    assert verdict_of_records([alone]) == alone
     assert verdict_of_records([None]) is None
     assert verdict_of_records([Verdict.of([]), Verdict.of([])]).sound

@@ -18,6 +18,7 @@ from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
@@ -194,11 +195,43 @@ def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np
     discrepancy = noise.discrepancy
     if enforced.any():
         discrepancy *= float(np.sqrt((share * misfit).sum() / (share * left[enforced]).sum()))
-    sensor, own = noise.force_variance, 1.0 - noise.discrepancy**2 / variance
+    squares, values = _of_force_sensors(noise, split, left)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, split.seen, left)
+
+
+def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(functions,) squares over the present variance, and values, of the force sensors' noise; 0 of all others.
+
+    Args:
+        noise: That the residuals are divided by.
+        split: The physics residual.
+        left: (functions,), values of what the features see that the solution has not taken up.
+    """
+    variance, sensor = noise.physics_variance, noise.force_variance
+    own = 1.0 - noise.discrepancy**2 / variance
     with np.errstate(divide="ignore", invalid="ignore"):
         beyond = split.unseen / sensor if split.beyond else np.zeros(len(sensor))
-        found = (own * split.seen / variance + beyond) / (own * left + split.beyond)
-        return noise.force * np.sqrt(found), discrepancy, _driving(evidence, split.seen, left)
+    return own * split.seen / variance + beyond, own * left + split.beyond
+
+
+def force_noise_told(evidence: Evidence, trained: Trained) -> tuple[float, float]:
+    """Squares over variance of all force sensors of one record, repeats included, and how many values they are.
+
+    The most probable noise is that of the solution times the root of their ratio, with a relative standard deviation of
+    1 / sqrt(2 values) (MacKay 1992). A sensor at its floor stays there.
+    """
+    noise, record, least = trained.noise, evidence.equations.problem.record, floor(evidence, trained)
+    there = np.flatnonzero(noise.force_variance > 0.0)
+    split = evidence.force_residuals(trained.solution.point, noise)
+    left = split.count - values_taken(evidence, trained).physics
+    squares, values = _of_force_sensors(noise, split, np.maximum(left, FEWEST_LEFT * split.count))
+    squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[there]
+    told = float(squares.sum()), float(values[there].sum())
+    if record.repeats is None or not there.size:
+        return told
+    scatter = record.repeats.square[FORCE][there] / (record.repeats.count * noise.force[there] ** 2)
+    return told[0] + float(scatter.sum()), told[1] + record.repeats.freedom * there.size
 
 
 def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarray:

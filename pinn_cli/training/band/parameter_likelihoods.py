@@ -14,10 +14,11 @@ from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.equations import JointEquations
 from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.noise_levels import force_noise_told
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
-from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, MarginalLikelihood
+from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, S_REACH, MarginalLikelihood
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,49 +66,27 @@ def force_of_motion(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, n
 def marginal_likelihood(evidence: Evidence | JointEvidence, trained: Trained) -> MarginalLikelihood:
     """The marginal likelihood, tabulated over the scale of the force noise; each point is a solution of its own.
 
-    The noise of the force sensors of all records has one scale; its standard deviations are those of the first.
+    The noise of the force sensors of all records has one scale; its standard deviations are those of the first. Its
+    logarithm s is a Gaussian, as wide as the values that tell it say; parameters under it are another.
     """
-    records = [own.problem.record for own in evidence.records]
+    record = evidence.records[0].problem.record
     names = tuple(p.name for p in evidence.equations.uncertain)
-    sigma = trained.noise.force[: records[0].ndof] * np.sqrt(_repeats(records[0]))
-    samples = sum(
-        int(np.isfinite(noise.force).sum()) * len(record.time) * _repeats(record)
-        for record, noise in zip(records, trained.noise.by_record, strict=True)
-    )
-    s_std = 1.0 / np.sqrt(2.0 * samples) if samples else 1.0
-    nodes = np.linspace(-1.0, 1.0, S_POINTS) * S_RANGE * s_std if samples else np.zeros(1)
+    sigma = trained.noise.force[: record.ndof] * np.sqrt(_repeats(record))
+    squares, values = np.sum(evidence.each_record(force_noise_told, trained), axis=0)
+    s_mean, s_std = (0.5 * np.log(squares / values), 1.0 / np.sqrt(2.0 * values)) if values > 0.0 else (0.0, 1.0)
+    reach = min(S_RANGE * s_std, S_REACH) if values > 0.0 else 0.0
     rows = []
-    for s in nodes:
-        noise = trained.noise.with_force_scale(float(np.exp(s)))
-        found = evidence.train(noise, trained.solution.point) or trained
-        each = evidence.each_record(_level, found, [float(s)] * len(records))
-        rows.append((sum(each), *_without_prior(evidence.equations, found)))
-    level, peak, precision = (np.array(values) for values in zip(*rows, strict=True))
-    return MarginalLikelihood(names, sigma, nodes, level, peak, precision, s_std)
+    for s in np.linspace(-reach, reach, S_POINTS if reach else 1):
+        found = evidence.train(trained.noise.with_force_scale(float(np.exp(s))), trained.solution.point) or trained
+        # With the parameters integrated out again, s is the Gaussian.
+        level = 0.5 * (found.factor.parameter_log_determinant - trained.factor.parameter_log_determinant)
+        rows.append((s, level, *_without_prior(evidence.equations, found)))
+    nodes, levels, peaks, precisions = (np.array(values) for values in zip(*rows, strict=True))
+    return MarginalLikelihood(names, sigma, nodes, levels, peaks, precisions, (float(s_mean), float(s_std)))
 
 
 def _repeats(record: Record) -> int:
     return 1 if record.repeats is None else record.repeats.count
-
-
-def _level(evidence: Evidence, trained: Trained, s: float) -> float:
-    """Logarithm of one record's likelihood at its peak with the readout integrated out, up to a constant in s.
-
-    As in :class:`Evidence`, the discrepancy is among what the features can see of the residual. The rest of the force
-    sensors' noise, and the scatter of repeats, tell that noise alone.
-    """
-    equations, noise, record = evidence.equations, trained.noise, evidence.equations.problem.record
-    losses = equations.losses(trained.solution.point, noise)
-    total = evidence.force_residuals(trained.solution.point, noise).misfit(noise)
-    total += sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain"))
-    total += trained.factor.readout_log_determinant
-    if record.repeats is not None:
-        forced = record.sensors("force")
-        scatter = record.repeats.square["force"][forced] / (
-            record.repeats.count * noise.force[: len(forced)][forced] ** 2
-        )
-        total += float(scatter.sum() + 2.0 * record.repeats.freedom * int(forced.sum()) * s)
-    return -0.5 * total
 
 
 def _without_prior(equations: NormalEquations | JointEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
