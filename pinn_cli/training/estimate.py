@@ -155,6 +155,32 @@ class Changes:
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """A number that the model does not have, and with which the record is far more probable.
+
+    Attributes:
+        kind: What it is: ``friction``, ``cubic term``, ``tilt``, ``high_pass``, ``m``, ...
+        of: Whose, for people: ``connection 2``, ``acceleration of DOF 3``.
+        value: Of it; how much more of a mass, the corner of a filter.
+        std: Standard deviation.
+        unit: Of both.
+        log_odds: Natural logarithm of how many times as probable the record is, those before it freed as well.
+        moves: Standard deviations by which what is reported moves if all doubts that are told are freed, of what moves
+            most.
+        moved: What that is: a parameter, or the displacement of a DOF.
+    """
+
+    kind: str
+    of: str
+    value: float
+    std: float
+    unit: str
+    log_odds: float
+    moves: float
+    moved: str
+
+
+@dataclass(frozen=True)
 class Peak:
     """The largest absolute value of a history, and where uncertainty may take it, over its whole length.
 
@@ -222,6 +248,7 @@ class Estimate:
         changes: Of the structure since the records before, where it was looked for any.
         peaks: Of a prediction.
         misfit: The force that the model leaves out; None where the training does not say.
+        doubts: What the model may lack; nothing where the training does not say.
     """
 
     response: Response
@@ -242,6 +269,7 @@ class Estimate:
     changes: Changes | None = None
     peaks: tuple[Peak, ...] = ()
     misfit: Misfit | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def before_any_record(self) -> list[ParameterEstimate]:

@@ -17,6 +17,7 @@ from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
 from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.channel_faults import LEAST_GAIN, channel_faults
+from pinn_cli.verdict.doubt_findings import doubt_findings
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.noise_findings import noise_findings
@@ -72,9 +73,13 @@ def judge(
         # A gain that believed parameters have made up for shows against the prescribed ones.
         prescribed = predicted(problem.structure, record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
-    if any(finding.word != "sound" for finding in findings) and not causes:
+    lacks = doubt_findings(estimate)
+    # Where the free run follows the sensors, a wrong mass or unit is no likelier than what the model is shown to lack.
+    follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
+    if any(finding.word != "sound" for finding in findings) and not causes and not (lacks and follows):
         causes = _causes(problem, estimate, excused)
-    return Verdict.of(own + causes + findings)
+    # A fault that is named draws everything along.
+    return Verdict.of(own + causes + ([] if own or causes else lacks) + findings)
 
 
 def _contradicted(problem: Problem, agreement: float) -> list[Finding]:

@@ -206,7 +206,7 @@ class GaugeRows:
         felt, gain = self.felt(moment, unknowns, parameters), self.value("gain", parameters)
         local = self.layout.weights(step)[moment.segments.feature]
         out = gain * self._summed(moment, local, felt.parts) * moment.segments.mask
-        for place, column in self._columns(moment, felt, gain, spread).items():
+        for place, column in self.by_parameter(moment, felt, gain, spread).items():
             out = out + by[place] * column
         return out
 
@@ -231,7 +231,7 @@ class GaugeRows:
             part = factor[..., None] if isinstance(factor, Tensor) else factor
             added = gain * part * moment.derivative(order)
             features[function] = features[function] + added if function in features else added
-        columns = self._columns(moment, felt, gain, spread)
+        columns = self.by_parameter(moment, felt, gain, spread)
         held = torch.stack(list(columns.values()), -1) if columns else residual.new_zeros((*residual.shape, 0))
         for number, (function, phi) in enumerate(features.items()):
             weighted = weight * phi.mT
@@ -244,7 +244,7 @@ class GaugeRows:
         flat = held.flatten(0, 1)
         sums.add_parameters(list(columns), weight * flat.mT @ flat, weight * flat.mT @ residual.flatten())
 
-    def _columns(self, moment: Moment, felt: Felt, gain: Tensor, spread: Tensor) -> dict[int, Tensor]:
+    def by_parameter(self, moment: Moment, felt: Felt, gain: Tensor, spread: Tensor) -> dict[int, Tensor]:
         """Place of every uncertain parameter that it feels to what that does to it (I, S), per prior deviation."""
         mask = moment.segments.mask
         by_kind = {

@@ -19,6 +19,7 @@ from pinn_cli.training.acting_force import acting_force, sensor_share
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
+from pinn_cli.training.band.doubts import doubts
 from pinn_cli.training.band.end_state import end_state
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.agreement import disagreements
@@ -97,7 +98,8 @@ def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
     if equations.known is not None:
         summary["spectral_misfit"] = equations.known.misfit
     connections, misfit = _connections(posterior, response), misfit_history(evidence, trained)
-    return Estimate(response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit)
+    lacking = doubts(evidence, trained, std)
+    return Estimate(response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit, doubts=lacking)
 
 
 def _noise_felt(equations: NormalEquations, trained: Trained) -> dict[str, np.ndarray]:

@@ -1,0 +1,239 @@
+"""What a sensor may show beside what it is said to feel: columns of a gain, a delay, a tilt, a high-pass filter."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from scipy.signal import lfilter
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.physics import observation_masks
+from pinn_cli.record.gauge import GAUGE, WIDEST_DELAY
+from pinn_cli.record.response import GROUND
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.noise_model import NoiseModel
+
+# Kinds, as programs know them; all response accelerometers or velocity sensors together may pass no slow motion.
+GAIN, DELAY, TILT, HIGH_PASS = "gain", "delay", "tilt", "high_pass"
+# Of a record, the periods of the lowest corner of a filter that is tried; each next one is twice as high, as long as
+# what the filter takes has no more than half of the channel's power.
+PERIODS, MOST_TAKEN = 2.0, 0.5
+
+
+@dataclass(frozen=True)
+class Term:
+    """Something that a model may lack.
+
+    Attributes:
+        kind: What it is, for programs.
+        of: Whose it is, for people: ``connection 2``, ``acceleration of DOF 3``.
+        unit: Of its value.
+        scale: Value at one prior standard deviation.
+    """
+
+    kind: str
+    of: str
+    unit: str
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Rows of D terms, in prior standard deviations.
+
+    Attributes:
+        terms: Which.
+        border: (size, D), their products with the rows of the readout weights.
+        parameters: (p, D), likewise of the parameters of the model.
+        corner: (D, D), likewise with each other.
+        slope: (D,), likewise with the residuals.
+    """
+
+    terms: tuple[Term, ...]
+    border: np.ndarray
+    parameters: np.ndarray
+    corner: np.ndarray
+    slope: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """One channel at a solution.
+
+    Attributes:
+        name: For people.
+        quantity: That it measures.
+        segments: Of its samples.
+        features: Order of a derivative to features (I, S, B).
+        parts: Function, order of its derivative and weight.
+        felt: (J,), what it feels.
+        displacement: (J,), of its DOF; None: it has none.
+        residual: (J,), estimated minus measured.
+        gain: Of what it shows over what it feels.
+        sigma: Its noise.
+        time: (J,), s.
+        uncertain: Kinds of its calibration that are parameters of the model already.
+        parameters: Place of a parameter of the model to what that does to it (J,).
+    """
+
+    name: str
+    quantity: str
+    segments: Segments
+    features: Mapping[int, Tensor]
+    parts: list[tuple[int, int, float]]
+    felt: np.ndarray
+    displacement: np.ndarray | None
+    residual: np.ndarray
+    gain: float
+    sigma: float
+    time: np.ndarray
+    uncertain: Collection[str] = ()
+    parameters: Mapping[int, np.ndarray] = field(default_factory=dict)
+
+    def columns(self) -> Iterator[tuple[str, str, float, np.ndarray]]:
+        """Kind, unit, value at one prior standard deviation, and column (J,) at that."""
+        step = float(np.median(np.diff(self.time)))
+        felt = self.gain * self.felt
+        late = WIDEST_DELAY * step
+        yield GAIN, "", 1.0, felt
+        yield DELAY, "s", late, -late * np.gradient(felt, self.time)
+        if self.quantity == "acceleration" and self.displacement is not None and self.displacement.any():
+            size = _rms(felt) / _rms(self.displacement)
+            yield TILT, "m/s^2 per m", size, size * self.displacement
+        yield from ((HIGH_PASS, "Hz", corner, column) for corner, column in self.taken().items())
+
+    def taken(self) -> dict[float, np.ndarray]:
+        """Corner frequency, Hz, to minus what a high-pass filter of first order takes (J,); none of uneven samples."""
+        steps = np.diff(self.time)
+        out: dict[float, np.ndarray] = {}
+        if self.quantity not in ("acceleration", "velocity", GROUND) or np.ptp(steps) > 0.02 * steps[0]:
+            return out
+        corner, felt = PERIODS / (self.time[-1] - self.time[0]), self.gain * self.felt
+        while True:
+            kept = float(np.exp(-2.0 * np.pi * corner * steps[0]))
+            slow = lfilter([1.0 - kept], [1.0, -kept], felt)
+            if _rms(slow) ** 2 > MOST_TAKEN * _rms(felt) ** 2 or not felt.any():
+                return out
+            out[corner], corner = -slow, 2.0 * corner
+
+    def border(self, equations: NormalEquations, column: np.ndarray) -> np.ndarray:
+        """(size,), products of a column (J,) with its own rows by the readout weights."""
+        out = np.zeros(equations.layout.size)
+        values = self.segments.gather(torch.as_tensor(column).to(self.segments.mask))
+        feature = self.segments.feature.cpu().numpy()
+        for function, order, weight in self.parts:
+            pulled = self.gain * weight * (self.features[order].mT @ values[..., None])[..., 0].cpu().numpy()
+            np.add.at(out, equations.layout.positions(feature, np.full_like(feature, function)), pulled)
+        return out
+
+
+def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, parameters: int) -> Columns:
+    """Of every channel of motion or ground, and of all accelerometers together.
+
+    Args:
+        equations: Of the record.
+        point: Their solution.
+        noise: Its weights.
+        parameters: How many the model has.
+    """
+    every = [*_columns_of_record(equations, point, noise), *_gauges(equations, point, noise)]
+    found: list[tuple[Term, dict[int, np.ndarray]]] = []
+    together: dict[tuple[str, float], dict[int, np.ndarray]] = {}
+    for i, one in enumerate(every):
+        for kind, unit, scale, column in one.columns():
+            if kind in one.uncertain:
+                continue
+            found.append((Term(kind, one.name, unit, scale), {i: column}))
+            if kind == HIGH_PASS and one.quantity != GROUND:
+                together.setdefault((one.quantity, scale), {})[i] = column
+    for (quantity, corner), of_all in together.items():
+        if len(of_all) > 1:
+            found.append((Term(HIGH_PASS, f"all {quantity} sensors", "Hz", corner), of_all))
+    border, held = np.zeros((equations.layout.size, len(found))), np.zeros((parameters, len(found)))
+    corner_, slope = np.zeros((len(found), len(found))), np.zeros(len(found))
+    for d, (_, own) in enumerate(found):
+        for i, column in own.items():
+            one, weight = every[i], every[i].sigma ** -2
+            border[:, d] += weight * one.border(equations, column)
+            slope[d] += weight * float(column @ one.residual)
+            for place, by in one.parameters.items():
+                held[place, d] += weight * float(column @ by)
+            for other, (_, its) in enumerate(found[: d + 1]):
+                if i in its:
+                    corner_[d, other] += weight * float(column @ its[i])
+    corner_ = np.tril(corner_) + np.tril(corner_, -1).T
+    return Columns(tuple(term for term, _ in found), border, held, corner_, slope)
+
+
+def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+    """The sensors that are columns of the record."""
+    dynamics, record, segments = equations.dynamics, equations.problem.record, equations.observation
+    jet, residuals = Jet(*equations.flat_states(segments, point)[:3]), equations.residuals(point)
+    displacement = dynamics.sensed("displacement", jet).cpu().numpy()
+    features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
+    for quantity, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
+        if quantity in (FORCE, "observer"):
+            continue
+        felt, residual = dynamics.sensed(quantity, jet).cpu().numpy(), segments.scatter(residuals[quantity])
+        sensing, ground = dynamics.sensing(quantity), quantity == GROUND
+        for dof in np.flatnonzero(mask.cpu().numpy()).tolist():
+            parts = [
+                (int(function), order, float(weight))
+                for order, weights in sensing
+                for function, weight in zip(weights[dof].indices, weights[dof].data, strict=True)
+            ]
+            yield _Shown(
+                "ground acceleration" if ground else f"{quantity} of DOF {record.dof_name(dof)}",
+                quantity,
+                segments,
+                features,
+                parts,
+                felt[:, dof],
+                None if ground else displacement[:, dof],
+                residual[:, dof].cpu().numpy(),
+                1.0,
+                float(noise.response[quantity][dof]),
+                record.time,
+            )
+
+
+def _gauges(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+    """The sensors that have samples and a calibration of their own."""
+    parameters, place = equations.parameters(point), {int(c): i for i, c in enumerate(equations.vector.column)}
+    spread = equations.vector.placed(equations.scale)
+    for rows, sigma in zip(equations.gauge_rows, noise.response.get(GAUGE, ()), strict=True):
+        if rows.gauge.quantity in (FORCE, CONNECTION_FORCE):
+            continue
+        moment = rows.moment(float(rows.value("delay", parameters)))
+        felt, gain = rows.felt(moment, point.unknowns, parameters), rows.value("gain", parameters)
+        segments, record = moment.segments, equations.problem.record
+        by = rows.by_parameter(moment, felt, gain, spread)
+        dof = rows.gauge.dof
+        own = f"{rows.gauge.quantity} of DOF {record.dof_name(dof or 0)}"
+        name = "ground acceleration" if rows.gauge.quantity == GROUND else own
+        yield _Shown(
+            name if dof is not None else f"sensor {rows.gauge.name}",
+            rows.gauge.quantity,
+            segments,
+            {order: moment.derivative(order) for order in range(3)},
+            [(function, order, float(weight)) for function, order, weight in rows.parts],
+            segments.scatter(felt.value).cpu().numpy(),
+            None,
+            segments.scatter(rows.residual(point.unknowns, parameters)).cpu().numpy(),
+            float(gain),
+            float(sigma),
+            rows.time.cpu().numpy(),
+            rows.places,
+            {place[p]: segments.scatter(column).cpu().numpy() for p, column in by.items() if p in place},
+        )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
