@@ -9,10 +9,10 @@ import pandas as pd
 
 from pinn_cli.baseline.iterated_smoother import Pass
 from pinn_cli.baseline.state_space import StateSpace
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.record.response import Response
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
-from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 
 class _Spread:

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
+
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,24 @@ class ParameterKnowledge:
     def whole(self) -> np.ndarray:
         """(p, p), covariance with what the misfit may hide."""
         return self.covariance + np.diag(self.hidden**2)
+
+    def within(self, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (p,) and covariance (p, p), with what the misfit may hide, of what lies above least values (p,)."""
+        posterior, hidden = TruncatedGaussian(self.mean, self.covariance, lower), self.hidden
+        alone = posterior.marginals((0.05, 0.95), hidden)
+        together = posterior.covariance + np.diag(hidden**2)
+        unit = alone.std / np.sqrt(np.diag(together))
+        return alone.mean, together * np.outer(unit, unit)
+
+    def most_probable(self, lower: np.ndarray) -> np.ndarray:
+        """(p,), the peak above least values (p,): those that a bound holds move the others along."""
+        if not (self.mean < lower).any():
+            return self.mean
+        unit = np.sqrt(np.diag(self.covariance))
+        root = np.linalg.inv(np.linalg.cholesky(self.covariance / np.outer(unit, unit)))
+        found = lsq_linear(root, root @ (self.mean / unit), (lower / unit, np.inf))
+        out: np.ndarray = np.maximum(unit * found.x, lower)
+        return out
 
     def of(self, chosen: np.ndarray) -> ParameterKnowledge:
         """Of some parameters, the others integrated out."""

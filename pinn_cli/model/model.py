@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pinn_cli.model.knowledge import EndState, Levels, ParameterKnowledge
 from pinn_cli.model.misfit import Misfit
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from pinn_cli.system.parameters import Parameter
     from pinn_cli.system.structure import Structure
 
@@ -43,3 +43,8 @@ class Model:
     draws: np.ndarray | None = None
     directory: Path = Path()
     misfit: Misfit | None = None
+
+    @property
+    def lower(self) -> np.ndarray:
+        """(p,), least values of the parameters; -inf without one."""
+        return np.array([0.0 if p.positive else -np.inf for p in self.parameters])

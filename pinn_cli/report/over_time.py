@@ -81,12 +81,11 @@ def history(model: Model) -> pd.DataFrame:
             pass
         hint = f"{FILE} in it is damaged; without that file the history begins with this run"
         raise InputError("model", model.directory, "a run with the history that it wrote", hint)
-    std = np.sqrt(np.diag(model.known.whole))
+    mean, covariance = model.known.within(model.lower)
     rows = []
-    for p, mean, s in zip(model.parameters, model.known.mean, std, strict=True):
-        least = 0.0 if p.positive else -np.inf
-        value, lower = max(mean, least), max(mean - HALF_WIDTH_90 * s, least)
-        rows.append(_row(1, model.directory.name, p.name, p.unit, (value, s, lower, mean + HALF_WIDTH_90 * s)))
+    for p, value, s, bound in zip(model.parameters, mean, np.sqrt(np.diag(covariance)), model.lower, strict=True):
+        interval = max(value - HALF_WIDTH_90 * s, bound), value + HALF_WIDTH_90 * s
+        rows.append(_row(1, model.directory.name, p.name, p.unit, (value, s, *interval)))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

@@ -29,7 +29,8 @@ def problem_of_model(
         model: What earlier records say.
         record: The new one.
         updates: Whether the parameters are to be known better afterwards. What the model leaves out then hides as much
-            of them in this record as in those before; otherwise it is one more reason for them to be off.
+            of them in this record as in those before, and bounds cut off what they do of all records' posterior; else
+            misfit is one more reason for them to be off, and they are what the earlier run's table says.
         acceleration_through: See :class:`pinn_cli.scheme.problem.Problem`.
         initial_motion: Likewise.
         unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
@@ -38,17 +39,18 @@ def problem_of_model(
         InputError: The run's training did not say how uncertain its parameters are.
     """
     known, count = model.known, len(model.parameters)
-    covariance = known.covariance if updates else known.whole
-    if not np.isfinite(covariance).all():
+    if not np.isfinite(known.covariance).all():
         allowed = "a run whose training gives standard deviations of the parameters, as gauss_newton does"
         raise InputError(SETTING, model.directory, allowed)
+    within = (known.most_probable(model.lower), known.covariance) if updates else known.within(model.lower)
+    mean, covariance = within
     std = np.sqrt(np.diag(covariance))
     own = [
-        replace(p, prescribed=_within(p.positive, mean), prior_std=float(s), scale=None, unknown=updates and p.unknown)
-        for p, mean, s in zip(model.parameters, known.mean, std, strict=True)
+        replace(p, prescribed=float(m), prior_std=float(s), scale=None, unknown=updates and p.unknown)
+        for p, m, s in zip(model.parameters, mean, std, strict=True)
     ]
     nothing = np.zeros(count)
-    before = known if updates else ParameterKnowledge(known.mean, covariance, nothing, nothing, std)
+    before = known if updates else ParameterKnowledge(mean, covariance, nothing, nothing, std)
     prior = JointPrior.of(before, model.levels)
     sensors = sensor_parameters(record)
     return Problem(
@@ -73,11 +75,6 @@ def problem_going_on(model: Model, record: Record, acceleration_through: str, un
     """
     problem = problem_of_model(model, record, True, acceleration_through, FREE, unknown_force)
     return replace(problem, initial_state=model.end)
-
-
-def _within(positive: bool, mean: float) -> float:
-    """A Gaussian's mean, unless it lies beyond the bound that its parameter cannot pass."""
-    return max(float(mean), 0.0) if positive else float(mean)
 
 
 def given(model: Model | None, scheme: str) -> Model:

@@ -73,6 +73,11 @@ class Parameter:
         return not self.positive and self.kind not in (FACTOR, GAIN)
 
     @property
+    def may_vanish(self) -> bool:
+        """Whether a model with zero in its place is a model like any other: without a cubic term, without an offset."""
+        return self.signed or self.kind not in (*LINEAR_UNITS, FACTOR, GAIN)
+
+    @property
     def magnitude(self) -> float:
         """What it would be where it matters: an offset of the signal's size, a spring as strong as the linear one."""
         return self.prior_std / PRIOR_WIDTH if self.scale is None else self.scale

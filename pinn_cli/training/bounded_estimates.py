@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.central_interval import CENTRAL_90
 from pinn_cli.training.estimate import ParameterEstimate
-from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # Posterior standard deviations between mode and mean from which a bound counts: it then lies less than 2.8 of them
 # below the mode.

@@ -52,6 +52,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     found = [f for f in of_each if f is not None]
     return (
         found
+        + _beyond_bounds(estimate)
         + _rivals(estimate)
         + _moved(believed)
         + _spread(estimate)
@@ -81,20 +82,40 @@ def _far_from_believed(p: ParameterEstimate) -> Finding | None:
 
 
 def _undetermined(p: ParameterEstimate, kind: str) -> Finding | None:
-    """Beside its value; of what may be zero as well as not, beside its order of magnitude where that is larger."""
+    """Beside its value; of what may as well be zero, beside its order of magnitude where that is larger."""
     if not np.isfinite(p.std):
         return None
-    value, signed = abs(p.estimate), p.parameter.signed
-    if value <= 1e-9 * max(abs(p.prescribed), p.std) and not signed:
+    value, size = abs(p.estimate), p.parameter.magnitude if p.parameter.may_vanish else 0.0
+    if value <= 1e-9 * max(abs(p.prescribed), p.std) and size == 0.0:
         text = f"{p.name} ended at zero"
         return Finding("parameter", p.name, f"{text}; check the model, or start elsewhere (scheme.initial.{p.name})")
     allowed = IDENTIFIED if kind in ("m", "k") else ROUGHLY_IDENTIFIED
-    size = p.parameter.magnitude if signed else 0.0
     if p.std <= max(allowed * value, IDENTIFIED * size):
         return None
     of = "its value" if value >= size else f"its order of magnitude, {size:.3g}"
     text = f"the record does not determine {p.name}: its standard deviation is {100 * p.std / max(value, size):.0f} %"
     return Finding("not_identified", p.name, f"{text} of {of}; prescribe it, or measure nearer to it")
+
+
+def _beyond_bounds(estimate: Estimate) -> list[Finding]:
+    """Bounds that the record contradicts: without them the parameter would be far beyond; the furthest is named.
+
+    Misfit is no excuse, which the bound itself may be the cause of.
+    """
+    if estimate.known is None:
+        return []
+    free = zip(estimate.parameters, estimate.known.mean, np.sqrt(np.diag(estimate.known.covariance)), strict=False)
+    far = [
+        (mean / std, mean, std, p.name) for p, mean, std in free if p.parameter.positive and mean < -MOST_MOVED * std
+    ]
+    if not far:
+        return []
+    away, mean, std, name = min(far)
+    text = (
+        f"{name} is held at its bound, 0: without it, it would be {mean:.3g} +- {std:.2g}, {-away:.0f} deviations away"
+    )
+    remedy = "check delays, gains and signs of the channels and the law, or let it be negative (scheme.positive)"
+    return [Finding("bound", name, f"{text}; {remedy}")]
 
 
 def _rivals(estimate: Estimate) -> list[Finding]:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.bounded_estimates import bounded_estimates
-from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 
 def parameters(count: int, prescribed: float, prior_std: float, positive: bool = True) -> list[Parameter]:

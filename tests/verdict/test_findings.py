@@ -9,6 +9,7 @@ import pytest
 from frame_records import altered, measure
 from small_estimates import other_estimate
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.noise_findings import noise_findings
@@ -148,6 +149,17 @@ def test_a_gain_of_nearly_zero_is_no_gain(right_estimate):
     gain = {"kind": "gain", "positive": False, "prescribed": 1.0, "prior_std": 10.0}
     given = with_parameter(estimate, "k_2", **gain, estimate=0.01, std=0.1)
     assert of_parameters(problem, given) == [("not_identified", "gain_2")]
+
+
+@pytest.mark.parametrize(("away", "told"), [(-3.0, False), (-9.0, True)])
+def test_a_bound_that_the_record_contradicts(right_estimate, away, told):
+    problem, estimate = right_estimate
+    count = len(estimate.parameters)
+    mean, nothing = np.array([p.estimate for p in estimate.parameters]), np.zeros(count)
+    mean[1] = 0.01 * away
+    known = ParameterKnowledge(mean, 1e-4 * np.eye(count), nothing, nothing, np.ones(count))
+    found = of_parameters(problem, replace(estimate, known=known))
+    assert found == ([("bound", "k_2")] if told else [])
 
 
 def test_prescribed_parameters_that_moved(right_estimate):

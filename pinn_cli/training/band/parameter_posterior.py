@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
@@ -16,7 +17,6 @@ from pinn_cli.training.band.joint.equations import JointEquations
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate
-from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # N; a model without any misfit is divided by it.
 LEAST_MISFIT = 1e-300

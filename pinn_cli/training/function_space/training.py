@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
@@ -26,7 +27,6 @@ from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.network_response import network_response
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 from pinn_cli.training.stepwise import train
-from pinn_cli.training.truncated_gaussian import TruncatedGaussian
 
 # Fraction of the force that acts at which the physics begins: soft, so that the first steps are nearly linear.
 SOFT = 0.1

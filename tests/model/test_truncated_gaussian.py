@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
-from pinn_cli.training.truncated_gaussian import TruncatedGaussian, tail_moments
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian, tail_moments
 
 PROBABILITIES = (0.05, 0.95)
 
