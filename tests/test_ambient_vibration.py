@@ -12,7 +12,8 @@ from ambient_records import ambient_record
 from pinn_cli.network.spline import Spline
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.system.topology import build_structure
+from pinn_cli.scheme.state_parameter import StateParameter
+from pinn_cli.system.topology import build_partial_structure, build_structure
 from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -67,6 +68,26 @@ def test_uncertain_parameters_come_from_the_spectra_and_the_motion_allows_for_th
     assert all(abs(p.estimate / p.prescribed - 1.0) < 0.02 for p in estimate.parameters if p.kind == "k")
     held = inside(estimate.response.displacement, estimate.std.displacement, made.truth.displacement)
     assert 0.88 < held < 0.999
+    assert judge(problem, estimate).word == "sound"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first_frequency", "seed"), [(4.0, 0), (1.5, 1)])
+def test_springs_and_dampers_without_a_start_come_from_the_resonances(first_frequency, seed):
+    made = ambient_record(first_frequency, 50.0, 60.0, 20.0, seed=seed)
+    names = [f"x{i}" for i in range(3)]
+    connections = {
+        f"storey_{i}": {"between": ["ground", *names][i : i + 2], "law": "linear", "c": None, "k": None}
+        for i in range(3)
+    }
+    masses = dict(zip(names, made.structure.parameters["m"].tolist(), strict=True))
+    nothing = build_partial_structure(names, masses, connections)
+    problem = StateParameter(unobserved=[], unknown="missing").problem(nothing, made.record)
+    estimate = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    for p in estimate.parameters:
+        truth = float(made.structure.parameters[p.kind][p.parameter.index])
+        assert p.estimate == pytest.approx(truth, rel={"k": 0.05, "c": 0.5}[p.kind])
+        assert abs(p.estimate - truth) < 4.0 * p.std
     assert judge(problem, estimate).word == "sound"
 
 

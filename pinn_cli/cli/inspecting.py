@@ -20,8 +20,8 @@ from pinn_cli.settings.paths import located
 if TYPE_CHECKING:
     import numpy as np
 
-    from pinn_cli.inspection.signal import Signal
     from pinn_cli.record.data_channels import DataChannel
+    from pinn_cli.record.signal import Signal
     from pinn_cli.system.structure import Structure
 
 
@@ -124,7 +124,7 @@ def _channels(data: DictConfig) -> list[DataChannel]:
 
 def _signal(column: str, values: np.ndarray, unit: str, channel: DataChannel | None) -> Signal:
     """A column; what is measured at several DOFs, or in a connection, goes by its column's name."""
-    from pinn_cli.inspection.signal import Signal
+    from pinn_cli.record.signal import Signal
     from pinn_cli.system.quantities import UNITS
 
     if channel is None or channel.place is None:
@@ -137,9 +137,9 @@ def _signal(column: str, values: np.ndarray, unit: str, channel: DataChannel | N
 
 def _of_record(config: DictConfig, base: Path) -> tuple[list[Signal], np.ndarray]:
     """The sensors of a record that is simulated, or that somebody's own class reads."""
-    from pinn_cli.inspection.signal import Signal
     from pinn_cli.record.channels import channels
     from pinn_cli.record.response import MEASURED_QUANTITIES
+    from pinn_cli.record.signal import Signal
 
     run = RunConfig.read(config, base)
     true, _ = run.model_error.structures(run.structure)

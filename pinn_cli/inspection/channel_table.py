@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from pinn_cli.inspection.signal import Sampling, Signal
 from pinn_cli.record.channels import clipped_percent, constant_percent
+from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.record.spectrum import noise_level, signal_edges, visible_floor
 
 COLUMNS = (

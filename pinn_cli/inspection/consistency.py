@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pinn_cli.inspection.frequency_response import Spectra, chance_coherence, piece_length
-from pinn_cli.inspection.peaks import Peak
-from pinn_cli.inspection.signal import Sampling, Signal
+from pinn_cli.record.frequency_response import Spectra, chance_coherence, piece_length
+from pinn_cli.record.peaks import Peak
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.signal import Sampling, Signal
 
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
 AGREE, COHERENT = 0.1, 0.5

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pinn_cli.inspection.inspection import Inspection
-    from pinn_cli.inspection.signal import Signal
+    from pinn_cli.record.signal import Signal
 
 ROWS = 8  # more channels than these are left to inspect.csv
 FIRST = 300  # lines of a spectrum that are all drawn

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pinn_cli.inspection.signal import Sampling, Signal
 from pinn_cli.record.response import GROUND
+from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.settings.override_syntax import setting_of
 
 # Samples per period of the highest frequency: what a run needs, and more than this are worth decimating.

@@ -67,11 +67,20 @@ class CrossSpectra:
         forced, ground = np.flatnonzero(record.sensors("force")), record.ground_acceleration
         if (not len(forced) and ground is None) or not np.isfinite(record.force).all():
             return None
+        return cls._of(record, records, forced, ground)
+
+    @classmethod
+    def of_sensors_alone(cls, record: Record, records: int = 1) -> CrossSpectra:
+        """The same of any record, with nothing that acts; where samples are missing, of what its columns show there."""
+        return cls._of(record, records, np.zeros(0, dtype=int), None)
+
+    @classmethod
+    def _of(cls, record: Record, records: int, forced: np.ndarray, ground: np.ndarray | None) -> CrossSpectra:
         acting = record.force[:, forced] if ground is None else np.column_stack((record.force[:, forced], ground))
         channels = [(q, int(dof)) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         measured = np.stack([getattr(record, q)[:, dof] for q, dof in channels], axis=1)
         driving = [(FORCE, int(dof)) for dof in forced] + ([] if ground is None else [(GROUND, 0)])
-        products = Products.of_samples(record, acting, measured, driving, channels)
+        products = Products.of_samples(record, acting, measured, driving, channels if driving else [])
         frequency = np.fft.rfftfreq(len(record.time), record.step)
         last = int(np.searchsorted(frequency, BEYOND_BAND * record_band(record), side="right"))
         most = max(MOST_FREQUENCIES // records, MOST_FOR_MANY) if record.ndof <= MANY_DOFS else MOST_FOR_MANY

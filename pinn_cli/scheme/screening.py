@@ -17,6 +17,7 @@ from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.channel_doubts import ChannelDoubts
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit
+from pinn_cli.scheme.power_fit import PowerFit
 
 # Relative widths of the smoothing, one after the other, and how many starts go on to each.
 WIDTHS, SURVIVORS = (WIDEST, 0.05, 0.015), (6, 4, 3)
@@ -56,7 +57,7 @@ def screened(
     influence: np.ndarray | None = None,
     further: Sequence[Record] = (),
 ) -> list[Candidate]:
-    """Candidates, the best first; none where a force is unknown or nothing is.
+    """Candidates, the best first; none where nothing is unknown.
 
     Args:
         record: What was measured.
@@ -65,17 +66,23 @@ def screened(
         guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
         influence: (n,), how far each coordinate moves with the ground; None: by one.
         further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
-            are left out.
+            are left out, unless all are.
     """
     records = [record, *further]
     found_spectra = [CrossSpectra.of(each, len(records)) for each in records]
     seen = [(each, spectra) for each, spectra in zip(records, found_spectra, strict=True) if spectra is not None]
     doubts = [ChannelDoubts(each, spectra) for each, spectra in seen]
-    if not seen or not (any(map(len, doubts)) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+    if not (any(map(len, doubts)) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
         return []
     pairs = zip(seen, doubts, strict=True)
-    model = JointFit([LinearFit(spectra, stretch, known, guess["k"], influence, own) for (_, spectra), own in pairs])
-    starts = _starts(model, [each for each, _ in seen], guess)
+    fits = [LinearFit(spectra, stretch, known, guess["k"], influence, own) for (_, spectra), own in pairs]
+    if not seen:  # resonances show in the sensors alone
+        records = [each for each in records if each.observed.any()]
+        fits = [PowerFit(each, len(records), stretch, known, guess["k"]) for each in records]
+    if not fits:
+        return []
+    model = JointFit(fits)
+    starts = _starts(model, [each for each, _ in seen] or records, guess)
     found: list[tuple[float, np.ndarray]] = []
     for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
         model.smooth(width)

@@ -6,8 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.channels import channels
+from pinn_cli.record.frequency_response import spectra_of
+from pinn_cli.record.peaks import find_peaks
+from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.system.connection.base import Hysteresis
-from pinn_cli.verdict.finding import Finding
+from pinn_cli.system.modes import modes_of
+from pinn_cli.verdict.finding import Finding, failed_if
+from pinn_cli.verdict.prediction import is_linear
 
 if TYPE_CHECKING:
     from pinn_cli.scheme.problem import Problem
@@ -17,6 +23,9 @@ if TYPE_CHECKING:
 
 # Rms of a displacement's standard deviation over that of the displacement: from here on nobody knows it.
 UNTOLD = 0.5
+# A peak that stands out by so many dB is no chance; a natural frequency further from it, relative, is another one's; so
+# many are named.
+CLEAR_DB, ELSEWHERE, SHOWN = 10.0, 0.1, 6
 # Part of the power of the sensors' spectra, in a part of the band, that a model may miss beyond chance.
 MISSED = 0.3
 
@@ -29,7 +38,7 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
         estimate: Of the motion.
         structure: With the estimated parameters.
     """
-    of_parameters = _spectra(estimate) + _under_forces(problem, estimate)
+    of_parameters = _spectra(estimate) + _resonances(problem, structure) + _under_forces(problem, estimate)
     return _output_only(problem) + of_parameters + _untold(problem, estimate) + _energy(structure)
 
 
@@ -60,6 +69,27 @@ def _spectra(estimate: Estimate) -> list[Finding]:
     )
     remedy = "do not trust parameters and intervals; check masses, sensors, connections, and whether forces have lines"
     return [Finding("spectra", "parameters", f"{text}; {remedy}")]
+
+
+def _resonances(problem: Problem, structure: Structure) -> list[Finding]:
+    """Resonances that the sensors show by themselves, and that the estimated structure does not have."""
+    record = problem.record
+    if not problem.inputs.forces or not is_linear(structure):
+        return []
+    measured = channels(record)
+    signals = [Signal(c.name, c.measured, c.quantity, c.where) for c in measured if np.ptp(c.measured) > 0]
+    peaks = find_peaks(spectra_of(signals, Sampling(record.time))) if signals else []
+    clear = [peak for peak in peaks if peak.prominence_db > CLEAR_DB]
+    natural = modes_of(structure).natural_frequencies
+    natural = natural[natural > 0]
+    off = [p for p in clear if np.abs(natural - p.frequency).min(initial=np.inf) > ELSEWHERE * p.frequency]
+    if not off:
+        return []
+    shown = ", ".join(f"{p.frequency:.4g}" for p in off)
+    having = ", ".join(f"{f:.4g}" for f in natural[:SHOWN])
+    text = f"the sensors show resonances at {shown} Hz, and the estimated structure has none there (it has {having} Hz)"
+    remedy = "start elsewhere (scheme.initial), check masses and sensors, or whether a machine runs at that frequency"
+    return [Finding("resonances", "parameters", f"{text}; {remedy}", failed_if(len(off) == len(clear)))]
 
 
 def _output_only(problem: Problem) -> list[Finding]:

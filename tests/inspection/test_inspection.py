@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from pinn_cli.inspection.inspection import inspect_record
-from pinn_cli.inspection.signal import Sampling, Signal
 from pinn_cli.inspection.text import inspection_text
+from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.settings.errors import InputError
 
 RATE = 50.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pinn_cli.inspection.frequency_response import chance_coherence, spectra_of
 from pinn_cli.inspection.inspection import peak_table
-from pinn_cli.inspection.peaks import find_peaks
-from pinn_cli.inspection.signal import Sampling, Signal
+from pinn_cli.record.frequency_response import chance_coherence, spectra_of
+from pinn_cli.record.peaks import find_peaks
+from pinn_cli.record.signal import Sampling, Signal
 
 # Of a chain of five equal masses and springs, fixed at one end, Hz.
 FREQUENCIES = 0.890 * np.sin(np.pi * np.arange(1, 10, 2) / 22.0) / np.sin(np.pi / 22.0)

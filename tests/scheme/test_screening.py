@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
+from ambient_records import ambient_record
 from independent_records import IndependentRecord, frame_record
 
 from pinn_cli.record.noise import Noise
@@ -78,15 +77,24 @@ def test_candidates_are_sorted_and_distinct():
             assert np.abs(np.log(one.parameters["k"] / other.parameters["k"])).max() > 0.02
 
 
-def test_nothing_is_screened_without_all_forces_or_without_anything_unknown():
+def test_nothing_is_screened_without_anything_unknown():
     made = linear()
-    force = made.record.force.copy()
-    force[:, 1] = np.nan
-    unforced = np.array([True, False, False])
-    partly = replace(made.record, force=force, unforced=unforced)
-    assert CrossSpectra.of(partly) is None
-    assert screened(partly, STRETCH, known(made, "k"), guess(made)) == []
     assert screened(made.record, STRETCH, known(made, "c"), guess(made)) == []
+
+
+@pytest.mark.parametrize("factor", [1e-6, 100.0])
+@pytest.mark.parametrize(
+    ("first_frequency", "corner", "seed"), [(4.0, None, 0), (1.5, None, 1), (4.0, 2.0, 2)], ids=["", "slow", "wind"]
+)
+def test_resonances_tell_springs_where_nobody_measured_a_force(first_frequency, corner, seed, factor):
+    made = ambient_record(first_frequency, 50.0, 60.0, 20.0, corner, seed=seed)
+    assert CrossSpectra.of(made.record) is None
+    values = {kind: made.structure.parameters[kind].numpy() for kind in ("m", "c", "k")}
+    unknown = {"m": values["m"], "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
+    guessed = {"m": values["m"], "k": np.full(3, factor * values["k"][0])}
+    best, *_ = screened(made.record, STRETCH, unknown, guessed)
+    np.testing.assert_allclose(best.parameters["k"], values["k"], rtol=0.2)
+    assert np.all(np.abs(np.log(best.parameters["c"] / values["c"])) < np.log(3.0))
 
 
 # The chain with a brace from the ground to the second mass, a tie from the first to the third, and a bare damper.

@@ -10,11 +10,11 @@ slope, by Whittle's likelihood (Arkiv foer Matematik 2(23), 1953), as if a force
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.inspection.frequency_response import Spectra, chance_coherence
+from pinn_cli.record.frequency_response import Spectra, chance_coherence
 from pinn_cli.record.spectrum import periodogram, signal_band
 
 # A peak stands out by so many dB; as many are looked for at most.
@@ -39,6 +39,7 @@ class Peak:
         damping: Ratio, 0 to 1.
         damping_std: The same.
         coherence: Of the sensors there, the median; NaN without an input.
+        prominence_db: By how much the mean spectrum of all sensors stands above the lower of the valleys beside it.
     """
 
     frequency: float
@@ -46,27 +47,28 @@ class Peak:
     damping: float
     damping_std: float
     coherence: float
+    prominence_db: float = np.nan
 
 
 def find_peaks(spectra: Spectra) -> list[Peak]:
     """In order of their frequency; those that a fit does not bear out are left out."""
     if not spectra.y.shape[1]:
         return []
-    candidates = _candidates(spectra)
+    candidates, prominences = _candidates(spectra)
     fit = _fit_response if spectra.x.shape[1] else _fit_power
     found: list[Peak] = []
-    for i, place in enumerate(candidates):
+    for i, (place, prominence) in enumerate(zip(candidates, prominences, strict=True)):
         low = 0.5 * (place + candidates[i - 1]) if i else 0.3 * place
         high = 0.5 * (place + candidates[i + 1]) if i + 1 < len(candidates) else 1.7 * place
         peak = fit(spectra, float(place), float(low), float(high))
         alone = not found or (peak is not None and peak.frequency - found[-1].frequency > 2.0 * found[-1].frequency_std)
         if peak is not None and alone:
-            found.append(peak)
+            found.append(replace(peak, prominence_db=float(prominence)))
     return found
 
 
-def _candidates(spectra: Spectra) -> np.ndarray:
-    """Frequencies of the strongest peaks of all sensors together, Hz, ascending.
+def _candidates(spectra: Spectra) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies of the strongest peaks of all sensors together, Hz, ascending, and their prominences, dB.
 
     Sensors of all kinds count as accelerometers, each against its own median.
     """
@@ -82,14 +84,14 @@ def _candidates(spectra: Spectra) -> np.ndarray:
         level = level * np.clip(spectra.coherence, 1e-3, 1.0)
         usable &= spectra.coherence.max(axis=1) > chance_coherence(len(spectra.y), CHANCE)
     if not usable.any():
-        return np.zeros(0)
+        return np.zeros(0), np.zeros(0)
     with np.errstate(divide="ignore"):
         together = 10.0 * np.log10(np.mean(level / np.maximum(np.median(level[usable], axis=0), 1e-300), axis=1))
     together = np.where(np.isfinite(together), together, -300.0)
     places, found = signal.find_peaks(together, prominence=PROMINENCE_DB)
     kept = [(p, i) for i, p in zip(places, found["prominences"], strict=True) if usable[i]]
-    strongest = sorted(kept, reverse=True)[:MOST]
-    return np.sort(f[[i for _, i in strongest]])
+    strongest = sorted((i, p) for p, i in sorted(kept, reverse=True)[:MOST])
+    return f[[i for i, _ in strongest]], np.array([p for _, p in strongest])
 
 
 def _fit_response(spectra: Spectra, place: float, low: float, high: float) -> Peak | None:

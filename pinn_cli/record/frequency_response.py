@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.inspection.signal import Sampling, Signal
 from pinn_cli.record.decimation import decimate
+from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.record.spectrum import signal_band
 
 # Pieces that a record is cut into, half overlapping: a sixteenth of it, but not below or above so many samples.
