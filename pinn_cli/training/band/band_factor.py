@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided, sliding_window_view
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpbtrf, dtrtri
 
 from pinn_cli.training.band.diagonals import Diagonals
@@ -66,29 +67,39 @@ class BandFactor:
 
         Block form of the recursion of Takahashi et al. (1973): with blocks as wide as the band or wider, the factor is
         block bidiagonal, and the inverse's diagonal and first sub-diagonal blocks follow from the last to the first.
+        What goes from block to block is a root R of the diagonal one, R R' (Bierman 1977): a curvature's variance is a
+        millionth of a millionth of a weight's, and is lost in products that are not squares.
         """
         rows, size = self.band.shape
         block = max(rows, BLOCK)
         out, tall = np.zeros((rows, size)), np.zeros((block + rows - 1, block), order="F")
-        below = np.zeros((0, 0))
+        root = np.zeros((0, 0))
         for start in range((size - 1) // block * block, -1, -block):
             stop, end = min(start + block, size), min(start + block + rows - 1, size)
-            count = stop - start
-            inverse = np.tril(dtrtri(diagonal_block(self.band, start, stop), lower=1)[0])
+            count, own = stop - start, diagonal_block(self.band, start, stop)
+            blocks = [np.tril(dtrtri(own, lower=1)[0]).T]
             tall[count:] = 0.0
             if end > stop:
-                gain = rows_below(self.band, start, stop, end) @ inverse
-                coupling = below[: end - stop, : end - stop] @ gain
-                tall[:count, :count] = inverse.T @ inverse + gain.T @ coupling
-                np.negative(coupling, out=tall[count : count + end - stop, :count])
-            else:
-                tall[:count, :count] = inverse.T @ inverse
-            below = tall[:count, :count].copy()
+                # R of this block is [L^-T, -L^-T U' R], with U the rows of L below and R of the block there.
+                before = root[: end - stop]
+                through = dtrsm(-1.0, own, rows_below(self.band, start, stop, end).T @ before, lower=1, trans_a=1)
+                tall[count : count + end - stop, :count] = before @ through.T
+                blocks.append(through)
+            root = triangular_root(np.hstack(blocks))
+            tall[:count, :count] = root @ root.T
             # Entry [k, j] is the one in column j, k rows below the diagonal.
             out[:, start:stop] = as_strided(tall, (rows, count), (tall.itemsize, tall.strides[1] + tall.itemsize))
         for k in range(len(out)):
             out[k, : size - k] /= self.scale[: size - k] * self.scale[k:]
         return out
+
+
+def triangular_root(root: np.ndarray) -> np.ndarray:
+    """(k, k) of the same product R R' as a root (k, r) with more columns; others as they are."""
+    if root.shape[1] <= root.shape[0]:
+        return root
+    upper: np.ndarray = np.asarray(np.linalg.qr(root.T, mode="r"))
+    return upper.T
 
 
 def root_of(diagonal: np.ndarray) -> np.ndarray | None:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.blas import dsyrk, dtrsm
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.sparse import csr_matrix
 
-from pinn_cli.training.band.band_factor import ROUNDING_JITTER, root_of
+from pinn_cli.training.band.band_factor import ROUNDING_JITTER, root_of, triangular_root
 from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.front_tree import Front, FrontTree, Runs
 from pinn_cli.training.band.readout_factor import ReadoutFactor
@@ -124,7 +124,8 @@ class FrontElimination(ReadoutFactor):
         """See :meth:`ReadoutFactor.inverse`.
 
         From the last front to the first, by Takahashi et al. (1973) front by front: with S_ll of the weights that are
-        left, S_lo = -S_ll G' and S_oo = (L L')^-1 + G S_ll G', where G = L^-T U' and U is what stands below L.
+        left, S_lo = -S_ll G' and S_oo = (L L')^-1 + G S_ll G', where G = L^-T U' and U is what stands below L. Roots
+        of them go from front to front, see :meth:`pinn_cli.training.band.band_factor.BandFactor.inverse_band`.
         """
         out = np.zeros((len(self.tree.offsets), self.tree.size))
         flat = out.reshape(-1)
@@ -132,19 +133,16 @@ class FrontElimination(ReadoutFactor):
         for number in reversed(range(len(self.tree.fronts))):
             front, pivot = self.tree.fronts[number], self.pivots[number]
             k, m = front.eliminated, len(front.left)
-            whole = np.zeros((k + m, k + m), order="F")
-            own = dpotri(pivot, lower=1)[0]
-            own = np.tril(own) + np.tril(own, -1).T
+            left = known.pop(number) if m else np.zeros((0, 0))
+            root = np.zeros((k + m, k + left.shape[1]))
+            root[:k, :k] = np.tril(dtrtri(pivot, lower=1)[0]).T
             if m:
-                left = known.pop(number)
-                gain = dtrsm(1.0, pivot, self.below[number][:m], side=1, lower=1)  # (m, k), G'
-                across = -left @ gain
-                own -= gain.T @ across
-                whole[k:, k:], whole[k:, :k], whole[:k, k:] = left, across, across.T
-            whole[:k, :k] = own
+                through = self.below[number][:m].T @ left
+                root[:k, k:], root[k:, k:] = -dtrsm(1.0, pivot, through, lower=1, trans_a=1), left
+            whole = root @ root.T
             flat[front.band_source] = whole[front.band_row, front.band_column]
             for child in front.children:
-                known[child] = _taken(whole, self.tree.fronts[child])
+                known[child] = _taken(root, self.tree.fronts[child])
         for line, offset in zip(out, self.tree.offsets.tolist(), strict=True):
             size = self.tree.size - offset
             line[:size] /= self.scale[:size] * self.scale[offset:]
@@ -182,9 +180,7 @@ def _add(pivot: np.ndarray, under: np.ndarray, left: np.ndarray, more: np.ndarra
             ]
 
 
-def _taken(whole: np.ndarray, child: Front) -> np.ndarray:
-    """(m, m), the entries of a front that stand in what is left of another one, without parameters."""
-    m = len(child.left)
-    index = np.concatenate([np.arange(there, there + n) for _, there, n in child.runs])[:m]
-    taken: np.ndarray = whole[np.ix_(index, index)]
-    return taken
+def _taken(root: np.ndarray, child: Front) -> np.ndarray:
+    """(m, r), a root of what is left of another front, without parameters, from that of the front it belongs to."""
+    index = np.concatenate([np.arange(there, there + n) for _, there, n in child.runs])[: len(child.left)]
+    return triangular_root(root[index])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
 from pinn_cli.training.band.band_elimination import BandElimination
@@ -172,3 +173,24 @@ def test_operations_grow_as_they_do_for_a_plane_grid():
     """Nested dissection of a square grid of N weights takes N^1.5; a band takes N^2."""
     few, many = (Dissection(Grid(2 * n, n, 4, 2, 3 * n)).best.cost for n in (200, 800))
     assert np.log(many / few) / np.log(4.0) < 3.2
+
+
+def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance():
+    """Of coupled splines whose values are measured seldom: it was up to thousands of times as large, or negative."""
+    count, functions, degree, known = 400, 3, 6, 1e5
+    time, knots = np.arange(count - degree) + 0.37, np.arange(-degree, count + 1.0)
+    value, curvature = (BSpline(knots, np.eye(count), degree).derivative(order)(time) for order in (0, 2))
+    coupling = np.vstack((np.eye(functions), 10.0 * (np.eye(functions) - 0.5 * np.eye(functions, k=-1))[1:]))
+    rows = np.vstack((known * np.kron(curvature, coupling), np.kron(value[::7], np.eye(functions))))
+    matrix = rows.T @ rows
+    grid = Grid(count, functions, degree, 1, 0)
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), csr_matrix((len(matrix), 0)))
+    values = np.zeros((len(tree.offsets), len(matrix)))
+    for line, offset in zip(values, tree.offsets, strict=True):
+        line[: len(matrix) - offset] = np.diag(matrix, -offset)
+    band, border = Diagonals(tree.offsets, values), csr_matrix((len(matrix), 0))
+    wanted = np.kron(curvature, np.eye(functions)[-1:])
+    for factor in (BandElimination.of(band, border), FrontElimination.of(tree, band, border)):
+        half, _ = factor.half_solved(wanted.T)
+        variance = np.sum((wanted @ factor.inverse().dense()) * wanted, axis=1)
+        assert variance == pytest.approx(np.sum(half**2, axis=0), rel=0.02, abs=0.0)
