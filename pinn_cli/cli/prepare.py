@@ -9,6 +9,7 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.runs.stages import Stages
+from pinn_cli.scheme.reach import tell_if_unreached
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +67,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
         validation = None if validate is None else validate(true, records)
     with stages("problem"):
         problem = config.scheme.joint_problem(prescribed, records)
+        tell_if_unreached(problem)
     truths = tuple(each.truth for each in measurements)
     return PreparedProblem(true, prescribed, records[0], truths[0], problem, truths, validation)
 

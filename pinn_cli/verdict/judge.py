@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.channels import channels
 from pinn_cli.record.spectrum import record_band
+from pinn_cli.scheme.reach import unreached_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
@@ -59,7 +61,7 @@ def judge(
             it is off, %; NaN elsewhere.
     """
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
-    own = record_faults(record)
+    own = record_faults(record) + _unreached(problem)
     excused = [finding.suspect for finding in own]
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
@@ -91,6 +93,14 @@ def _contradicted(problem: Problem, agreement: float) -> list[Finding]:
         " only: the model, a sensor's scale or the parameters are wrong"
     )
     return [Finding("contradicted", "parameters", f"{text}; do not trust displacements and parameters together")]
+
+
+def _unreached(problem: Problem) -> list[Finding]:
+    """Sensors of which the model can say nothing: whatever they show is no fault of theirs, nor of any other sensor."""
+    dofs = unreached_dofs(problem)
+    text = "no force of the model reaches that sensor; add the connection that is missing, or the force there"
+    found = [channel for channel in channels(problem.record) if channel.dof in dofs]
+    return [Finding("unreached", c.name, f"the {c.name} cannot be explained: {text} (data.force)") for c in found]
 
 
 def _furthest(estimate: Estimate) -> float:
