@@ -9,7 +9,6 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.composing import check_what_is_composed
 from pinn_cli.runs.stages import Stages
-from pinn_cli.scheme.reach import tell_if_unreached
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,6 +55,8 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     Raises:
         InputError: A setting or a file that no run can use.
     """
+    from pinn_cli.scheme.reach import tell_if_unreached
+
     stages = stages or Stages()
     with stages("system"):
         true, prescribed = config.model_error.structures(config.structure)

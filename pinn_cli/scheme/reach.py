@@ -1,4 +1,4 @@
-"""Parts of a structure that nothing joins to where a force acts: no force of the model makes what their sensors show."""
+"""Parts of a structure that nothing joins to where a force acts: none of the model moves their sensors."""
 
 from __future__ import annotations
 
