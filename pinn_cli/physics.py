@@ -143,6 +143,7 @@ def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
     if dynamics.structure.shapes is None:
         known[: dynamics.ndof] = record.unforced
         known[dynamics.loaded] = True
+    known[dynamics.filters] = False
     return torch.as_tensor(known)
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.signal import bilinear, lfilter
 
+from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
+from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
@@ -68,10 +72,14 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
 
 
 def high_passed(y: np.ndarray, corner: float, order: int) -> np.ndarray:
-    """Behind a filter of first or second order (Butterworth), Hz, that starts at rest."""
-    w = 2.0 * np.pi * corner
+    """Histories (N, n) behind a filter of first or second order (Butterworth), Hz, that starts at rest.
+
+    The rule of trapezia in sixteen steps between two samples, through which a spline of seventh degree goes.
+    """
+    w, count = 2.0 * np.pi * corner, 16 * (len(y) - 1) + 1
     b, a = (([1.0, 0.0], [1.0, w]), ([1.0, 0.0, 0.0], [1.0, 2.0**0.5 * w, w**2]))[order - 1]
-    return lfilter(*bilinear(b, a, RATE), y, axis=0)
+    dense = make_interp_spline(np.arange(len(y)), y, 7)(np.linspace(0, len(y) - 1, count))
+    return lfilter(*bilinear(b, a, 16 * RATE), dense, axis=0)[::16]
 
 
 def recorded(truth: Response, spoilt: Mapping[int, np.ndarray] | None = None, snr_db: float = 40.0) -> Record:
@@ -91,6 +99,15 @@ def recorded(truth: Response, spoilt: Mapping[int, np.ndarray] | None = None, sn
     return Record(truth.time, absent, absent, noisy(shown), force, unforced=unforced, ground_acceleration=ground)
 
 
+def as_gauges(record: Record, filter_order: int = 0, **calibration: Calibration) -> Record:
+    """The same accelerometers as gauges of one calibration."""
+    of = calibration, -1, True, filter_order
+    gauges = tuple(
+        Gauge(f"a{i + 1}", "acceleration", {i: 1.0}, record.time, record.acceleration[:, i], *of) for i in range(3)
+    )
+    return replace(record, gauges=gauges)
+
+
 def posed(record: Record, **prescribed: list[float]) -> Problem:
     """The linear chain with unknown springs and dampers, which start 10 to 30 % off; masses as given or right."""
     chain = build_chain(
@@ -101,4 +118,4 @@ def posed(record: Record, **prescribed: list[float]) -> Problem:
         for kind, values in (("c", C), ("k", K))
         for i in range(3)
     )
-    return Problem(chain, record, uncertain, inputs=inputs_of(chain, record))
+    return Problem(chain, record, (*uncertain, *sensor_parameters(record)), inputs=inputs_of(chain, record))

@@ -13,7 +13,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, TILT
 
 # Part of a step by which a sample may be off the record's times.
 ON_TIME = 0.01
@@ -183,6 +183,8 @@ def check_gauges(record: Record, name: str) -> None:
 def _unfit(gauge: Gauge, record: Record) -> tuple[str, str] | None:
     if not gauge.of("delay").is_known:
         return "a delay is in doubt", "is such: the smoother knows the motion at samples only"
+    if gauge.filter_order or TILT in gauge.calibration:
+        return "a sensor tilts or is behind a filter", "does: the smoother has no state of it"
     if gauge.quantity not in (*RESPONSE_QUANTITIES, FORCE):
         return "a sensor feels no motion of DOFs and no force on one", f"measures {gauge.quantity}"
     whole = gauge.even_step is not None and gauge.even_step < (1.0 + ON_TIME) * record.step

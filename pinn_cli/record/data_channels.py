@@ -14,12 +14,14 @@ from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, finite_number, is_finite_number, is_whole_number, one_of
 from pinn_cli.settings.suggestion import suggestion
-from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, FORCE, GROUND, MOTION
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, TILT
 
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
 PLACES = ("dof", "between", "weights", "connection")
 KEYS = ("sensor", "column", "unit", *PLACES, *CALIBRATION_UNITS)
 UNKNOWN = "unknown"
+# Sensors that may have a number of a calibration, where not all may.
+FELT_BY = {TILT: ("acceleration",), HIGH_PASS: ("acceleration", "velocity", GROUND)}
 
 
 @dataclass(frozen=True)
@@ -34,8 +36,9 @@ class DataChannel:
         weights: DOF, counted from 0, to its weight; none of the ground or of a connection.
         connection: Name or number of the connection whose force it measures.
         factor: SI units that one of its units is; None: of the unit that the file's header tells, or SI units.
-        calibration: ``gain``, ``offset``, ``drift`` and ``delay`` where they are given: a number, ``unknown``, or value
-            and uncertainty; offset and drift in the channel's unit, the delay in s.
+        calibration: Numbers of `CALIBRATION_UNITS` where they are given: a number, ``unknown``, or value and
+            uncertainty; offset and drift in the channel's unit, the delay in s, a tilt in 1/s^2, a corner in Hz.
+        filter_order: Of the high-pass filter that the corner is of.
     """
 
     setting: str
@@ -46,6 +49,7 @@ class DataChannel:
     connection: str | int | None = None
     factor: float | None = None
     calibration: Mapping[str, float | str | tuple[float, float]] = field(default_factory=dict)
+    filter_order: int = 1
 
     @property
     def dof(self) -> int | None:
@@ -68,7 +72,7 @@ class DataChannel:
     def is_plain(self) -> bool:
         """Whether its samples, calibrated as is known, are what the structure does at their times."""
         return self.place is not None and not any(
-            isinstance(given, str | tuple) or (kind == "delay" and given != 0.0)
+            isinstance(given, str | tuple) or (kind in ("delay", TILT, HIGH_PASS) and given != 0.0)
             for kind, given in self.calibration.items()
         )
 
@@ -125,7 +129,8 @@ class DataChannel:
             allowed = f"shorter than the record, {duration:.6g} s"
             raise InputError(f"{self.setting}.delay", late.value, allowed, "delays are in s")
         connection = -1 if self.connection is None else self._connection(connections)
-        return Gauge(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills)
+        order = self.filter_order if HIGH_PASS in calibration else 0
+        return Gauge(self.name, self.sensor, self.weights, time, shown, calibration, connection, fills, order)
 
     def _is_unknown(self, kind: str) -> bool:
         return self.calibration.get(kind) == UNKNOWN
@@ -184,10 +189,25 @@ def _channel(name: str, node: Any) -> DataChannel:
         raise InputError(f"{setting}.column", column, "the name of a column")
     weights, connection = _where(setting, sensor, node)
     factor = None if node.get("unit") is None else si_factor(f"{setting}.unit", node["unit"], sensor)
-    calibration = {
-        kind: _number(f"{setting}.{kind}", kind, node[kind]) for kind in CALIBRATION_UNITS if node.get(kind) is not None
-    }
-    return DataChannel(setting, name, column, sensor, weights, connection, factor, calibration)
+    given = {kind: node[kind] for kind in CALIBRATION_UNITS if node.get(kind) is not None}
+    order = 1
+    if HIGH_PASS in given:
+        given[HIGH_PASS], order = _filter(f"{setting}.{HIGH_PASS}", given[HIGH_PASS])
+    for kind, sensors in FELT_BY.items():
+        if kind in given and sensor not in sensors:
+            raise InputError(f"{setting}.{kind}", given[kind], f"left out: it is of {' or '.join(sensors)}")
+    calibration = {kind: _number(f"{setting}.{kind}", kind, value) for kind, value in given.items()}
+    return DataChannel(setting, name, column, sensor, weights, connection, factor, calibration, order)
+
+
+def _filter(setting: str, given: Any) -> tuple[Any, int]:
+    """Corner of a high-pass filter as given, and its order."""
+    if not isinstance(given, Mapping) or "frequency" not in given:
+        return given, 1
+    order = given.get("order", 1)
+    if set(given) - {"frequency", "order"} or isinstance(order, bool) or order not in (1, 2):
+        raise InputError(setting, dict(given), "a corner in Hz, or {frequency: 0.5, order: 1 or 2}")
+    return given["frequency"], int(order)
 
 
 def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> tuple[dict[int, float], str | int | None]:
@@ -256,6 +276,8 @@ def _number(setting: str, kind: str, given: Any) -> float | str | tuple[float, f
         if not is_finite_number(given):
             raise InputError(setting, given, allowed)
         value, std = float(given), 0.0
+    if kind == HIGH_PASS and value <= 0.0:
+        raise InputError(setting, given, "a corner > 0 Hz", "a sensor that passes slow motion has none")
     if kind == "gain" and (value == 0.0 or math.isnan(value)):
         raise InputError(setting, given, "a gain that is not 0", "a sensor that shows nothing is no sensor")
     return (value, std) if std else value

@@ -5,7 +5,8 @@ doubt, and samples of its own: some may be missing, and its rate may differ from
 
     y(t) = gain x(t - delay) + offset + drift (t - start) + noise
 
-with x what it feels.
+with x what it feels. Of an accelerometer that tilts, x holds the displacement of its place as well, by g over the
+length that it turns about; one that passes no slow motion shows x behind a high-pass filter.
 """
 
 from __future__ import annotations
@@ -15,16 +16,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, TILT
 
 # Of the spline between even samples, and the part of a step by which those may come early or late.
 DEGREE, EVEN = 5, 0.02
+# Points in a step at which a sensor's filter is applied to a history.
+DENSER = 8
 # Of the residuals and noise levels of all gauges.
 GAUGE = "gauge"
 
 # Prior standard deviation of what is unknown: of a gain, which is about one; of an offset or of a drift over the whole
 # record, in rms of the channel; of a delay, in samples of the channel.
 WIDEST_GAIN, WIDEST_OFFSET, WIDEST_DELAY = 10.0, 10.0, 5.0
+# Prior standard deviation of a tilt, 1/s^2: g over a quarter of a metre, about which no floor turns. An unknown corner
+# of a filter starts below those of most sensors, Hz.
+WIDEST_TILT = 40.0
+FIRST_CORNER, WIDEST_CORNER = 0.1, 10.0
 # Standard deviations of its delay by which a gauge may ask for motion before or after the record.
 DELAYS_ALLOWED = 3.0
 # Samples in a row that show a channel's noise; of fewer the emptiest part of a spectrum is often empty by chance.
@@ -61,9 +68,11 @@ class Gauge:
         weights: DOF, counted from 0, to its weight in what a motion or force gauge feels.
         time: (J,), s, of its samples, ascending.
         values: (J,), SI units.
-        calibration: ``gain``, ``offset``, ``drift`` (per second) and ``delay`` (s), by name.
+        calibration: ``gain``, ``offset``, ``drift`` (per second), ``delay`` (s), ``tilt`` (1/s^2) and ``high_pass``
+            (Hz), by name.
         connection: Whose force it feels, counted from 0; -1: of none.
         fills: Whether a column of the record shows it: its DOF has no other sensor of the quantity.
+        filter_order: Of the high-pass filter that it is behind, whose corner is in the calibration; 0: there is none.
     """
 
     name: str
@@ -74,6 +83,7 @@ class Gauge:
     calibration: Mapping[str, Calibration] = field(default_factory=dict)
     connection: int = -1
     fills: bool = True
+    filter_order: int = 0
 
     def of(self, kind: str) -> Calibration:
         """One of its numbers, by default that of a perfect sensor."""
@@ -143,6 +153,33 @@ class Gauge:
 
         return np.asarray(make_interp_spline(felt_at, felt, DEGREE)(np.clip(time, felt_at[0], felt_at[-1])))
 
+    def passed(self, time: np.ndarray, x: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
+        """What its filter passes of a history (N,) at even times, as if it had begun at rest; all where there is none.
+
+        The filter's rule of trapezia follows slow motion; the history is made denser for the rest of it.
+        """
+        if not self.filter_order:
+            return x
+        from scipy.interpolate import make_interp_spline
+        from scipy.signal import bilinear, lfilter
+
+        dense = np.linspace(time[0], time[-1], DENSER * (len(time) - 1) + 1)
+        denominator = self.filter_polynomial(found)[::-1]
+        rule = bilinear([1.0, *[0.0] * self.filter_order], denominator, 1.0 / (dense[1] - dense[0]))
+        return np.asarray(lfilter(*rule, make_interp_spline(time, x, DEGREE)(dense))[::DENSER])
+
+    def decays(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
+        """(N, order), what its filter shows of how it began."""
+        since = (time - time[0])[:, None]
+        root = np.roots(self.filter_polynomial(found)[::-1])[:1] if self.filter_order else np.zeros(0)
+        decay = np.exp(since * root)
+        return np.hstack((decay.real, decay.imag))[:, : self.filter_order]
+
+    def filter_polynomial(self, found: Mapping[str, float] | None = None) -> tuple[float, ...]:
+        """See :func:`filter_polynomial`, of its own filter."""
+        corner = {HIGH_PASS: self.of(HIGH_PASS).value, **(found or {})}[HIGH_PASS]
+        return filter_polynomial(2.0 * np.pi * corner, self.filter_order)
+
     def started_at(self, values: Mapping[str, float]) -> Gauge:
         """The same where the search for its unknown numbers starts elsewhere; what is believed stays.
 
@@ -162,7 +199,7 @@ def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: b
     """Where an unknown number of a gauge starts, and how wide its prior is.
 
     Args:
-        kind: ``gain``, ``offset``, ``drift`` or ``delay``.
+        kind: One of `CALIBRATION_UNITS`.
         time: (J,), s, of its samples.
         values: (J,).
         both: Whether offset and drift are both unknown: a straight line then goes through the samples.
@@ -175,5 +212,17 @@ def unknown_calibration(kind: str, time: np.ndarray, values: np.ndarray, both: b
         "offset": (float(level), WIDEST_OFFSET * rms),
         "drift": (float(slope), WIDEST_OFFSET * rms / duration),
         "delay": (0.0, WIDEST_DELAY * float(np.median(np.diff(time)))),
+        TILT: (0.0, WIDEST_TILT),
+        HIGH_PASS: (FIRST_CORNER, WIDEST_CORNER),
     }[kind]
     return Calibration(start, width, unknown=True)
+
+
+def filter_polynomial(corner: float, order: int) -> tuple[float, ...]:
+    """Coefficients a_0 to a_order of p^(order) + ... + a_0 p = x, of which a high-pass filter shows p^(order).
+
+    Args:
+        corner: rad/s, where half of the power passes.
+        order: 1, or 2: the flattest one (Butterworth).
+    """
+    return (corner, 1.0) if order == 1 else (corner**2, 2.0**0.5 * corner, 1.0)

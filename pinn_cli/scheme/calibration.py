@@ -9,7 +9,7 @@ from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.system.quantities import CALIBRATION_UNITS, UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL, UNITS
 
 
 def calibrated_starts(record: Record, starts: Mapping[Parameter, float]) -> Record:
@@ -50,7 +50,8 @@ def _in_doubt(gauge: Gauge, number: int) -> tuple[Parameter, ...]:
             prescribed=gauge.of(kind).value,
             prior_std=gauge.of(kind).std,
             unknown=gauge.of(kind).unknown,
-            unit=unit if kind in ("gain", "delay") else UNITS[gauge.quantity] + unit,
+            unit=UNITS[gauge.quantity] + unit if kind in OF_ONE_CHANNEL else unit,
+            positive=kind == HIGH_PASS,
             label=gauge.name,
         )
         for kind, unit in CALIBRATION_UNITS.items()

@@ -39,9 +39,10 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
     functions = modal or any(gauge.quantity == FORCE for gauge in record.gauges)
     loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
-    together = not all(gauge.feels_one for gauge in record.gauges)
+    filters = tuple(number for number, gauge in enumerate(record.gauges) if gauge.filter_order)
+    together = bool(filters) or not all(gauge.feels_one for gauge in record.gauges)
     if not forces and not loads and record.ground_acceleration is None and not len(structure.memory):
-        return Inputs(together=together)
+        return Inputs(together=together, filters=filters)
     band = record_band(record)
     return Inputs(
         record.ground_acceleration is not None,
@@ -52,6 +53,7 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         edge=2.0 * math.pi * band,
         loads=loads,
         together=together,
+        filters=filters,
     )
 
 

@@ -19,6 +19,7 @@ from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
+from pinn_cli.system.quantities import CALIBRATION_UNITS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 
 # What measured accelerations can be compared with.
@@ -130,7 +131,7 @@ def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter])
 
     An unknown delay's width depends on how a record was sampled, that of offset and drift on what it holds.
     """
-    if parameter.kind not in ("gain", "delay"):
+    if parameter.kind not in CALIBRATION_UNITS or parameter.kind in OF_ONE_CHANNEL:
         return parameter
     known = believed.setdefault((parameter.kind, parameter.label), parameter)
     if parameter.unknown and known.unknown:

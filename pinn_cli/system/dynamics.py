@@ -13,6 +13,8 @@ Where the coordinates are modes, a force on a DOF is in all their equations. A m
 with a sensor of its own and a process like the ground's: its errors are common to all modes. So it is where a load cell
 has a gain in doubt, a delay, or samples that are missing.
 
+The state of a sensor's filter is a function without an equation here: it is in the sensor's rows.
+
 Rows of first order are divided by a rate of the record, so that all of them are forces. The ground's process is flat up
 to the edge of the record's band and falls off above it: between samples it does what a band-limited signal does. An
 unknown force's has its edge at 2 zeta / tau, which is inferred.
@@ -92,6 +94,8 @@ class Dynamics(Functions):
         if self.inputs.forces:
             force, rate, curvature = (x[..., self.forces] for x in jet)
             rows.append(curvature / self.inputs.force_edge**2 + self.inputs.correlation_time * rate + force)
+        if self.inputs.filters:
+            rows.append(torch.zeros_like(jet.value[..., self.filters]))
         return torch.cat(rows, -1)
 
     def external_force(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:

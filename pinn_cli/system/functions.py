@@ -42,6 +42,7 @@ class Inputs:
         together: Whether sensors feel functions that no equation of motion couples.
         damping_ratio: Of the process of unknown forces: at 0.7 its spectrum is flat up to an edge; with more it falls
             off from a corner below that.
+        filters: Gauges, counted from 0, behind a filter that has a state, whose equation is the gauge's own.
     """
 
     ground: bool = False
@@ -53,6 +54,7 @@ class Inputs:
     loads: tuple[int, ...] = ()
     together: bool = False
     damping_ratio: float = FLAT
+    filters: tuple[int, ...] = ()
 
     @property
     def force_edge(self) -> float:
@@ -103,6 +105,11 @@ class Functions:
         return slice(self.loads.stop, self.loads.stop + len(self.inputs.forces))
 
     @cached_property
+    def filters(self) -> slice:
+        """The states of sensors' filters among the functions."""
+        return slice(self.forces.stop, self.forces.stop + len(self.inputs.filters))
+
+    @cached_property
     def acting(self) -> slice:
         """All forces among the functions."""
         return slice(self.loads.start, self.forces.stop)
@@ -121,7 +128,7 @@ class Functions:
     @property
     def size(self) -> int:
         """N, functions in all."""
-        return self.forces.stop
+        return self.filters.stop
 
     @property
     def is_plain(self) -> bool:
@@ -136,6 +143,7 @@ class Functions:
             "the ground's acceleration": self.ground,
             "a force": self.loads,
             "an unmeasured force": self.forces,
+            "the state of a sensor's filter": self.filters,
         }
         modes = [] if self.structure.shapes is None else ["the motion of modes"]
         return " and ".join(modes + [name for name, at in parts.items() if at.stop > at.start])

@@ -5,8 +5,11 @@ GROUND, FORCE = "ground_acceleration", "force"
 # Of a connection, the force within it.
 CONNECTION_FORCE = "connection_force"
 UNITS = {**dict(zip(MOTION, ("m", "m/s", "m/s^2"), strict=True)), FORCE: "N", GROUND: "m/s^2", CONNECTION_FORCE: "N"}
-# Of a sensor: what it shows of what it feels, the unit of each over that of the sensor's quantity.
-CALIBRATION_UNITS = {"gain": "", "offset": "", "drift": "/s", "delay": "s"}
+# Of a sensor: what it shows of what it feels. The units of an offset and of a drift are over that of its quantity.
+CALIBRATION_UNITS = {"gain": "", "offset": "", "drift": "/s", "delay": "s", "tilt": "1/s^2", "high_pass": "Hz"}
+TILT, HIGH_PASS = "tilt", "high_pass"
+# Those that depend on what a record holds and when it begins; the others are the sensor's own.
+OF_ONE_CHANNEL = ("offset", "drift")
 # What a motion that goes on from an earlier record's end begins with; uncertain, as parameters are.
 INITIAL_STATE = "initial_state"
 # Uncertain numbers that stand in no equation of motion.

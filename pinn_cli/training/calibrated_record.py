@@ -84,7 +84,11 @@ def _shown(
 
     (felt_at, felt), (place, inside) = gauge.calibrated(found), sample_places(gauge, found, time)
     shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
-    left = felt[inside] - make_interp_spline(time, estimated, DEGREE)(felt_at[inside])
+    expected = gauge.passed(time, estimated, found)
+    left = felt[inside] - make_interp_spline(time, expected, DEGREE)(felt_at[inside])
+    if gauge.filter_order:
+        decays = gauge.decays(time, found)[place[inside]]
+        left = left - decays @ np.linalg.lstsq(decays, left)[0]
     shown[place[inside]] += left
     there[place[inside]] = True
     return shown, there

@@ -39,11 +39,11 @@ def _said(doubt: Doubt) -> tuple[str, str]:
         "delay": (f"the {doubt.of} is {number} late", "check its clock, or say delay: unknown (data.channels)"),
         "tilt": (
             f"the {doubt.of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",
-            "see how it is mounted, or leave it out",
+            "say tilt: unknown (data.channels)",
         ),
         "high_pass": (
             f"the {doubt.of} lacks slow motion, as behind a high-pass filter of about {doubt.value:.2g} Hz",
-            "use sensors that pass it: displacements are wrong where it matters",
+            f"say high_pass: {doubt.value:.2g} (data.channels)",
         ),
     }
     return said[doubt.kind]

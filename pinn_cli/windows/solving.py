@@ -22,6 +22,7 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS, HIGH_PASS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.calibrated_record import as_calibrated
@@ -128,10 +129,14 @@ def _check_sensors(problem: Problem) -> None:
         InputError: Naming the channel.
     """
     for parameter in problem.uncertain:
-        if parameter.kind in ("gain", "delay"):
+        if parameter.kind in CALIBRATION_UNITS and parameter.kind not in OF_ONE_CHANNEL:
             setting = f"data.channels.{parameter.label}.{parameter.kind}"
             hint = f"learn it from a part of the record: data.start, data.stop, without {SETTING}"
             raise InputError(setting, "in doubt", f"a number with {SETTING}", hint)
+    for gauge in problem.record.gauges:
+        if gauge.filter_order:
+            hint = "each window would begin with another state of its filter"
+            raise InputError(f"data.channels.{gauge.name}.{HIGH_PASS}", "given", f"left out with {SETTING}", hint)
 
 
 @dataclass(frozen=True, eq=False)

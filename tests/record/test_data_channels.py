@@ -117,6 +117,10 @@ def test_units(sensor, unit, factor):
         ({"sensor": None}, "data.channels.x.sensor=None: must be"),
         ({"gian": "unknown"}, "data.channels.x.gian=unknown: must be one of the keys"),
         ({"gian": "unknown"}, "gain"),
+        ({"high_pass": 0.0}, "data.channels.x.high_pass=0.0: must be a corner > 0 Hz"),
+        ({"high_pass": {"frequency": 0.5, "order": 3}}, "must be a corner in Hz, or {frequency: 0.5, order: 1 or 2}"),
+        ({"sensor": "displacement", "high_pass": 1.0}, "data.channels.x.high_pass=1.0: must be left out: it is of"),
+        ({"sensor": "velocity", "tilt": "unknown"}, "data.channels.x.tilt=unknown: must be left out: it is of"),
         ({"dof": 0}, "data.channels.x.dof=0: must be a DOF, counted from 1"),
         ({"dof": True}, "data.channels.x.dof=True: must be a DOF"),
         ({"dof": 1.5}, "data.channels.x.dof=1.5: must be a DOF"),
@@ -176,6 +180,14 @@ def test_what_a_sensor_feels(place, weights):
     channel = one(sensor="displacement", **place)
     assert channel.weights == weights
     assert channel.place == (("displacement", max(weights) + 1) if list(weights.values()) == [1.0] else None)
+
+
+def test_a_filter_has_a_corner_and_an_order(rig):
+    shown = {"high_pass": {"frequency": "unknown", "order": 2}, "tilt": {"value": 0.0, "uncertainty": 2.0}}
+    (gauge,) = record_of(rig, a1={**ROOF, **shown}, f={"sensor": "force", "dof": 2}).gauges
+    assert (gauge.filter_order, gauge.of("high_pass").unknown, gauge.of("tilt").std) == (2, True, 2.0)
+    (gauge,) = record_of(rig, a1={**ROOF, "high_pass": 0.5}, f={"sensor": "force", "dof": 2}).gauges
+    assert (gauge.filter_order, gauge.of("high_pass").value, gauge.of("high_pass").is_known) == (1, 0.5, True)
 
 
 def test_what_is_known_of_a_calibration_is_taken_out(rig):

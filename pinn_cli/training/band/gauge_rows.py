@@ -16,11 +16,11 @@ from pinn_cli.record.response import GROUND
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE
+from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, TILT
 from pinn_cli.training.band.row_sums import RowSums
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pinn_cli.training.band.layout import BandLayout
 
@@ -102,7 +102,11 @@ class GaugeRows:
         kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
         self.time, self.measured = (torch.as_tensor(x[kept]).to(like) for x in (gauge.time, gauge.values))
         self.since = self.time - gauge.start
-        self.parts = [] if gauge.quantity == CONNECTION_FORCE else self._constant_parts()
+        self.own = [] if gauge.quantity == CONNECTION_FORCE else self._constant_parts(gauge.quantity)
+        self.turning = self._constant_parts("displacement") if gauge.quantity == "acceleration" else []
+        filters = dynamics.inputs.filters
+        # Behind a filter it shows a derivative of the filter's state, a function whose equation holds what is felt.
+        self.state = dynamics.filters.start + filters.index(number) if number in filters else None
         self._moment: Moment | None = None
 
     def _inside(self, start: float, stop: float) -> np.ndarray:
@@ -117,11 +121,11 @@ class GaugeRows:
         """Those that are compared with the motion."""
         return len(self.time)
 
-    def _constant_parts(self) -> list[tuple[int, int, Tensor | float]]:
-        """Function, order of its derivative and weight, of sensors that feel a weighted sum."""
+    def _constant_parts(self, quantity: str) -> list[tuple[int, int, Tensor | float]]:
+        """Function, order of its derivative and weight, of sensors of a quantity that feel the same weighted sum."""
         weights: defaultdict[tuple[int, int], float] = defaultdict(float)
-        channels = {0: 1.0} if self.gauge.quantity == GROUND else self.gauge.weights
-        for order, matrix in self.dynamics.sensing(self.gauge.quantity):
+        channels = {0: 1.0} if quantity == GROUND else self.gauge.weights
+        for order, matrix in self.dynamics.sensing(quantity):
             for channel, weight in channels.items():
                 row = matrix[channel]
                 for function, share in zip(row.indices.tolist(), row.data.tolist(), strict=True):
@@ -158,8 +162,23 @@ class GaugeRows:
         local = self.layout.weights(unknowns)[moment.segments.feature]  # (I, B, functions)
         if self.gauge.quantity == CONNECTION_FORCE:
             return self._connection(moment, local, parameters)
-        value, rate = (self._summed(moment, local, self.parts, more) for more in (0, 1))
-        return Felt(value, rate, self.parts, {})
+        parts = self.parts(parameters)
+        if self.state is not None:
+            parts = [(self.state, self.gauge.filter_order, 1.0)]
+        value, rate = (self._summed(moment, local, parts, more) for more in (0, 1))
+        by: dict[int, Tensor] = {}
+        if self.state is None and TILT in self.places:
+            by[self.places[TILT]] = self._summed(moment, local, self.turning)
+        return Felt(value, rate, parts, by)
+
+    def parts(self, parameters: Mapping[str, Tensor]) -> list[tuple[int, int, Tensor | float]]:
+        """Function, order of its derivative and weight, of what it feels, a tilt included; of motions and forces."""
+        tilt = self.value(TILT, parameters)
+        return self.own + [(f, order, tilt * w) for f, order, w in self.turning if TILT in self.gauge.calibration]
+
+    def turned(self, moment: Moment, unknowns: Tensor) -> Tensor:
+        """(I, S), the displacement with which it may tilt."""
+        return self._summed(moment, self.layout.weights(unknowns)[moment.segments.feature], self.turning)
 
     @staticmethod
     def _summed(moment: Moment, local: Tensor, parts: list[tuple[int, int, Tensor | float]], more: int = 0) -> Tensor:
@@ -226,23 +245,9 @@ class GaugeRows:
         felt, segments = self.felt(moment, unknowns, parameters), moment.segments
         residual = self._residual(moment, felt, parameters)
         gain = self.value("gain", parameters)
-        features: dict[int, Tensor] = {}
-        for function, order, factor in felt.parts:
-            part = factor[..., None] if isinstance(factor, Tensor) else factor
-            added = gain * part * moment.derivative(order)
-            features[function] = features[function] + added if function in features else added
+        features = {f: gain * phi for f, phi in summed_features(felt.parts, moment.derivative).items()}
         columns = self.by_parameter(moment, felt, gain, spread)
-        held = torch.stack(list(columns.values()), -1) if columns else residual.new_zeros((*residual.shape, 0))
-        for number, (function, phi) in enumerate(features.items()):
-            weighted = weight * phi.mT
-            sums.add_moment(segments, (weighted @ residual[..., None])[..., 0], function)
-            for other, its in list(features.items())[: number + 1]:
-                sums.add_pair(segments, weighted @ its, function, other)
-            pulled = weighted @ held
-            for i, place in enumerate(columns):
-                sums.add_border(segments, pulled[..., i], function, place)
-        flat = held.flatten(0, 1)
-        sums.add_parameters(list(columns), weight * flat.mT @ flat, weight * flat.mT @ residual.flatten())
+        add_products(sums, segments, features, residual, columns, weight)
 
     def by_parameter(self, moment: Moment, felt: Felt, gain: Tensor, spread: Tensor) -> dict[int, Tensor]:
         """Place of every uncertain parameter that it feels to what that does to it (I, S), per prior deviation."""
@@ -253,6 +258,48 @@ class GaugeRows:
             "drift": moment.segments.gather(self.since),
             "delay": -gain * felt.rate,
         }
-        own = {place: by_kind[kind] for kind, place in self.places.items()}
+        own = {place: by_kind[kind] for kind, place in self.places.items() if kind in by_kind}
         every = own | {place: gain * by for place, by in felt.by_parameter.items()}
         return {place: spread[place] * by * mask for place, by in every.items()}
+
+
+def add_products(
+    sums: RowSums,
+    segments: Segments,
+    features: Mapping[int, Tensor],
+    residual: Tensor,
+    columns: Mapping[int, Tensor],
+    weight: float,
+) -> None:
+    """Add the weighted products of rows.
+
+    Args:
+        sums: What they are added to.
+        segments: Of their times, I groups of S.
+        features: Function to what its features are in the rows (I, S, B).
+        residual: (I, S).
+        columns: Place of a parameter to what that does to the rows (I, S), per prior deviation.
+        weight: Of every row.
+    """
+    held = torch.stack(list(columns.values()), -1) if columns else residual.new_zeros((*residual.shape, 0))
+    for number, (function, phi) in enumerate(features.items()):
+        weighted = weight * phi.mT
+        sums.add_moment(segments, (weighted @ residual[..., None])[..., 0], function)
+        for other, its in list(features.items())[: number + 1]:
+            sums.add_pair(segments, weighted @ its, function, other)
+        pulled = weighted @ held
+        for i, place in enumerate(columns):
+            sums.add_border(segments, pulled[..., i], function, place)
+    flat = held.flatten(0, 1)
+    sums.add_parameters(list(columns), weight * flat.mT @ flat, weight * flat.mT @ residual.flatten())
+
+
+def summed_features(
+    parts: Sequence[tuple[int, int, Tensor | float]], derivative: Callable[[int], Tensor]
+) -> dict[int, Tensor]:
+    """Function to the sum of its features (I, S, B) in rows that are made of some parts."""
+    features: dict[int, Tensor] = {}
+    for function, order, factor in parts:
+        added = (factor[..., None] if isinstance(factor, Tensor) and factor.ndim else factor) * derivative(order)
+        features[function] = features[function] + added if function in features else added
+    return features

@@ -22,6 +22,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dof_major import DofMajorSums
+from pinn_cli.training.band.filter_rows import FilterRows
 from pinn_cli.training.band.front_tree import FrontTree
 from pinn_cli.training.band.initial_motion import states_known
 from pinn_cli.training.band.known_border import KnownBorderSystem
@@ -50,6 +51,9 @@ class NormalEquations(Residuals):
         super().__init__(network, problem, device, known)
         self._grams: dict[str, Tensor] = {}
         self.sensor_rows = self._sensor_rows()
+        self.filter_rows = [
+            FilterRows(rows, self.physics, self.averages) for rows in self.gauge_rows if rows.state is not None
+        ]
         self.states_known = states_known(network, problem, self.layout, self.target.observation_time, self.beginning)
         self.ridge: float | np.ndarray | None = None
         self._tree: FrontTree | None = None
@@ -114,6 +118,10 @@ class NormalEquations(Residuals):
             squares = [float(r.square().sum()) for r in self.gauge_residuals(point)]
             out[GAUGE] = float(np.sum(squares / noise.response[GAUGE] ** 2))
             out["gain"] = self._of_gains(point, noise)
+        if self.filter_rows:
+            parameters = self.parameters(point)
+            left = ((f.weight, f.residual(point.unknowns, parameters)) for f in self.filter_rows)
+            out["filter"] = float(sum(weight * residual.square().sum() for weight, residual in left))
         out["prior"] = float((point.parameters * self.prior_force(point.parameters, noise)).sum())
         if self.states_known:
             out["initial"] = sum(rows.loss(point.unknowns, point.parameters) for rows in self.states_known)
@@ -170,6 +178,9 @@ class NormalEquations(Residuals):
             if noise.taken_up is not None and "gain" in rows.places:
                 place = rows.places["gain"]
                 sums.slope[place] += noise.taken_up[rows.number] * spread[place] / rows.value("gain", parameters)
+
+        for filter_rows in self.filter_rows:
+            filter_rows.add_to(sums, point.unknowns, parameters, spread)
 
     def _sums(self) -> RowSums:
         """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""

@@ -33,10 +33,11 @@ FOUR = {
     "drift": Calibration(-0.1, 0.2, unknown=True),
     "delay": Calibration(0.04, 0.05),
 }
+SIX = {**FOUR, "tilt": Calibration(0.3, 0.5, unknown=True), "high_pass": Calibration(0.2, 0.1)}
 
 
 def only(*kinds: str) -> dict[str, Calibration]:
-    return {kind: FOUR[kind] for kind in kinds}
+    return {kind: SIX[kind] for kind in kinds}
 
 
 # Structure, gauge: every quantity, sums of DOFs, and the forces of connections with every law.
@@ -54,15 +55,19 @@ KINDS = {
     "Bouc-Wen": (hysteretic, ("connection_force", {}, FOUR, 1)),
     "Bouc-Wen to ground": (hysteretic, ("connection_force", {}, only("gain"), 2)),
     "known": (braced, ("acceleration", {0: 1.0}, {}, -1)),
+    "tilting": (braced, ("acceleration", {1: 1.0}, SIX, -1)),
+    "behind a filter": (braced, ("acceleration", {1: 1.0}, SIX, -1, True, 1)),
+    "behind a filter of second order": (braced, ("acceleration", {0: 1.0}, SIX, -1, True, 2)),
+    "ground behind a filter": (braced, ("ground_acceleration", {}, only("gain", "high_pass"), -1, True, 2)),
 }
 
 
 def posed(kind: str) -> tuple[NormalEquations, NoiseModel]:
     """Histories without physics; one accelerometer beside the gauge, and one force on the first DOF."""
-    build, (quantity, weights, calibration, connection) = KINDS[kind]
+    build, (quantity, weights, calibration, *more) = KINDS[kind]
     structure = build()
     rng, n = np.random.default_rng(7), structure.ndof
-    gauge = Gauge("x", quantity, weights, OWN, rng.normal(size=len(OWN)), calibration, connection)
+    gauge = Gauge("x", quantity, weights, OWN, rng.normal(size=len(OWN)), calibration, *more)
     columns = {name: np.full((len(TIME), n), np.nan) for name in ("displacement", "velocity", "acceleration")}
     columns["acceleration"][:, -1] = rng.normal(size=len(TIME))
     force = np.zeros((len(TIME), n))
