@@ -63,3 +63,24 @@ def test_stiffnesses_and_ratios_are_found_together(pinn_run: PinnRun, tmp_path, 
     modes = pd.read_csv(outcome.directory / "modes.csv")
     np.testing.assert_allclose(modes["damping_ratio"], [found.loc[f"zeta_{i}", "estimate"] for i in (1, 2, 3)])
     assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound", outcome.out
+
+
+@pytest.mark.slow
+def test_dampers_between_the_masses_are_doubted(pinn_run: PinnRun, tmp_path):
+    path = tmp_path / "record.csv"
+    pd.DataFrame(chain_of_ratios(2, 20.0)).to_csv(path, index=False)
+    outcome = pinn_run(*RECORD, f"data.path={path}", "scheme.unknown=[k_*, c_*]")
+    ran = json.loads((outcome.directory / "run.json").read_text())
+    assert ran["verdict"] != "sound", outcome.out
+    assert any("with a damping ratio for each mode the record is e^" in reason for reason in ran["reasons"])
+
+
+@pytest.mark.slow
+def test_without_a_word_each_mode_in_the_band_has_a_ratio(pinn_run: PinnRun, tmp_path):
+    path = tmp_path / "record.csv"
+    pd.DataFrame(chain_of_ratios(3, 20.0)).to_csv(path, index=False)
+    outcome = pinn_run(*RECORD, f"data.path={path}", "scheme.unknown=[k_*]")
+    assert outcome.status == 0, outcome.err
+    assert "nothing is said of damping" in outcome.out + outcome.err
+    found = pd.read_csv(outcome.directory / "parameters.csv", index_col="parameter")
+    np.testing.assert_allclose([found.loc[f"zeta_{i}", "estimate"] for i in (1, 2, 3)], ZETA, rtol=0.03)

@@ -67,6 +67,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
         validate = config.source.validate
         validation = None if validate is None else validate(true, records)
     with stages("problem"):
+        prescribed = config.scheme.damped(prescribed, records)
         problem = config.scheme.joint_problem(prescribed, records)
         tell_if_unreached(problem)
     truths = tuple(each.truth for each in measurements)

@@ -36,6 +36,15 @@ class Scheme(ABC):
             InputError: The choice does not fit the record, or leaves no sensor.
         """
 
+    def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
+        """The structure with damping of its own accord where nobody has said a word of it; else as it is.
+
+        Args:
+            prescribed: As configured; NaN where a measured structure has no value.
+            records: As observed.
+        """
+        return prescribed
+
     @abstractmethod
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """The estimation problem of a prescribed chain and an observed record.

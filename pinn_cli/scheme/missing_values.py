@@ -32,12 +32,13 @@ def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> N
     named = bool(prescribed.labels.connections)
     names = ", ".join(_shown([p.name for p in ps], named) for ps in missing.values())
     given = "a number" if named else f"a number or a list of {prescribed.ndof}"
+    whole = "; system.damping={ratio: 0.02} says it of the whole, without a c" if "c" in missing else ""
     raise InputError(
         settings,
         "(nothing)",
         f"your structure's own, each {given} ({units})",
         f"a measured record takes no value of the demonstration's. If {names} are unknown, name them in scheme.unknown"
-        " of scheme=state_parameter or bayesian",
+        f" of scheme=state_parameter or bayesian{whole}",
     )
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
+import numpy as np
+import torch
+
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.calibration import calibrated_starts
@@ -29,8 +34,15 @@ from pinn_cli.scheme.unknowns import (
     unknown_parameters,
 )
 from pinn_cli.settings.legal_values import one_of, positive_number
+from pinn_cli.system.natural_modes import NaturalModes
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
+from pinn_cli.system.whole_damping import damped
+
+log = logging.getLogger(__name__)
+
+# A ratio for each mode couples all coordinates: of more than so many damping is taken to be Rayleigh's, which does not.
+MOST_RATIOS = 30
 
 
 class StateParameter(Scheme):
@@ -89,6 +101,30 @@ class StateParameter(Scheme):
         """See :meth:`Scheme.observe`."""
         return self.sensors.observe(record)
 
+    def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
+        """See :meth:`Scheme.damped`: an unknown ratio for each mode in the band; modes beyond have the last.
+
+        Where all dampers of a measured structure are missing, and none is asked for.
+        """
+        dampers, whole = prescribed.parameters["c"], prescribed.coordinates <= MOST_RATIOS
+        given = prescribed.is_damped_as_whole or not bool(dampers.isnan().all())
+        if given or records[0].simulated or any(p.kind == "c" for p in self._chosen(prescribed, records)):
+            return prescribed
+        undamped = prescribed.with_parameters(c=torch.zeros_like(dampers))
+        if not whole:
+            log.warning("nothing is said of damping: Rayleigh's is unknown, a_0 and a_1 (system.damping)")
+            return damped(undamped, {"rayleigh": [None, None]})
+        start = self.joint_problem(damped(undamped, {"ratio": None}), records).structure
+        modes = NaturalModes.of(start)
+        frequencies = np.zeros(1) if modes is None else modes.frequencies
+        count = max(1, int((frequencies <= max(map(record_band, records))).sum()))
+        names = "zeta_1" if count == 1 else f"zeta_1 to zeta_{count}"
+        names = "zeta" if count == 1 else names
+        log.warning(
+            "nothing is said of damping: a ratio for each mode in the band is unknown, %s (system.damping)", names
+        )
+        return damped(undamped, {"ratio": [None] * count})
+
     def problem(self, prescribed: Structure, record: Record) -> Problem:
         """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
         return self.joint_problem(prescribed, [record])
@@ -96,7 +132,7 @@ class StateParameter(Scheme):
     def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
         """See :meth:`Scheme.joint_problem`."""
         record, *further = records
-        chosen = unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE_FORCE)
+        chosen = self._chosen(prescribed, records)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
@@ -112,6 +148,10 @@ class StateParameter(Scheme):
             structure = at_starts(prescribed, unknown)
             problems.append(Problem.of_records(structure, own, uncertain, *settings))
         return replace(problems[0], alternatives=tuple(problems[1:]))
+
+    def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
+        record, *further = records
+        return unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE_FORCE)
 
     def next_problem(self, model: Model, record: Record) -> Problem:
         """See :meth:`Scheme.next_problem`."""

@@ -55,6 +55,8 @@ def unknown_parameters(
         InputError: A name that does not exist, nothing at all, or a parameter that no equation of motion contains.
     """
     names, records = all_names(structure), (record, *further)
+    # What is said of the whole's damping without a value is unknown without another word.
+    of_whole = {name for name, p in names.items() if p.kind in WHOLE and math.isnan(p.prescribed)}
     if unknown is None:
         hidden = _hidden_connections(structure, np.any([each.observed for each in records], axis=0))
         chosen = {
@@ -62,7 +64,7 @@ def unknown_parameters(
             for name, p in names.items()
             if p.kind not in (MASS, "c", *WHOLE) and hidden[structure.members[p.kind][p.index]]
         }
-        if not chosen:
+        if not chosen | of_whole:
             raise InputError("scheme.unknown", None, "names such as [k_1, c_3]", "every DOF has a sensor")
     elif unknown == MISSING:
         chosen = {name for name, p in names.items() if math.isnan(p.prescribed)}
@@ -73,7 +75,7 @@ def unknown_parameters(
         chosen = {name for pattern in patterns for name in _matching(pattern, structure, names, "scheme.unknown")}
         if not chosen:
             raise InputError("scheme.unknown", unknown, "null, or at least one name such as k_2")
-    found = [parameter for name, parameter in names.items() if name in chosen]
+    found = [parameter for name, parameter in names.items() if name in chosen | of_whole]
     for parameter in found:
         _check_touched(parameter, structure, records, forces_free)
     return found

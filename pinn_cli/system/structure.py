@@ -341,11 +341,11 @@ class Structure:
         """The same with the damping of the whole in the modes of some masses and stiffnesses, its parameters as before.
 
         Args:
-            values: Every parameter by kind; None: its own. Where they are no structure, the rows stay as they are.
+            values: Parameters by kind; None: its own. Where they are no structure, the rows stay as they are.
         """
         if not self.is_damped_as_whole:
             return self
-        own = self.parameters_like(np.empty(0)) if values is None else dict(values)
+        own = {**self.parameters_like(np.empty(0)), **(values or {})}
         stiffness = np.concatenate(
             [g.at_rest(p.own(own))[0].sum(axis=0) for g, p in zip(self.groups, self.parts, strict=True)]
         )

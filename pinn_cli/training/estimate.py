@@ -15,6 +15,7 @@ from pinn_cli.model.knowledge import EndState, HandOver, ParameterKnowledge
 from pinn_cli.model.misfit import Misfit
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.other_damping import DampingDoubt
 
 if TYPE_CHECKING:
     from pinn_cli.runs.checkpoint import Checkpoints
@@ -241,6 +242,7 @@ class Estimate:
             the same. ``parameters`` and ``correlation`` are then those of all records.
         own: How many of ``parameters``, the first ones, are this record's own; None: all.
         rivals: Other solutions that explain the record as well.
+        damping_doubt: What the record says of another model of damping; None where that was not asked.
         disagreements: Of every record that was solved together with others; none of a lone one.
         known: Of ``parameters``, before bounds cut anything off; None where the training gives no covariance.
         end: Where the motion ended; None where the training does not say, or of several records.
@@ -262,6 +264,7 @@ class Estimate:
     further: tuple[Estimate, ...] = ()
     own: int | None = None
     rivals: tuple[Rival, ...] = ()
+    damping_doubt: DampingDoubt | None = None
     disagreements: tuple[Disagreement, ...] = ()
     known: ParameterKnowledge | None = None
     end: EndState | None = None

@@ -20,6 +20,7 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
+from pinn_cli.training.band.damping_score import scored_damping
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.hand_over import handed_over
 from pinn_cli.training.band.inference import (
@@ -107,7 +108,8 @@ class GaussNewton(Training):
         for equations, point in found.by_record:
             equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
-        estimate = replace(estimate, rivals=found.rivals, handed_over=handed)
+        doubt = None if self.weights else scored_damping(found, settings, run.device, history)
+        estimate = replace(estimate, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))

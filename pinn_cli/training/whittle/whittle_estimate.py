@@ -14,10 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
 from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
 from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral
@@ -49,6 +51,7 @@ class KnownParameters:
         converged: Whether another step would change nothing.
         misfit: How many times the power of the part of the spectra that fits worst is off; see :meth:`Whittle.misfit`.
         spread: How far believed parameters are off in common, over what was believed.
+        damping_doubt: What the spectra say of another model of damping; None where that was not asked.
     """
 
     distance: np.ndarray
@@ -57,6 +60,7 @@ class KnownParameters:
     converged: bool
     misfit: float
     spread: float
+    damping_doubt: DampingDoubt | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,8 +262,31 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
         if np.abs(np.log(spreads / before)).max() < SETTLED:
             break
     own = model.places["parameters"]
-    misfit = whittle.misfit(x)
-    return KnownParameters(x[own], covariance[own, own], -scored.value, converged, misfit, float(before[2]))
+    misfit, doubt = whittle.misfit(x), _scored_damping(whittle, x, before)
+    return KnownParameters(x[own], covariance[own, own], -scored.value, converged, misfit, float(before[2]), doubt)
+
+
+def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> DampingDoubt | None:
+    """See `other_damping`: the most probable unknowns beside the solution (q,), which a step alone does not reach."""
+    model = whittle.model
+    p, problem = len(model.spread), model.problem
+    values = model.vector.values(torch.as_tensor(x[:p] * model.spread))
+    extended = with_other_damping(problem, {kind: value.numpy() for kind, value in values.items()})
+    if extended is None:
+        return None
+    more = Whittle(SpectralModel(extended, model.spectrum), whittle.learn_spread)
+    new = len(more.model.spread) - p
+    start = np.concatenate((x[:p], np.zeros(new), x[p:]))
+    more.centre = np.concatenate((whittle.centre[:p], np.zeros(new), whittle.centre[p:]))
+    found, without = more.maximised(start, more.precision(spreads)), whittle.scored(x, whittle.precision(spreads))
+    if found is None or without is None:
+        return None
+    there, scored, _ = found
+    told = np.linalg.slogdet(without.information)[1] - np.linalg.slogdet(scored.information)[1]
+    log_odds = without.value - scored.value + 0.5 * float(told)
+    unit = more.model.spread
+    distances = start[: p + new] * unit, there[: p + new] * unit
+    return damping_doubt(problem, extended, extended.uncertain, distances, log_odds)
 
 
 def _step(scored: Scored, damping: float, held: np.ndarray) -> np.ndarray:

@@ -1,0 +1,107 @@
+"""Another model of damping than a problem's, beside the solution: a ratio for each mode, or dampers of the connections.
+
+Its parameters stand at zero in the equations of the solution. One Gauss-Newton step there says what they would be and
+by how much the record would be more probable, a score (Rao's) test; what they cost is how far it narrows their priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pinn_cli.record.spectrum import record_band
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.damping import RATIO
+from pinn_cli.system.natural_modes import NaturalModes
+from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
+from pinn_cli.system.whole_damping import damped
+
+# Prior standard deviation of a damping ratio that nobody has thought of, and of a damper as a part of its critical one.
+USUAL = 0.05
+# A ratio for each mode couples all coordinates; beyond so many a look at it would take longer than the solution.
+MOST_COORDINATES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class DampingDoubt:
+    """What a record says of another model of damping than that of the estimate.
+
+    Attributes:
+        log_odds: Natural logarithm of how many times as probable the record is with it.
+        of_modes: Whether the other model is a ratio for each mode; else dampers of the connections beside such ratios.
+        ratios: (modes in the record's band,), of the estimate.
+        others: Likewise, of the other model.
+    """
+
+    log_odds: float
+    of_modes: bool
+    ratios: np.ndarray
+    others: np.ndarray
+
+
+def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Problem | None:
+    """The problem with the damping that its model lacks, unknown and at zero; None where that is not asked.
+
+    Args:
+        problem: Of a linear structure of masses and connections.
+        values: Every parameter by kind at its solution.
+    """
+    structure = problem.structure
+    plain = structure.shapes is None and structure.nonlinearity_name == "linear" and problem.prior is None
+    if not plain or structure.coordinates > MOST_COORDINATES or problem.initial_state is not None:
+        return None
+    if RATIO in structure.parameters:
+        new = [structure.parameter("c", i) for i in range(len(values["c"]))]
+        critical = 2.0 * np.sqrt(np.abs(values["k"]) * np.mean(values[MASS]))
+        added = [replace(p, prior_std=USUAL * float(size)) for p, size in zip(new, critical, strict=True) if size > 0]
+    else:
+        structure = damped(structure, {"ratio": [0.0] * structure.coordinates}).present(values)
+        added = [replace(structure.parameter(RATIO, i), prior_std=USUAL) for i in range(structure.coordinates)]
+    added = [replace(p, unknown=True) for p in added if p not in problem.uncertain]
+    if not added:
+        return None
+
+    def extended(own: Problem) -> Problem:
+        return replace(own, structure=structure, uncertain=(*own.uncertain, *added))
+
+    further = tuple(extended(own) for own in problem.further)
+    return replace(extended(problem), further=further, alternatives=())
+
+
+def damping_doubt(
+    problem: Problem,
+    extended: Problem,
+    uncertain: Sequence[Parameter],
+    distances: tuple[np.ndarray, np.ndarray],
+    log_odds: float,
+) -> DampingDoubt | None:
+    """What a step says of the damping ratios in the record's band; None where it leaves no structure.
+
+    Args:
+        problem: Without the other damping.
+        extended: With it, see :func:`with_other_damping`.
+        uncertain: p parameters.
+        distances: From where they are prescribed, in their own units, (p,) before and after the step.
+        log_odds: Of the extended problem over the other, as a natural logarithm.
+    """
+    structure = extended.structure
+    each = [
+        NaturalModes.of(
+            structure.with_values(
+                {
+                    p: p.prescribed + x
+                    for p, x in zip(uncertain, one.tolist(), strict=True)
+                    if p.kind not in OUTSIDE_THE_EQUATIONS
+                }
+            )
+        )
+        for one in distances
+    ]
+    if each[0] is None or each[1] is None or len(each[0].squares) != len(each[1].squares):
+        return None
+    seen = each[0].frequencies < max(record_band(own.record) for own in extended.by_record)
+    others = each[1].damping_ratios[each[0].partners(each[1])]
+    return DampingDoubt(log_odds, RATIO not in problem.structure.parameters, each[0].damping_ratios[seen], others[seen])
