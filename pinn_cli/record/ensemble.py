@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import force_spline
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
-from pinn_cli.record.steps import substeps_needed
+from pinn_cli.record.steps import follower_masses, substeps_needed, with_slow_followers
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
@@ -106,6 +106,8 @@ def followed_members(
     Yields:
         Samples, quantity to (M, H, dofs) at these, and the states (M, H, 2 n + h). Parts overlap by one sample.
     """
+    masses, structure = follower_masses(structure, record.step), with_slow_followers(structure, record.step)
+    members = replace(members, parameters={**members.parameters, "m": members.parameters["m"] * masses})
     substeps, samples = substeps_needed(structure, record.step), len(record.time)
     ensemble = _Ensemble(structure, members, record)
     random = np.random.default_rng(members.seed)

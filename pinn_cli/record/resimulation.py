@@ -13,7 +13,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force
 from pinn_cli.record.simulation import simulate
-from pinn_cli.record.steps import has_equation_of_motion, substeps_needed
+from pinn_cli.record.steps import has_equation_of_motion, substeps_needed, with_slow_followers
 
 if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
@@ -58,6 +58,7 @@ def resimulate(
     """
     if not has_equation_of_motion(structure):
         raise TooStiffError("a mass of it is zero")
+    structure = with_slow_followers(structure, record.step)
     substeps = substeps_needed(structure, record.step)
     if substeps > MOST_SUBSTEPS:
         raise TooStiffError(f"it takes {substeps} steps per sample, and {MOST_SUBSTEPS} are allowed")

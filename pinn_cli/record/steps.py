@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
 STEP_TIMES_RATE = 0.2
 # Of a mode that follows what acts on it, steps so much longer do: 1 rad with 0.2.
 STABLE_STEP_OVER_STEP = 5.0
+# Times the Nyquist frequency beyond which modes get mass, see :func:`with_slow_followers`: 25 steps per sample.
+FASTEST_FOLLOWER = 8.0
 
 
 def substeps_needed(structure: Structure, step: float, step_times_rate: float = STEP_TIMES_RATE) -> int:
@@ -26,6 +30,29 @@ def substeps_needed(structure: Structure, step: float, step_times_rate: float = 
     beyond = (angle > math.pi) & (structure.shapes is not None)
     steps = angle / np.where(beyond, STABLE_STEP_OVER_STEP * step_times_rate, step_times_rate)
     return max(1, math.ceil(steps.max()))
+
+
+def follower_masses(structure: Structure, step: float) -> np.ndarray:
+    """(n,), factors of at least 1 on the masses, with which no mode is faster than so many times the Nyquist frequency.
+
+    Modes far beyond a record's band follow what acts on them at once, and would make steps short for nothing. With
+    mass added they do the same under anything slow: at a frequency f they are off by (f / fastest)^2.
+    """
+    if structure.shapes is None:
+        return np.ones(structure.coordinates)
+    fastest = FASTEST_FOLLOWER * math.pi / step
+    oscillation, decay = _rates(structure) / fastest
+    masses: np.ndarray = np.maximum(1.0, np.maximum(oscillation**2, decay))
+    return masses
+
+
+def with_slow_followers(structure: Structure, step: float) -> Structure:
+    """The same structure with these masses; the ground pushes it as before."""
+    masses = follower_masses(structure, step)
+    if structure.shapes is None:
+        return structure
+    slower = structure.with_parameters(m=structure.parameters["m"] * torch.as_tensor(masses))
+    return replace(slower, influence=structure.with_ground / masses)
 
 
 def fastest_rates(structure: Structure) -> tuple[float, float]:

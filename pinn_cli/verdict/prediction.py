@@ -10,7 +10,7 @@ from scipy.fft import irfft, rfft
 from scipy.interpolate import make_interp_spline
 
 from pinn_cli.record.simulation import OverflowsError, simulate
-from pinn_cli.record.steps import substeps_needed
+from pinn_cli.record.steps import substeps_needed, with_slow_followers
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.linear_response import decays_of_modes, felt_modes, linear_response
@@ -77,6 +77,7 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
         response = linear_response(modes, record)
         finite = np.isfinite(response.displacement).all() and modes.stable
         return Prediction(response, record, modes) if finite else None
+    structure = with_slow_followers(structure, record.step)
     substeps = substeps_needed(structure, record.step)
     samples = min(len(record.time), MOST_STEPS // substeps)
     if samples < len(modes.poles) * 8:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from beams import beam, deflection, response
 from small_problems import measured, small_chain
 
+from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import MOST_SUBSTEPS, TooStiffError, force_spline, resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.record.steps import with_slow_followers
+from pinn_cli.system.finite_elements import build_finite_elements
 
 REST = np.zeros(3)
 
@@ -55,6 +60,33 @@ def test_a_chain_that_the_sampling_is_much_too_slow_for_is_refused():
     record = measured(small_chain(), samples=129).record
     with pytest.raises(TooStiffError, match=rf"it takes \d+ steps per sample, and {MOST_SUBSTEPS} are allowed"):
         resimulate(small_chain(k=1e9), record, (REST, REST))
+
+
+def test_all_modes_of_a_beam_do_what_the_whole_model_does(tmp_path):
+    """The highest one would take 600 steps per sample; far beyond the band it gets mass, and follows as it did."""
+    M, K = beam(10)
+    np.savez(tmp_path / "beam.npz", M=M.toarray(), K=K.toarray())
+    structure = build_finite_elements(
+        {"tip": deflection(10)}, "beam.npz", modes=20, damping_ratio=0.02, ground="1::2", base=tmp_path
+    )
+    rate, finer = 128.0, 64
+    time = np.arange(8 * 128 * finer) / (finer * rate)
+    force = np.sin(2.0 * np.pi * np.outer(time, [3.0, 17.0, 40.0])).sum(1) * np.sin(np.pi * time / 8.0) ** 2
+    expected = [x[::finer, deflection(10) - 1] for x in response(M, K, 0.02, (deflection(10), force), 1 / finer / rate)]
+    samples, blank = time[::finer], np.full((1024, 1), np.nan)
+    record = Record(samples, np.zeros((1024, 1)), blank, blank, force[::finer, None], np.array([False]))
+    found = resimulate(structure, record, (np.zeros(20), np.zeros(20)))
+    for quantity, values in zip(RESPONSE_QUANTITIES, expected, strict=True):
+        error = getattr(found, quantity)[:, 0] - values
+        assert np.sqrt(np.mean(error**2)) < 3e-3 * np.sqrt(np.mean(values**2))
+    members = Members(
+        {kind: values[None] for kind, values in structure.parameters_like(np.empty(0)).items()},
+        np.zeros((1, 40)), np.zeros((0, 20)), 0,
+    )  # fmt: skip
+    assert np.nanmax(spread_of(members, structure, record, found).displacement) < 1e-9
+    slow, pushed = with_slow_followers(structure, record.step), structure.parameters["m"].numpy()
+    assert (slow.parameters["m"].numpy() > 1.0).any()
+    np.testing.assert_allclose(slow.parameters["m"].numpy() * slow.with_ground, pushed * structure.with_ground)
 
 
 def test_a_motion_that_does_not_stay_finite_is_told():

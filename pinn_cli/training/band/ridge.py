@@ -16,7 +16,9 @@ RELATIVE_RIDGE = 1e-15
 
 
 def ridge_of(diagonal: np.ndarray, dynamics: Dynamics, layout: BandLayout) -> float | np.ndarray:
-    """Of every unknown: motions share one, forces and the ground's acceleration have their own, in other units.
+    """Of every unknown: DOFs share one; modes, forces and the ground's acceleration have their own.
+
+    Modes may be a million times as stiff as the lowest one is, whose ridge would then be no weak prior.
 
     Args:
         diagonal: (size,), of the first normal matrix.
@@ -27,7 +29,8 @@ def ridge_of(diagonal: np.ndarray, dynamics: Dynamics, layout: BandLayout) -> fl
         return RELATIVE_RIDGE * float(diagonal.max())
     by_function = layout.weights(torch.from_numpy(diagonal))  # (count, functions)
     largest = by_function.amax(0)
-    largest[: dynamics.ndof] = largest[: dynamics.ndof].max()
+    if dynamics.structure.shapes is None:
+        largest[: dynamics.ndof] = largest[: dynamics.ndof].max()
     return RELATIVE_RIDGE * layout.unknowns(largest.expand_as(by_function)).numpy()
 
 
