@@ -73,7 +73,7 @@ def judge(
     causes = channel_faults(prediction, excused) if prediction is not None else []
     if not causes and not problem.identifies and _furthest(estimate) > LEAST_GAIN / 4:
         # A gain that believed parameters have made up for shows against the prescribed ones.
-        prescribed = predicted(problem.structure, record)
+        prescribed = predicted(_believed(problem, estimate), record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     lacks = doubt_findings(estimate)
     # Where the free run follows the sensors, a wrong mass or unit is no likelier than what the model is shown to lack.
@@ -118,13 +118,16 @@ def _prediction(
     return predicted(structure, record, estimate.response.state(0))
 
 
-def _causes(problem: Problem, estimate: Estimate, excused: Sequence[str]) -> list[Finding]:
-    """The first cause that mends the believed structure's prediction or the estimated one's; nothing where none does.
+def _believed(problem: Problem, estimate: Estimate) -> Structure:
+    """What is prescribed, and the estimates of what is unknown or has changed: a start is nobody's belief."""
+    changed = [change.parameter for change in estimate.changes.found] if estimate.changes else []
+    now = [p for p in estimate.parameters if p.unknown or p.parameter in changed]
+    return estimated_structure(problem.structure, now)
 
-    The believed structure has what is prescribed, and of what is unknown the estimate: a start is nobody's belief.
-    """
-    of_each = [p for p in estimate.parameters if p.unknown], estimate.parameters
-    structures = [estimated_structure(problem.structure, parameters) for parameters in of_each]
+
+def _causes(problem: Problem, estimate: Estimate, excused: Sequence[str]) -> list[Finding]:
+    """The first cause that mends the prediction of the believed structure or of the estimated one."""
+    structures = _believed(problem, estimate), estimated_structure(problem.structure, estimate.parameters)
     doubtful = [s for s in structures if has_faults(s, problem.record, excused)]
     for test in (time_unit_fault, mass_fault):
         for structure in doubtful:

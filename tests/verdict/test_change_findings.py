@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
+from independent_records import Structure as Storeys
+from independent_records import measured
+from storeys import C, K, M, response
 
+from pinn_cli.record.response import Response
 from pinn_cli.report.over_time import changes_text
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.estimate import Change, Changes
+from pinn_cli.training.estimate import Change, Changes, Estimate, ParameterEstimate
 from pinn_cli.verdict.change_findings import change_findings
+from pinn_cli.verdict.judge import judge
 
 
 def estimate(chance: float, *changed: int) -> SimpleNamespace:
@@ -48,3 +58,22 @@ def test_a_contradiction_is_told_once():
     assert len(change_findings(alone)) == 1
     assert changes_text(estimate(0.4).changes).startswith("no change since the earlier records")
     assert changes_text(estimate(0.4, 1).changes).startswith("changed: k_2")
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_change_that_is_named_is_no_wrong_mass(named):
+    """The earlier structure does with another mass what a spring of four fifths does; the present one is not it."""
+    k = K * np.array([1.0, 0.8, 1.0])
+    made = measured(Storeys(M, C, k, np.zeros(3)), response(1, k, 20.0), {"acceleration": (1, 3)}, 30.0, 1)
+    structure = build_chain(3, Linear(), m=M.tolist(), c=C.tolist(), k=K.tolist())
+    uncertain = tuple(replace(p, prior_std=0.01 * p.prescribed) for p in structure.every_parameter() if p.kind == "k")
+    found = [
+        ParameterEstimate(p, now, 1e-3 * now, now, now) for p, now in zip(uncertain, k if named else K, strict=True)
+    ]
+    change = Change(uncertain[1], -0.2 * K[1], 1e3, 1e-9, 1.0)
+    changes = Changes(uncertain, (change,) if named else (), 0.5, 1e-3, *np.zeros((4, 3)))
+    std = Response(made.truth.time, *(np.full((1000, 3), 1e-6) for _ in range(4)))
+    stopped = {"stop_reason": "iteration limit"}  # a reason to look for causes
+    given = Estimate(made.truth, std, found, pd.DataFrame(), stopped, changes=changes)
+    reasons = judge(Problem(structure, made.record, uncertain), given).reasons
+    assert any(reason.kind == "mass" for reason in reasons) != named
