@@ -21,6 +21,7 @@ from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.channel_faults import LEAST_GAIN, channel_faults
 from pinn_cli.verdict.doubt_findings import doubt_findings
 from pinn_cli.verdict.finding import Finding, Verdict
+from pinn_cli.verdict.first_samples import first_sample_findings
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
@@ -61,7 +62,7 @@ def judge(
             it is off, %; NaN elsewhere.
     """
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
-    own = record_faults(record) + _unreached(problem)
+    own = record_faults(record) + _unreached(problem) + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in own]
     prediction = _prediction(structure, record, estimate, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
