@@ -35,7 +35,10 @@ def _said(doubt: Doubt) -> tuple[str, str]:
         )
     said = {
         "m": (f"the mass of {doubt.of} is another one, by {doubt.value:+.3g} +- {doubt.std:.2g} kg", "check it"),
-        "gain": (f"the {doubt.of} shows 1 {doubt.value:+.3g} times what the model does", "check its gain"),
+        "gain": (
+            f"the {doubt.of} shows {1.0 + doubt.value:.4g} +- {doubt.std:.2g} times what the model does",
+            "check its gain",
+        ),
         "delay": (f"the {doubt.of} is {number} late", "check its clock, or say delay: unknown (data.channels)"),
         "tilt": (
             f"the {doubt.of} follows the displacement by {number}, as that of a sensor which tilts and feels gravity",

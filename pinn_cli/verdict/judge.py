@@ -15,6 +15,7 @@ from pinn_cli.record.channels import channels
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.reach import unreached_dofs
 from pinn_cli.system.modes import modes_of
+from pinn_cli.system.parameters import MASS
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
 from pinn_cli.verdict.change_findings import change_findings
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
+# Doubts that the causes of this folder size better where they are large.
+TOLD_BY_CAUSES = (MASS, "gain", "delay")
 # Share of the Nyquist frequency up to which the report's free run follows the force well between its samples.
 WELL_SAMPLED = 0.5
 
@@ -77,12 +80,14 @@ def judge(
         prescribed = predicted(_believed(problem, estimate), record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
     lacks = doubt_findings(estimate)
-    # Where the free run follows the sensors, a wrong mass or unit is no likelier than what the model is shown to lack.
+    # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
-    if any(finding.word != "sound" for finding in findings) and not causes and not (lacks and follows):
+    if follows and lacks and lacks[0].kind not in TOLD_BY_CAUSES:
+        causes = lacks
+    elif any(finding.word != "sound" for finding in findings) and not causes and not (follows and lacks):
         causes = _causes(problem, estimate, excused)
     # A fault that is named draws everything along.
-    return Verdict.of(own + causes + ([] if own or causes else lacks) + findings)
+    return Verdict.of(own + (causes or ([] if own else lacks)) + findings)
 
 
 def _contradicted(problem: Problem, agreement: float) -> list[Finding]:

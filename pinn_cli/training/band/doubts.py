@@ -9,11 +9,13 @@ probable one is freed, and the others are asked again.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
@@ -28,15 +30,18 @@ from pinn_cli.training.band.sensor_doubts import HIGH_PASS, Columns, Term, senso
 from pinn_cli.training.estimate import Doubt
 from pinn_cli.training.noise_model import NoiseModel
 
-# Least discrepancy over the rms force of the connections. Stiffer equations take all but the last digits of a column's
-# information; at a resonance of 1 % damping this much is half a per cent of the motion.
-LEAST_DISCREPANCY = 1e-4
+# Least discrepancy over the rms force of the connections, and least noise of a sensor over the rms of the largest one
+# of its kind. Stiffer equations take all but the last digits of a column's information; at a resonance of 1 % damping
+# this much is half a per cent of the motion. What is smaller, far from where anything acts, is not asked.
+LEAST = 1e-4
 # Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
 # hundred records.
 DECISIVE = 10.0
 # Of a doubt's information, the least part that parameters leave of one that differs from them.
 TOLD_APART = 1e-7
-# Doubts that are told of one record: by then the first one has been found, or it is none of these.
+# Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
+# and doubts that are told of one record.
+BESIDE = 0.1
 MOST_TOLD = 3
 # Numbers of all columns together that are held at once, 0.8 GB; a larger record is not asked.
 MOST_NUMBERS = 1e8
@@ -82,8 +87,7 @@ class _Asked:
         """None where there is too much to hold, or the equations cannot be solved."""
         equations, point = evidence.equations, trained.solution.point
         problem, terms, force = _with_terms(evidence, trained)
-        least = LEAST_DISCREPANCY * force
-        noise = trained.noise.with_discrepancy(max(trained.noise.discrepancy, least))
+        noise = _softened(evidence, trained.noise, force)
         p = len(point.parameters)
         columns = _joined(
             _connection_columns(equations, point, noise, problem, terms), sensor_columns(equations, point, noise, p)
@@ -112,7 +116,7 @@ class _Asked:
         while len(told) < MOST_TOLD:
             gain = self._gains(told)
             best = int(np.argmax(gain))
-            if not gain[best] > DECISIVE:
+            if not gain[best] > max([DECISIVE, *(BESIDE * first for first in gains[:1])]):
                 break
             told.append(best)
             gains.append(float(gain[best]))
@@ -176,6 +180,24 @@ class _Asked:
             moved[name] = float(np.sqrt(np.mean(one**2) / np.mean(band**2)))
         furthest = max(moved, key=lambda name: moved[name])
         return float(moved[furthest]), furthest
+
+
+def _softened(evidence: Evidence, noise: NoiseModel, force: float) -> NoiseModel:
+    """Noise levels of which none is below `LEAST`; ``force`` is that of the connections, N, rms."""
+    record = evidence.problem.record
+    largest: defaultdict[str, float] = defaultdict(float)
+    for quantity in noise.response.keys() - {GAUGE}:
+        spread = record.histories(quantity)[:, record.sensors(quantity)].std(axis=0)
+        largest[quantity] = float(np.nan_to_num(spread).max(initial=0.0))
+    for gauge in record.gauges:
+        largest[gauge.quantity] = max(largest[gauge.quantity], float(gauge.values.std()))
+    of_gauges = np.array([largest[gauge.quantity] for gauge in record.gauges])
+    response = {
+        quantity: np.maximum(sigma, LEAST * (of_gauges if quantity == GAUGE else largest[quantity]))
+        for quantity, sigma in noise.response.items()
+    }
+    softer = noise.with_discrepancy(max(noise.discrepancy, LEAST * force))
+    return replace(softer, response=response)
 
 
 def _joined(one: Columns, other: Columns) -> Columns:

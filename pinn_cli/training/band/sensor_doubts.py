@@ -155,7 +155,7 @@ def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, 
                 together.setdefault((one.quantity, scale), {})[i] = column
     for (quantity, corner), of_all in together.items():
         if len(of_all) > 1:
-            found.append((Term(HIGH_PASS, f"all {quantity} sensors", "Hz", corner), of_all))
+            found.append((Term(HIGH_PASS, f"{quantity} of all sensors", "Hz", corner), of_all))
     border, held = np.zeros((equations.layout.size, len(found))), np.zeros((parameters, len(found)))
     corner_, slope = np.zeros((len(found), len(found))), np.zeros(len(found))
     for d, (_, own) in enumerate(found):

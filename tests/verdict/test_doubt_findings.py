@@ -1,0 +1,39 @@
+"""What a model lacks, in the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pinn_cli.training.estimate import Doubt
+from pinn_cli.verdict.judge import judge
+
+KINDS = {
+    "friction": ("connection 2", "the model of connection 2 lacks friction of 3 +- 0.2 N"),
+    "cubic term": ("connection 2", "the model of connection 2 lacks a cubic term of 3 +- 0.2 N"),
+    "m": ("DOF 2", "the mass of DOF 2"),
+    "gain": ("acceleration of DOF 2", "the acceleration of DOF 2 shows 4 +- 0.2 times"),
+    "delay": ("acceleration of DOF 2", "the acceleration of DOF 2 is 3 +- 0.2 N late"),
+    "tilt": ("acceleration of DOF 2", "the acceleration of DOF 2 follows the displacement"),
+    "high_pass": ("acceleration of all sensors", "high_pass: 3 (data.channels)"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_moves_the_estimate_comes_first_and_is_not_sound(right_estimate, kind: str):
+    problem, estimate = right_estimate
+    of, text = KINDS[kind]
+    doubt = Doubt(kind, of, 3.0, 0.2, "N", 40.0, 5.0, "k_1")
+    verdict = judge(problem, replace(estimate, doubts=(doubt,)))
+    assert verdict.word == "questionable"
+    assert text in verdict.reasons[0].text
+    assert "exp(40) times" in verdict.reasons[0].text
+
+
+def test_what_moves_nothing_is_told_of_a_sound_run(right_estimate):
+    problem, estimate = right_estimate
+    doubt = Doubt("friction", "connection 2", 3.0, 0.2, "N", 40.0, 0.3, "k_1")
+    verdict = judge(problem, replace(estimate, doubts=(doubt,)))
+    assert verdict.word == "sound"
+    assert [reason.kind for reason in verdict.reasons] == ["friction"]
