@@ -141,8 +141,9 @@ def _differ(evidence: Evidence | JointEvidence, a: Trained, b: Trained) -> bool:
 
 
 def _distance(evidence: Evidence | JointEvidence, trained: Trained) -> float:
-    """Of the unknown masses and springs from where they started, as logarithms."""
-    pairs = [(x, p.prescribed) for p, x in _values(evidence, trained).items() if p.unknown and p.kind in (MASS, "k")]
+    """Of the unknown masses and springs from what the user says, else from where they started, as logarithms."""
+    springs = {p: x for p, x in _values(evidence, trained).items() if p.unknown and p.kind in (MASS, "k")}
+    pairs = [(x, p.said if p.said > 0 else p.prescribed) for p, x in springs.items()]
     return sum(math.log(x / start) ** 2 for x, start in pairs if x > 0 and start > 0)
 
 
