@@ -111,10 +111,20 @@ class GaugeRows:
 
     def _inside(self, start: float, stop: float) -> np.ndarray:
         """(J,) bool, samples at which it felt a motion within the record, whatever its delay may turn out to be."""
-        delay, margin = self.gauge.of("delay"), 1e-9 * (stop - start)
-        first, last = (delay.value + sign * DELAYS_ALLOWED * delay.std for sign in (-1.0, 1.0))
+        (first, last), margin = self._delays, 1e-9 * (stop - start)
         kept: np.ndarray = (self.gauge.time - last >= start - margin) & (self.gauge.time - first <= stop + margin)
         return kept
+
+    @property
+    def _delays(self) -> tuple[float, float]:
+        """The least and the largest with which its samples felt a motion within the record."""
+        delay = self.gauge.of("delay")
+        return delay.value - DELAYS_ALLOWED * delay.std, delay.value + DELAYS_ALLOWED * delay.std
+
+    def reaches(self, parameters: Mapping[str, Tensor]) -> bool:
+        """Whether its delay is one of those: with another one, samples ask for a motion that there is none of."""
+        first, last = self._delays
+        return "delay" not in self.places or first <= float(self.value("delay", parameters)) <= last
 
     @property
     def samples(self) -> int:

@@ -218,7 +218,7 @@ class _Descent:
                 if self.damping == 0.0 and free and trial.promised <= self.enough:
                     self.chord = factor
                     return self.ended(True, factor)
-                if self.damping > 0.0 or not self.cautious:
+                if math.isfinite(trial.gain) and (self.damping > 0.0 or not self.cautious):
                     trial = self._followed(trial)
                     if self._falls(trial):
                         break

@@ -7,6 +7,7 @@ together give one small dense block.
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -115,8 +116,7 @@ class NormalEquations(Residuals):
         out = {name: float((weights[name] * square).sum()) for name, square in self.squares(point).items()}
         out["physics"] = float((weights["physics"] * self.physics_residual(point).square()).sum())
         if self.gauge_rows:
-            squares = [float(r.square().sum()) for r in self.gauge_residuals(point)]
-            out[GAUGE] = float(np.sum(squares / noise.response[GAUGE] ** 2))
+            out[GAUGE] = self._of_gauges(point, noise)
             out["gain"] = self._of_gains(point, noise)
         if self.filter_rows:
             parameters = self.parameters(point)
@@ -127,6 +127,14 @@ class NormalEquations(Residuals):
             out["initial"] = sum(rows.loss(point.unknowns, point.parameters) for rows in self.states_known)
         out["ridge"] = ridge_loss(self.ridge, point.unknowns)
         return out
+
+    def _of_gauges(self, point: Point, noise: NoiseModel) -> float:
+        """Infinite where a delay is out of the record's reach."""
+        parameters = self.parameters(point)
+        if not all(rows.reaches(parameters) for rows in self.gauge_rows):
+            return math.inf
+        squares = [float(r.square().sum()) for r in self.gauge_residuals(point)]
+        return float(np.sum(squares / noise.response[GAUGE] ** 2))
 
     def _of_gains(self, point: Point, noise: NoiseModel) -> float:
         if noise.taken_up is None:

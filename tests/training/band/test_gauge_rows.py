@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -167,6 +168,20 @@ def test_samples_that_may_have_felt_motion_outside_the_record_are_left_out():
         (rows,) = equations.gauge_rows
         rows.gauge = replace(rows.gauge, time=record, values=record)
         np.testing.assert_array_equal(rows._inside(1.7, 8.3), (record >= first) & (record <= last))
+
+
+def test_a_delay_beyond_the_record_s_reach_is_refused_and_takes_no_memory():
+    """All samples then stood in the last interval, and every interval's features were held for as many."""
+    equations, noise = posed("motion, all four")
+    point, (rows,) = equations.start(), equations.gauge_rows
+    place = next(i for i, parameter in enumerate(equations.uncertain) if parameter.kind == "delay")
+    held = equations.losses(point, noise) and rows.moment(0.04).segments.mask.shape
+    for by, finite in ((2.9, True), (-2.9, True), (3.1, False), (200.0, False)):
+        far = point.parameters.clone()
+        far[place] = by
+        assert math.isfinite(equations.losses(Point(point.unknowns, far), noise)[GAUGE]) is finite
+        assert rows._moment is not None
+        assert rows._moment.segments.mask.shape[1] <= held[1] + 2
 
 
 def dense(system) -> np.ndarray:
