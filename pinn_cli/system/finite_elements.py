@@ -181,7 +181,9 @@ def _ratios(given: Any, n: int) -> np.ndarray:
     values = [given] if is_finite_number(given) else entries(given) if given is not None else []
     if not values or len(values) > n or not all(is_finite_number(x) and 0 <= x < 1 for x in values):
         allowed = f"a number from 0 to below 1, or a list of at most {n}"
-        raise InputError("system.damping_ratio", given, allowed, "the matrices have no C" if given is None else "")
+        raise InputError(
+            "system.damping_ratio", given, allowed, "the matrices have no C; or system.damping" if given is None else ""
+        )
     return np.array([*values, *[values[-1]] * (n - len(values))], dtype=np.float64)
 
 

@@ -105,7 +105,9 @@ class TrainedNetwork(Estimator):
             hint = (
                 "the modes that system.damping speaks of move with the parameters; other trainings do not follow them"
             )
-            raise InputError("network", self.design.name, "spline with training=gauss_newton and system.damping", hint)
+            raise InputError(
+                "network", self.design.name, "spline with training=gauss_newton where system.damping is given", hint
+            )
         if problem.record.gauges and not self.training.solves_inputs(self.design):
             allowed = "network=spline with training=gauss_newton where samples are missing or a sensor is in doubt"
             raise InputError("network", self.design.name, allowed, f"channel {problem.record.gauges[0].name} is such")

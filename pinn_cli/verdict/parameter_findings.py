@@ -33,9 +33,9 @@ LARGE_SPREAD = 4.0
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 NAMED = 4
-# Another model of damping counts from these odds on, as a logarithm, and if a damping ratio in the band differs by so
-# much: colour and rounding of a right model's residuals make odds of a few.
-OTHER_DAMPING, RATIOS_APART = 10.0, 0.1
+# Another model of damping counts from these odds on, as a logarithm: one of many doubts has to be more probable, this
+# one is asked alone. And a damping ratio in the band must differ by so much: what is less needs no other model.
+OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
 # Standard deviations of the difference from a baseline, and the least difference worth a word, relative.
 APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
 
