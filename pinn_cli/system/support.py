@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_matrix
 
 from pinn_cli.system.coupling import Coupling
 
@@ -28,6 +29,9 @@ def loose_dofs(structure: Structure) -> list[int]:
     holds = np.isnan(force) | (force != 0)
     holds[structure.memory] = True  # a hidden force holds as well
     springs, coupling = structure.incidence.matrix[holds], Coupling(*[structure.incidence.matrix] * 2)
+    # Directions alone: parts of a finite-element model have rows as long as their modes are fast.
+    largest = np.maximum(abs(springs).max(axis=1).toarray(), np.finfo(float).tiny)
+    springs = csr_matrix(springs.multiply(1.0 / largest))
     rank, n = coupling.rank, structure.coordinates
     # Springs of stiffness one, as a band; where a coordinate is loose its tether alone keeps the factor from zero.
     stiffness = (springs.T @ springs).tocoo()

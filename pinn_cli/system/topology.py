@@ -304,7 +304,7 @@ def tell_if_loose(structure: Structure) -> None:
     """Say so where nothing holds the structure."""
     loose = loose_dofs(structure)
     if loose:
-        names = ", ".join(structure.dof_name(dof) for dof in loose)
+        names = ", ".join(structure.labels.owner(MASS, dof) or structure.dof_name(dof) for dof in loose)
         log.warning(
             "the structure is not held: %s can move without stretching any spring (a rigid body's motion)", names
         )

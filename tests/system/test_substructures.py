@@ -1,5 +1,7 @@
 """Factors of the stiffness of parts of a finite-element model."""
 
+import logging
+
 import numpy as np
 import pytest
 import torch
@@ -173,3 +175,10 @@ def test_bad_input_is_refused_in_one_line(folder, factors, setting, said):
     assert error.value.setting == setting
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_stiff_parts_hold_no_less_than_modes(folder, caplog):
+    """The shapes of parts are a million times as stiff as the lowest mode, which its own spring holds all the same."""
+    with caplog.at_level(logging.WARNING):
+        built(folder, modes=8)
+    assert not caplog.text
