@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pinn_cli.system.left_out import TERMS
 from pinn_cli.verdict.finding import Finding
 
@@ -12,11 +14,40 @@ if TYPE_CHECKING:
 
 # Standard deviations by which something that is reported moves once a doubt is freed: below it intervals still hold.
 MATTERS = 1.0
+# Another model of damping counts from these odds on, as a logarithm: one of many doubts has to be more probable, this
+# one is asked alone. And a damping ratio in the band must differ by so much: what is less needs no other model.
+OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
 
 
 def doubt_findings(estimate: Estimate) -> list[Finding]:
-    """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run."""
-    return [_finding(doubt) for doubt in estimate.doubts]
+    """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run.
+
+    Beside another model of damping that makes it more probable still the others are not told: they stand in for it.
+    """
+    damping = _other_damping(estimate)
+    least = estimate.damping_doubt.log_odds if damping and estimate.damping_doubt is not None else 0.0
+    return damping + [_finding(doubt) for doubt in estimate.doubts if doubt.log_odds > least]
+
+
+def _other_damping(estimate: Estimate) -> list[Finding]:
+    """Another model of damping with which the record is far more probable, and the ratios are others."""
+    doubt = estimate.damping_doubt
+    if doubt is None or not len(doubt.ratios) or doubt.log_odds < OTHER_DAMPING:
+        return []
+    apart = np.abs(doubt.others - doubt.ratios) / np.maximum(np.abs(doubt.ratios), np.abs(doubt.others))
+    worst = int(np.argmax(apart))
+    if apart[worst] < RATIOS_APART:
+        return []
+    model, remedy = (
+        ("a damping ratio for each mode", "try system.damping={ratio: [null, ...]}, a null for each mode in the band")
+        if doubt.of_modes
+        else ("dampers of the connections beside its ratios", "let c be unknown as well")
+    )
+    text = (
+        f"with {model} the record is e^{doubt.log_odds:.0f} times as probable, and mode {worst + 1} has about"
+        f" {100 * doubt.others[worst]:.2g} % damping instead of {100 * doubt.ratios[worst]:.2g} %"
+    )
+    return [Finding("damping", "parameters", f"{text}: the model of damping is wrong; {remedy}")]
 
 
 def _finding(doubt: Doubt) -> Finding:

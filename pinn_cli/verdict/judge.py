@@ -82,6 +82,8 @@ def judge(
     lacks = doubt_findings(estimate)
     # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
+    # Wrong damping is the cause of a free run that does not.
+    follows = follows or (bool(lacks) and lacks[0].kind == "damping" and not causes)
     if follows and lacks and lacks[0].kind not in TOLD_BY_CAUSES:
         causes = lacks
     elif any(finding.word != "sound" for finding in findings) and not causes and not (follows and lacks):

@@ -33,9 +33,6 @@ LARGE_SPREAD = 4.0
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 NAMED = 4
-# Another model of damping counts from these odds on, as a logarithm: one of many doubts has to be more probable, this
-# one is asked alone. And a damping ratio in the band must differ by so much: what is less needs no other model.
-OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
 # Standard deviations of the difference from a baseline, and the least difference worth a word, relative.
 APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
 
@@ -57,7 +54,6 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
         found
         + _beyond_bounds(estimate)
         + _rivals(estimate)
-        + _other_damping(estimate)
         + _moved(believed)
         + _spread(estimate)
         + _frequencies(structure, problem.record, loose_dofs(problem.structure))
@@ -120,27 +116,6 @@ def _beyond_bounds(estimate: Estimate) -> list[Finding]:
     )
     remedy = "check delays, gains and signs of the channels and the law, or let it be negative (scheme.positive)"
     return [Finding("bound", name, f"{text}; {remedy}")]
-
-
-def _other_damping(estimate: Estimate) -> list[Finding]:
-    """Another model of damping with which the record is far more probable, and the ratios are others."""
-    doubt = estimate.damping_doubt
-    if doubt is None or not len(doubt.ratios) or doubt.log_odds < OTHER_DAMPING:
-        return []
-    apart = np.abs(doubt.others - doubt.ratios) / np.maximum(np.abs(doubt.ratios), np.abs(doubt.others))
-    worst = int(np.argmax(apart))
-    if apart[worst] < RATIOS_APART:
-        return []
-    model, remedy = (
-        ("a damping ratio for each mode", "try system.damping={ratio: [null, ...]}, a null for each mode in the band")
-        if doubt.of_modes
-        else ("dampers of the connections beside its ratios", "let c be unknown as well")
-    )
-    text = (
-        f"with {model} the record is e^{doubt.log_odds:.0f} times as probable, and mode {worst + 1} has about"
-        f" {100 * doubt.others[worst]:.2g} % damping instead of {100 * doubt.ratios[worst]:.2g} %"
-    )
-    return [Finding("damping", "parameters", f"{text}: the model of damping is wrong; {remedy}")]
 
 
 def _rivals(estimate: Estimate) -> list[Finding]:

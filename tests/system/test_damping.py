@@ -11,6 +11,7 @@ from pinn_cli.model.structure_content import structure_content, structure_of
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain, build_partial_chain
 from pinn_cli.system.connection import Duffing, Linear
+from pinn_cli.system.finite_elements import build_finite_elements
 from pinn_cli.system.natural_modes import NaturalModes
 from pinn_cli.system.topology import build_structure
 
@@ -99,3 +100,21 @@ def test_springs_that_stiffen_count_at_rest():
 def test_other_damping_is_refused(damping):
     with pytest.raises(InputError, match="damping"):
         chain(damping)
+
+
+def test_ratios_of_a_finite_element_model_are_those_with_its_factors(tmp_path):
+    stiffness = np.diag([2.9e6, 2.6e6, 1.2e6]) - np.diag([1.4e6, 1.2e6], 1) - np.diag([1.4e6, 1.2e6], -1)
+    base = np.diag([1.5e6, 0.0, 0.0])
+    np.savez(tmp_path / "whole.npz", M=MASS * np.eye(3), K=stiffness)
+    np.savez(tmp_path / "base.npz", base=base)
+    structure = build_finite_elements(
+        {"x1": 1, "x2": 2, "x3": 3},
+        str(tmp_path / "whole.npz"),
+        modes=3,
+        factors={"base": {"file": str(tmp_path / "base.npz"), "value": 0.7}},
+        damping={"ratio": [0.02, 0.01, 0.03]},
+    )
+    modes = NaturalModes.of(structure)
+    expected = eigh(stiffness - 0.3 * base, MASS * np.eye(3), eigvals_only=True)
+    np.testing.assert_allclose(modes.frequencies, np.sqrt(expected) / (2.0 * np.pi), rtol=1e-6)
+    np.testing.assert_allclose(modes.damping_ratios, [0.02, 0.01, 0.03], rtol=1e-6)
