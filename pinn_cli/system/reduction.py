@@ -28,7 +28,7 @@ SPANNED, DEPENDENT = 1e-8, 1e-10
 RIGID = 1e-9
 # Parts are tried at these factors, one at a time. The shapes that are added leave out no more than this of the energy
 # of any mode of the models so changed: that is the error of its frequency squared.
-FACTORS, LEFT_OUT = (0.7, 1.3), 1e-4
+FACTORS, LEFT_OUT = (0.7, 1.3), 1e-3
 
 
 @dataclass(frozen=True, eq=False)
