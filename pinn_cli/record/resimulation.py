@@ -13,6 +13,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force
 from pinn_cli.record.simulation import simulate
+from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.record.steps import has_equation_of_motion, substeps_needed, with_slow_followers
 
 if TYPE_CHECKING:
@@ -20,8 +21,9 @@ if TYPE_CHECKING:
 
 # A spline goes through so many times as many samples, which kriging tells: it follows a history up to 0.9 of the
 # Nyquist frequency to 1e-5. Through the samples themselves it is off by 7e-4 up to half of that frequency, by 6e-3 up
-# to 0.65 of it and by a tenth up to 0.9; in the first intervals and the last by some forty times as much.
-DENSER, SPLINE_DEGREE, AT_ENDS = 4, 5, 40.0
+# to 0.65 of it and by a tenth up to 0.9; in the first intervals and the last by some forty times as much. Of white
+# noise the two differ by a seventh: a quarter allows for chance.
+DENSER, SPLINE_DEGREE, AT_ENDS, OF_NOISE = 4, 5, 40.0, 0.25
 
 # A chain can be absurdly stiff, and its simulation would never end. Fifty steps of Runge-Kutta per sample put the
 # highest mode at three times the Nyquist frequency of the record.
@@ -101,12 +103,14 @@ def _denser(time: np.ndarray, samples: np.ndarray) -> np.ndarray:
     """Histories (N, n) at `DENSER` times as many times.
 
     At the ends of a record kriging, which takes them to fill the band, knows less of a slow history than the spline
-    through the samples. How far that one is off shows in the middle: each counts by its variance.
+    through the samples. How far that one is off shows in the middle, beside what white noise makes of the two: each
+    counts by its variance.
     """
     dense, spread = refined_history(samples, DENSER)
     off = make_interp_spline(time, samples, k=SPLINE_DEGREE)(refined_times(time, DENSER)) - dense
     quarter = len(dense) // 4
-    of_spline = (AT_ENDS * np.std(off[quarter:-quarter], axis=0)) ** 2
+    noise = np.array([lowest_level(column, float(time[1] - time[0])) for column in samples.T])
+    of_spline = AT_ENDS**2 * np.maximum(np.var(off[quarter:-quarter], axis=0) - (OF_NOISE * noise) ** 2, 0.0) + noise**2
     of_kriging = np.outer(spread**2, np.mean(samples**2, axis=0))
     total = of_kriging + of_spline
     return dense + off * np.divide(of_kriging, total, out=np.zeros_like(total), where=total > 0.0)
