@@ -56,7 +56,9 @@ def doubts(evidence: Evidence, trained: Trained, std: Response) -> tuple[Doubt, 
         std: Standard deviation of the motion.
     """
     equations, point = evidence.equations, trained.solution.point
-    if equations.known is not None or not len(evidence.problem.structure.added):
+    problem = evidence.problem
+    # Where nobody measured a force, it is free to be what the model lacks.
+    if equations.known is not None or problem.inputs.forces or not len(problem.structure.added):
         return ()
     asked = _Asked.of(evidence, trained)
     return () if asked is None else asked.found(equations, point, std)
