@@ -102,14 +102,19 @@ def _noise_floor(power: np.ndarray) -> float:
 
 
 def record_band(record: Record) -> float:
-    """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution."""
+    """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution.
+
+    The ground's acceleration is followed as far as it may reach: where it shows no noise above its content, that is all
+    that can be used.
+    """
     bands = [
         signal_band(record.histories(quantity)[:, dof], record.step)
         for quantity in (*record.response_quantities, "force")
         for dof in np.flatnonzero(record.sensors(quantity))
     ]
     if record.ground_acceleration is not None:
-        bands.append(signal_band(record.ground_acceleration, record.step))
+        ground, usable = record.ground_acceleration, USABLE_NYQUIST_FRACTION * 0.5 / record.step
+        bands.append(usable if visible_floor(ground, record.step) is None else signal_band(ground, record.step))
     return max(*bands, 1.0 / record.duration)
 
 
@@ -161,7 +166,7 @@ def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
     """Whether a channel (N,) has content up to its Nyquist frequency, with power that falls off in the last parts.
 
     White noise has as much between 0.8 and 1 of the Nyquist frequency as between 0.6 and 0.8, but for chance; and in
-    the uppermost tenth of a channel whose content ends below it there is nothing else.
+    most of the uppermost tenth of a channel whose content ends below it there is nothing else.
 
     Args:
         x: The channel.
@@ -176,7 +181,7 @@ def reaches_nyquist(x: np.ndarray, step: float, noise: float = 0.0) -> bool:
     if min(len(lower), len(last)) < FEWEST_BINS or not upper.any():
         return False
     falls = np.log(lower.mean() / upper.mean()) > _by_chance(lower, upper)
-    return bool(falls and last.mean() > noise**2 * (1.0 + 3.0 / np.sqrt(len(last))))
+    return bool(falls and np.median(last) / np.log(2.0) > noise**2 * (1.0 + 3.0 / np.sqrt(len(last))))
 
 
 def _by_chance(lower: np.ndarray, upper: np.ndarray) -> float:

@@ -109,7 +109,8 @@ class GaussNewton(Training):
             equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
         doubt = None if self.weights else scored_damping(found, settings, run.device, history)
-        estimate = replace(estimate, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
+        summary = estimate.summary | {"narrowed_by_refinement": found.narrowed}
+        estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))

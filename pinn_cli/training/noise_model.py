@@ -7,6 +7,7 @@ sampled.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,7 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
 from pinn_cli.system.quantities import FORCE
 
@@ -49,6 +50,7 @@ class NoiseModel:
             in the same band, and a point's own is so many times as large in variance.
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
             :meth:`pinn_cli.training.band.normal_equations.NormalEquations.losses`.
+        ground_mass: The least mass that the ground moves, kg: what its sensor's noise puts into an equation of motion.
         earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
         further: Of further records that are solved together with this one; they share its ``spread``.
     """
@@ -62,6 +64,7 @@ class NoiseModel:
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
     taken_up: np.ndarray | None = None
+    ground_mass: float = math.nan
     earlier_misfit: float = 1.0
     further: tuple[NoiseModel, ...] = ()
 
@@ -114,6 +117,17 @@ class NoiseModel:
     def with_spread(self, spread: float) -> NoiseModel:
         """The same under another prior of the parameters."""
         return replace(self, spread=spread, further=tuple(other.with_spread(spread) for other in self.further))
+
+    @property
+    def least_of_inputs(self) -> float:
+        """The least noise, N, that any measured input of any record puts into an equation; 0 where none is measured."""
+        each = [
+            level
+            for own in self.by_record
+            for level in (*own.force, own.ground_mass * own.response.get(GROUND, [math.nan])[0])
+            if math.isfinite(level)
+        ]
+        return float(min(each, default=0.0))
 
     @property
     def physics_variance(self) -> np.ndarray:

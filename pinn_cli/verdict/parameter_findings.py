@@ -33,6 +33,8 @@ LARGE_SPREAD = 4.0
 # damping and nonlinearity show less in a record, and are asked for less closely.
 IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 NAMED = 4
+# Times that finer features may narrow a deviation: what coarser ones cannot follow of a motion is noise to them.
+NARROWED = 2.0
 # Standard deviations of the difference from a baseline, and the least difference worth a word, relative.
 APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
 
@@ -52,6 +54,7 @@ def parameter_findings(problem: Problem, estimate: Estimate, structure: Structur
     found = [f for f in of_each if f is not None]
     return (
         found
+        + _narrowed(estimate)
         + _beyond_bounds(estimate)
         + _rivals(estimate)
         + _moved(believed)
@@ -116,6 +119,16 @@ def _beyond_bounds(estimate: Estimate) -> list[Finding]:
     )
     remedy = "check delays, gains and signs of the channels and the law, or let it be negative (scheme.positive)"
     return [Finding("bound", name, f"{text}; {remedy}")]
+
+
+def _narrowed(estimate: Estimate) -> list[Finding]:
+    """Deviations that shrank when the features were last made finer: the same record cannot have told more."""
+    times = float(estimate.summary.get("narrowed_by_refinement", 1.0))
+    if times < NARROWED:
+        return []
+    text = f"finer features made a parameter's deviation {times:.3g} times as small: how fine they are decides it"
+    remedy = "compare with runs of fewer network.intervals; a higher sampling rate decides it"
+    return [Finding("parameter", "parameters", f"{text}; {remedy}")]
 
 
 def _rivals(estimate: Estimate) -> list[Finding]:

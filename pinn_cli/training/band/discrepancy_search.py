@@ -29,8 +29,8 @@ FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
 DECISIVE_DROP = 20.0
 # The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
 PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
-# A discrepancy below this part of the noise of every load cell makes no motion better known: one step without a gain
-# ends the scan there.
+# A discrepancy below this part of the noise of every measured input makes no motion better known: one step without a
+# gain ends the scan there.
 FINEST_OF_NOISE = 1e-2
 # A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
 # a second search from another start.
@@ -198,7 +198,7 @@ class DiscrepancySearch(ABC):
         tried: list[tuple[float, float]] = []  # of each the discrepancy and the log evidence: factors are large
         point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
         best: Trained | None = None
-        indifferent = FINEST_OF_NOISE * least_noise_of_forces(noise)
+        indifferent = FINEST_OF_NOISE * noise.least_of_inputs
         while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
             trained = self.train(noise.with_discrepancy(discrepancy), point)
             followed = best is not None and best.solution.converged
@@ -274,12 +274,6 @@ class DiscrepancySearch(ABC):
                 break
             trained = again
         return trained
-
-
-def least_noise_of_forces(noise: NoiseModel) -> float:
-    """Of all load cells, N; 0 without any."""
-    levels = np.concatenate([own.force for own in noise.by_record])
-    return float(np.min(levels[np.isfinite(levels)], initial=np.inf)) if np.isfinite(levels).any() else 0.0
 
 
 def _is_easy(before: Trained, after: Trained | None) -> bool:

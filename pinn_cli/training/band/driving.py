@@ -1,7 +1,8 @@
-"""Forces that nobody measured, as the record's own band tells them: how large they are, and of what colour.
+"""Inputs that are functions to be found, as the record's own band tells them: how large they are, and of what colour.
 
-The features follow frequencies beyond the band, where a record shows that no force acts. Counted with the others these
-would pull the level of what drives the forces down, and make bands too narrow.
+They are the ground's acceleration, measured forces that are functions, and forces that nobody measured. The features
+follow frequencies beyond the band, where a record shows that nothing acts. Counted with the others these would pull the
+level of what drives an input down, and make bands too narrow.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class Told:
 
     Attributes:
         frequency: (F,), Hz.
-        power: (F,), of all forces together, N^2.
+        power: (F,), of all functions together, N^2; of the ground (m/s^2)^2.
         told: (F,), how many of its values the record has told.
     """
 
@@ -63,15 +64,20 @@ class Told:
         """Whether a level can be read off it."""
         return float(self.told.sum()) > LEAST_TOLD * len(self.told)
 
+    @property
+    def level(self) -> float | None:
+        """Standard deviation of the drive, per collocation point; None where it cannot be read.
+
+        sigma^2 = sum |n|^2 / sum (1 - var / sigma^2) over the frequencies of the band (MacKay 1992): n is the drive of
+        the solution at a frequency, var its posterior variance there, from draws.
+        """
+        return math.sqrt(float(self.power.sum() / self.told.sum())) if self.is_enough else None
+
 
 def level_in_band(evidence: Evidence, trained: Trained) -> float | None:
-    """Standard deviation of the drive, per collocation point; None without unknown forces, or where none is told.
-
-    sigma^2 = sum |n|^2 / sum (1 - var / sigma^2) over the frequencies of the band (MacKay 1992): n is the drive of the
-    solution at a frequency, var its posterior variance there, from draws.
-    """
-    seen = _told(evidence, trained)
-    return math.sqrt(float(seen.power.sum() / seen.told.sum())) if seen is not None and seen.is_enough else None
+    """:attr:`Told.level` of the unknown forces; None without any."""
+    seen = told_in_band(evidence, trained, evidence.equations.dynamics.forces)
+    return None if seen is None else seen.level
 
 
 def spectrum_in_band(evidence: Evidence, trained: Trained) -> Drive | None:
@@ -79,7 +85,7 @@ def spectrum_in_band(evidence: Evidence, trained: Trained) -> Drive | None:
 
     Flat up to the band's edge, or falling off from a corner below it.
     """
-    seen = _told(evidence, trained)
+    seen = told_in_band(evidence, trained, evidence.equations.dynamics.forces)
     if seen is None or not seen.is_enough:
         return None
     inputs = evidence.equations.problem.inputs
@@ -136,23 +142,24 @@ def reaches_beyond(evidence: Evidence, trained: Trained) -> float:
     return wider if share.size and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
 
-def _told(evidence: Evidence, trained: Trained) -> Told | None:
+def told_in_band(evidence: Evidence, trained: Trained, functions: slice) -> Told | None:
+    """What drives some functions alike; None where there are none, or no averages over knot intervals."""
     equations, point = evidence.equations, trained.solution.point
-    inputs, innovation, averages = equations.problem.inputs, trained.noise.innovation, equations.averages
-    if not inputs.forces or innovation is None or averages is None:
+    innovation, averages = trained.noise.innovation, equations.averages
+    if functions.start == functions.stop or innovation is None or averages is None:
         return None
-    forces, rate = equations.dynamics.forces, equations.network.free_intervals
+    rate = equations.network.free_intervals
 
     def power(residual: torch.Tensor) -> np.ndarray:
-        drive = averages.by_interval(residual)[:, forces].cpu().numpy()
+        drive = averages.by_interval(residual)[:, functions].cpu().numpy()
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
     found = power(equations.physics_residual(point))
-    moved = [forces for _, forces in equations.moved_forces(point, trained.drawn(DRAWS))]
+    moved = [functions_moved for _, functions_moved in equations.moved_forces(point, trained.drawn(DRAWS))]
     scatter = np.zeros_like(found)
     for of_draw in zip(*moved, strict=True):
         scatter += power(torch.cat(of_draw)) / DRAWS
-    told = len(inputs.forces) - scatter / float(innovation[forces][0]) ** 2
+    told = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
     frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))
-    inside = (frequency > 0.0) & (frequency <= inputs.edge / (2.0 * np.pi))
+    inside = (frequency > 0.0) & (frequency <= equations.problem.inputs.edge / (2.0 * np.pi))
     return Told(frequency[inside], found[inside], told[inside])

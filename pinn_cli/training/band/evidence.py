@@ -109,15 +109,19 @@ class Evidence(DiscrepancySearch):
         return len(inputs.forces) * float(np.log(gain).sum())
 
     def log_variances(self, noise: NoiseModel) -> float:
-        """Sum over all samples of the response sensors; those of an observer equation stand with the forces."""
+        """Sum over all samples of the sensors; those of an observer equation stand with the forces.
+
+        An input is compared between its samples too, where features finer than these follow it.
+        """
         masks = observation_masks(self.equations.target, self.equations.problem.acceleration_through)
-        samples = len(self.equations.problem.record.time)
+        samples = dict.fromkeys(masks, len(self.equations.problem.record.time))
+        samples |= {name: max(samples[name], self.equations.network.count) for name in self.equations.inputs}
         of_gauges = sum(
             2.0 * rows.samples * float(np.log(sigma))
             for rows, sigma in zip(self.equations.gauge_rows, noise.response.get(GAUGE, ()), strict=True)
         )
         return of_gauges + sum(
-            2.0 * samples * float(np.log(noise.response[name][mask.cpu().numpy()]).sum())
+            2.0 * samples[name] * float(np.log(noise.response[name][mask.cpu().numpy()]).sum())
             for name, mask in masks.items()
             if name != "observer"
         )

@@ -72,12 +72,14 @@ def inferred(
         found = _in_their_band(found, problem, designs, settings, device, history)
         found = coloured(found, settings, device, history)
     found = _in_present_modes(found, designs, settings, device, history)
+    narrowed = 1.0
     # Finer features would reach further beyond the band, where forces that nobody measured are free.
     for _ in range(0 if has_forces(problem) else REFINEMENTS):
         finer = _finer(designs, found)
         again = None if finer is None else _refined(found, finer, settings, device, history)
         if finer is None or again is None:
             break
+        narrowed = _narrowed(found, again)
         designs, found = finer, again
     found = _in_present_modes(found, designs, settings, device, history)
     evidence, settle = found.evidence, partial(settled, found.evidence, pooled=settings.pooled)
@@ -86,7 +88,15 @@ def inferred(
     trained, windows = choice.trained, None
     if isinstance(evidence, Evidence) and _is_window(evidence):
         trained, windows = of_all_windows(evidence, trained)
-    return Inferred(evidence, driven_in_band(evidence, evidence.widen_for_colour(trained)), choice.rivals, windows)
+    widened = driven_in_band(evidence, evidence.widen_for_colour(trained))
+    return Inferred(evidence, widened, choice.rivals, windows, narrowed)
+
+
+def _narrowed(coarse: Inferred, fine: Inferred) -> float:
+    """How many times as large the deviation of an unknown parameter was in coarser features; of all the most."""
+    unknown = fine.evidence.unknown
+    before, after = (np.diag(found.trained.factor.corner_covariance)[unknown] for found in (coarse, fine))
+    return float(np.sqrt(np.max(before / after, initial=0.0)))
 
 
 def _is_window(evidence: Evidence) -> bool:

@@ -20,12 +20,16 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 @dataclass(frozen=True, eq=False)
 class Inferred:
-    """A solution, what it was found with, others that explain the record as well, and what windows told so far."""
+    """A solution, what it was found with, others that explain the record as well, and what windows told so far.
+
+    And how many times as large the deviation of an unknown parameter was before the features were last made finer.
+    """
 
     evidence: Evidence | JointEvidence
     trained: Trained
     rivals: tuple[Rival, ...] = ()
     told: DiscrepancyTold | None = None
+    narrowed: float = 1.0
 
     @property
     def by_record(self) -> list[tuple[NormalEquations, Point]]:

@@ -17,6 +17,7 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
+from pinn_cli.training.band.driving import told_in_band
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
@@ -116,9 +117,12 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
         for part in equations.windows(equations.observation):
             seen = equations.jet(equations.observation, drawn, part)
             for quantity in response:
-                if quantity != GAUGE:
+                if quantity != GAUGE and quantity not in equations.inputs:
                     values = equations.dynamics.sensed(quantity, seen)
                     response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+        for quantity, rows in equations.inputs.items():
+            values = rows.in_band(rows.filtered(equations.flat_states(rows.segments, drawn)))
+            response[quantity] += values.square().sum(0).cpu().numpy() / rows.refinement / DRAWS
         moved = equations.moved_gauges(point, drawn)
         if moved:
             response[GAUGE] += np.array([float(values.square().sum()) for values in moved]) / DRAWS
@@ -145,6 +149,8 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         if name == "observer":  # its residual holds the force's noise as well
             continue
         there, square = mask.cpu().numpy(), squares[name].cpu().numpy()
+        if name in equations.inputs:
+            square = _left_of_input(evidence, trained, name)
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
         usual, share = _usual_level(evidence, name, noise), np.clip(taken.response[name] / samples, 0.0, 1.0)
         under_forces = bool(equations.problem.inputs.forces)
@@ -161,6 +167,14 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         response[GAUGE] = np.maximum(level, least.response[GAUGE])
     force = np.maximum(_limited(force, noise.force), least.force)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
+
+
+def _left_of_input(evidence: Evidence, trained: Trained, quantity: str) -> np.ndarray:
+    """(channels,) sum of squares of what the solution leaves of an input's samples."""
+    rows, point = evidence.equations.inputs[quantity], trained.solution.point
+    states = evidence.equations.states(rows.segments, point)
+    left = rows.in_band(rows.segments.scatter(rows.residual(states, slice(None))))
+    return left.square().sum(0).cpu().numpy() / rows.refinement
 
 
 def _usual_level(evidence: Evidence, quantity: str, noise: NoiseModel) -> np.ndarray:
@@ -197,7 +211,7 @@ def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np
         discrepancy *= float(np.sqrt((share * misfit).sum() / (share * left[enforced]).sum()))
     squares, values = _of_force_sensors(noise, split, left)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, split.seen, left)
+        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, trained, split.seen, left)
 
 
 def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -234,19 +248,17 @@ def force_noise_told(evidence: Evidence, trained: Trained) -> tuple[float, float
     return told[0] + float(scatter.sum()), told[1] + record.repeats.freedom * there.size
 
 
-def _driving(evidence: Evidence, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _driving(evidence: Evidence, trained: Trained, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
     """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
 
     Alike for all unknown forces: few sensors tell them apart.
     """
     dynamics, level = evidence.equations.dynamics, np.full(len(seen), np.nan)
-    for group in (
-        dynamics.ground,
-        *(slice(i, i + 1) for i in range(*dynamics.loads.indices(len(seen)))),
-        dynamics.forces,
-    ):
-        if group.stop > group.start:
-            level[group] = np.sqrt(seen[group].sum() / left[group].sum())
+    for i in range(dynamics.smooth.start, dynamics.smooth.stop):
+        told = told_in_band(evidence, trained, slice(i, i + 1))
+        level[i] = np.sqrt(seen[i] / left[i]) if told is None or told.level is None else told.level
+    if dynamics.inputs.forces:
+        level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / left[dynamics.forces].sum())
     return level
 
 
@@ -262,9 +274,8 @@ def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     if np.isfinite(noise.force).any():
         of_force[: record.ndof] = FINEST_SENSOR * np.sqrt(np.mean(record.force**2, axis=0))
     force = float(np.nanmax(of_force)) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
-    measured = noise.force[np.isfinite(noise.force)]
-    of_noise = FINEST_OF_NOISE * float(measured.min()) if measured.size else 0.0
-    discrepancy = min(max(FINEST_DISCREPANCY * force, of_noise), noise.discrepancy)
+    of_noise = FINEST_OF_NOISE * replace(noise, further=()).least_of_inputs
+    discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), of_noise)
     response = {q: np.fmin(finest[q], level) for q, level in noise.response.items()}
     # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
     # do as well, and bands would be too narrow.

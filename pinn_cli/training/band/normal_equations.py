@@ -82,7 +82,9 @@ class NormalEquations(Residuals):
         """Residuals of sensors that feel several functions, with rows that never change."""
         masks = observation_masks(self.target, self.problem.acceleration_through)
         return {
-            name: SensorRows(self.observation, self.dynamics.sensing(name), mask.cpu().numpy())
+            name: self.inputs[name].rows
+            if name in self.inputs
+            else SensorRows(self.observation, self.dynamics.sensing(name), mask.cpu().numpy())
             for name, mask in masks.items()
             if name != "observer" and not self.dynamics.feels_own(name)
         }
@@ -95,6 +97,7 @@ class NormalEquations(Residuals):
         out = {
             name: torch.as_tensor(noise.observation_weight(name, mass)).to(like) * mask for name, mask in masks.items()
         }
+        out |= {name: out[name] / rows.refinement for name, rows in self.inputs.items()}
         variance = torch.as_tensor(noise.physics_variance).to(like)
         between = self.physics_target.force_between
         if between is not None:

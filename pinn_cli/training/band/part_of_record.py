@@ -19,7 +19,6 @@ from pinn_cli.training.band.discrepancy_search import (
     SCAN_FACTOR,
     SUSPICIOUS_DISCREPANCY,
     Trained,
-    least_noise_of_forces,
 )
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.levenberg_marquardt import followed
@@ -119,7 +118,7 @@ def _steps(largest: float, discrepancy: float) -> int:
 
 def _steps_to_indifference(noise: NoiseModel) -> int:
     """Of a scan to the first discrepancy that makes no motion better known: how far beyond it goes is chance."""
-    least = FINEST_OF_NOISE * least_noise_of_forces(noise)
+    least = FINEST_OF_NOISE * noise.least_of_inputs
     return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_STEPS
 
 

@@ -20,13 +20,15 @@ from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.network.spline import POINTS_PER_INTERVAL, SplineNetwork
 from pinn_cli.physics import observation_masks, observation_residuals, physics_residual, targets
 from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
+from pinn_cli.system.quantities import FORCE, OUTSIDE_THE_EQUATIONS
 from pinn_cli.training.band.beginning import Beginning
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
+from pinn_cli.training.band.input_rows import InputRows
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Bounded, Point
 from pinn_cli.training.band.subdomains import Subdomains
@@ -84,6 +86,13 @@ class Residuals(Bounded):
         self.physics = network.segments(self.target.physics_time)
         self.averages = Subdomains(self.physics) if _by_interval(network) else None
         self.physics = self.physics if self.averages is None else self.averages.segments
+        self.inputs = {
+            quantity: InputRows(
+                quantity, problem.record, there.cpu().numpy(), self.network, self.dynamics, self.refinement
+            )
+            for quantity, there in self.target.sensors.items()
+            if quantity in (GROUND, FORCE) and bool(there.any())
+        }
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
         local = isinstance(network, SplineNetwork)
@@ -202,13 +211,17 @@ class Residuals(Bounded):
         return {name: torch.cat(each) if len(each) > 1 else each[0] for name, each in every.items()}
 
     def in_windows(self, point: Point) -> Iterator[tuple[slice, dict[str, Tensor]]]:
-        """The same window by window: first those of sensors, then those of equations; which groups, and residuals."""
+        """The same window by window: of sensors, of inputs' sensors, of equations; which groups, and residuals."""
         parameters, through = self.parameters(point), self.problem.acceleration_through
         if observation_masks(self.target, through):
             for part in self.windows(self.observation):
                 target = self.observation_target.of_groups(part)
                 states = self.states(self.observation, point, part)
-                yield part, observation_residuals(states, target, self.dynamics, parameters, through)
+                found = observation_residuals(states, target, self.dynamics, parameters, through)
+                yield part, {name: residual for name, residual in found.items() if name not in self.inputs}
+        for name, rows in self.inputs.items():
+            for part in self.windows(rows.segments):
+                yield part, {name: rows.residual(self.states(rows.segments, point, part), part)}
         physics = self.physics_residual(point)
         for part in self.windows(self.physics):
             found = {"physics": physics[part]}

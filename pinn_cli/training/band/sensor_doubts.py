@@ -81,6 +81,8 @@ class _Shown:
         time: (J,), s.
         uncertain: Kinds of its calibration that are parameters of the model already.
         parameters: Place of a parameter of the model to what that does to it (J,).
+        counted: (J,), or a number: 0 where nothing is compared.
+        per_sample: Times for each of its samples.
     """
 
     name: str
@@ -96,10 +98,12 @@ class _Shown:
     time: np.ndarray
     uncertain: Collection[str] = ()
     parameters: Mapping[int, np.ndarray] = field(default_factory=dict)
+    counted: np.ndarray | float = 1.0
+    per_sample: int = 1
 
     def columns(self) -> Iterator[tuple[str, str, float, np.ndarray]]:
         """Kind, unit, value at one prior standard deviation, and column (J,) at that."""
-        step = float(np.median(np.diff(self.time)))
+        step = self.per_sample * float(np.median(np.diff(self.time)))
         felt = self.gain * self.felt
         late = WIDEST_DELAY * step
         yield GAIN, "", 1.0, felt
@@ -143,16 +147,21 @@ def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, 
         noise: Its weights.
         parameters: How many the model has.
     """
-    every = [*_columns_of_record(equations, point, noise), *_gauges(equations, point, noise)]
+    every = [
+        *_columns_of_record(equations, point, noise),
+        *_ground(equations, point, noise),
+        *_gauges(equations, point, noise),
+    ]
     found: list[tuple[Term, dict[int, np.ndarray]]] = []
     together: dict[tuple[str, float], dict[int, np.ndarray]] = {}
     for i, one in enumerate(every):
         for kind, unit, scale, column in one.columns():
             if kind in one.uncertain:
                 continue
-            found.append((Term(kind, one.name, unit, scale), {i: column}))
+            counted = column * one.counted
+            found.append((Term(kind, one.name, unit, scale), {i: counted}))
             if kind == HIGH_PASS and one.quantity != GROUND:
-                together.setdefault((one.quantity, scale), {})[i] = column
+                together.setdefault((one.quantity, scale), {})[i] = counted
     for (quantity, corner), of_all in together.items():
         if len(of_all) > 1:
             found.append((Term(HIGH_PASS, f"{quantity} of all sensors", "Hz", corner), of_all))
@@ -175,14 +184,15 @@ def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, 
 def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
     """The sensors that are columns of the record."""
     dynamics, record, segments = equations.dynamics, equations.problem.record, equations.observation
-    jet, residuals = Jet(*equations.flat_states(segments, point)[:3]), equations.residuals(point)
+    jet = Jet(*equations.flat_states(segments, point)[:3])
     displacement = dynamics.sensed("displacement", jet).cpu().numpy()
     features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
     for quantity, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
-        if quantity in (FORCE, "observer"):
+        if quantity in (FORCE, GROUND, "observer"):
             continue
-        felt, residual = dynamics.sensed(quantity, jet).cpu().numpy(), segments.scatter(residuals[quantity])
-        sensing, ground = dynamics.sensing(quantity), quantity == GROUND
+        felt = dynamics.sensed(quantity, jet).cpu().numpy()
+        residual = felt - equations.target.response[quantity].cpu().numpy()
+        sensing = dynamics.sensing(quantity)
         for dof in np.flatnonzero(mask.cpu().numpy()).tolist():
             parts = [
                 (int(function), order, float(weight))
@@ -190,18 +200,44 @@ def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseMod
                 for function, weight in zip(weights[dof].indices, weights[dof].data, strict=True)
             ]
             yield _Shown(
-                "ground acceleration" if ground else f"{quantity} of DOF {record.dof_name(dof)}",
+                f"{quantity} of DOF {record.dof_name(dof)}",
                 quantity,
                 segments,
                 features,
                 parts,
                 felt[:, dof],
-                None if ground else displacement[:, dof],
-                residual[:, dof].cpu().numpy(),
+                displacement[:, dof],
+                residual[:, dof],
                 1.0,
                 float(noise.response[quantity][dof]),
                 record.time,
             )
+
+
+def _ground(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+    """The ground's sensor, where it is a column of the record: as it is compared between its samples."""
+    rows = equations.inputs.get(GROUND)
+    if rows is None:
+        return
+    points = rows.points
+    features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
+    at = equations.dynamics.ground.start
+    left = rows.residual(equations.states(rows.segments, point), slice(None))
+    yield _Shown(
+        "ground acceleration",
+        GROUND,
+        points,
+        features,
+        [(at, order, float(felt[at, 0])) for order, felt in enumerate(rows.felt)],
+        rows.filtered(equations.flat_states(points, point))[:, 0].cpu().numpy(),
+        None,
+        points.scatter(left)[:, 0].cpu().numpy(),
+        1.0,
+        float(noise.response[GROUND][0]) * rows.refinement**0.5,
+        rows.time.cpu().numpy(),
+        counted=rows.told.cpu().numpy(),
+        per_sample=rows.refinement,
+    )
 
 
 def _gauges(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pinn_cli.record.gauge import GAUGE
+from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
@@ -31,6 +34,7 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
     if problem.record.ground_acceleration is not None:
         driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
+    moved = problem.structure.parameters[MASS].detach().cpu().numpy() * problem.structure.with_ground
     continuity = CONTINUITY_TOLERANCE * velocity
     return NoiseModel(
         response,
@@ -39,4 +43,5 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
         continuity,
         points_per_sample=points,
         innovation=None if dynamics.is_plain else driving,
+        ground_mass=float(np.min(np.abs(moved[moved != 0.0]), initial=math.inf)),
     )

@@ -1,0 +1,132 @@
+"""Sensors of inputs that are functions to be found: a load cell, or the accelerometer on the ground.
+
+Between its samples such an input does what a band-limited history does, and so does its sensor's error: neither has
+anything above the Nyquist frequency. Compared at the samples alone, features finer than these would be free to follow
+another input there, of which the structure would feel the part in its band (an alias), and no sensor anything. So an
+input w is compared with the interpolated history y between the samples as well, through a filter B of second order,
+
+    B(d/dt) (w - y) = white noise,    |B|^2 = 1 + (f / f_c)^4,    f_c a little above the Nyquist frequency.
+
+Every point of the finer grid counts for its share of a sample, so that what is known of the input in its band is the
+same in however many intervals it is enforced; an error above the band is as improbable as the filter makes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.ndimage import minimum_filter1d
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from pinn_cli.network.base import States
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.record.between_samples import refined_history, refined_times
+from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import noise_level
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import FLAT
+from pinn_cli.training.band.sensor_rows import SensorRows
+from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+
+# Corner of the errors' filter over the Nyquist frequency.
+CORNER = 1.2
+# Mean of |B|^2 up to the Nyquist frequency: a sensor's noise is that of its samples, in this band.
+IN_BAND = 1.0 + CORNER**-4 / 5.0
+# Samples from where the samples tell an input on, within which its derivatives are not told yet.
+FROM_THE_END = 3
+# Noise over the rms of an input that its interpolation allows for at most: more would smooth the input.
+NOISIEST = 0.1
+
+
+def _between_samples(history: np.ndarray, step: float, refinement: int) -> tuple[np.ndarray, np.ndarray]:
+    """(P, channels) history (N, channels) at the points, and (P,) bool whether the samples tell it there.
+
+    At the ends of a record, where half of the neighbours are missing, they do not tell it as well as a sample does.
+    """
+    rms = np.sqrt(np.mean(history**2, axis=0))
+    noise = [noise_level(column, step) / level for column, level in zip(history.T, rms, strict=True) if level > 0.0]
+    points, spread = refined_history(history, refinement, min(max(noise, default=0.0), NOISIEST))
+    told = spread <= min(noise, default=0.0)
+    near = 2 * FROM_THE_END * refinement + 1
+    return points, minimum_filter1d(told, near, mode="constant", cval=False)
+
+
+def _weights(told: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of the input and of its derivatives at the points, each (P,): where the samples do not tell it they are alone."""
+    samples = np.arange(len(told)) % refinement == 0
+    return np.where(told, 1.0, np.sqrt(refinement * IN_BAND) * samples), told.astype(float)
+
+
+class InputRows:
+    """Rows of the sensors of one measured input.
+
+    Args:
+        quantity: What they measure.
+        record: With their samples.
+        there: (channels,) bool, which of its sensors are compared: those without a calibration of their own.
+        network: Fixed features, linear readout.
+        dynamics: The unknown functions of time.
+        refinement: Points for every sample.
+
+    Attributes:
+        time: (P,), s, of the points.
+        points: Features there.
+        segments: The same, as they count there.
+        told: (P,), 1 where the samples tell the input, 0 near the ends.
+        rows: Constant rows of the filtered error.
+        target: (I, S, channels), filtered history, 0 where there is no sensor.
+    """
+
+    def __init__(
+        self,
+        quantity: str,
+        record: Record,
+        there: np.ndarray,
+        network: LinearReadout,
+        dynamics: Dynamics,
+        refinement: int,
+    ) -> None:
+        like = network.readout.detach()
+        self.refinement, self.there = refinement, torch.as_tensor(there).to(like.device)
+        self.time = torch.as_tensor(refined_times(record.time, refinement)).to(like)
+        self.points = network.segments(self.time)
+        corner = CORNER * math.pi / record.step
+        factors = (1.0, 2.0 * FLAT / corner, corner**-2)
+        ((_, felt),) = dynamics.sensing(quantity)
+        weights = [csr_matrix(factor / IN_BAND**0.5 * felt) for factor in factors]
+        self.felt = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
+        history = np.where(there, np.nan_to_num(record.histories(quantity)), 0.0)
+        values, told = _between_samples(history, record.step, refinement)
+        target = self._filtered(network, torch.as_tensor(values).to(like), factors)
+        of_value, of_rates = (torch.as_tensor(x).to(like) for x in _weights(told, refinement))
+        self.segments, self.told = self.points.weighted(of_value, of_rates), of_rates
+        plain = of_value[:, None] * torch.as_tensor(values).to(like) / IN_BAND**0.5
+        self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
+        self.rows = SensorRows(self.segments, list(enumerate(weights)), there)
+
+    def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
+        """(P, channels), B applied: to as much as the features follow, the rest stays."""
+        segments, features = first_output(network, self.points), output_features(network, self.points)
+        weights = FeatureProjection(segments, features[0]).coefficients(values).to(values)[segments.feature]
+        rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], features[1:], strict=True))
+        assert isinstance(rates, Tensor)
+        return (values + segments.scatter(rates)) / IN_BAND**0.5
+
+    def filtered(self, states: States) -> Tensor:
+        """(I, S, channels), what the sensors feel of a motion, through the filter."""
+        jet = (states.displacement, states.velocity, states.acceleration)
+        return sum(jet[order] @ felt for order, felt in enumerate(self.felt))  # type: ignore[return-value]
+
+    def residual(self, states: States, part: slice) -> Tensor:
+        """(I, S, channels), white where the input is what was measured, and 0 at padding; of some groups."""
+        return (self.filtered(states) - self.target[part]) * self.segments.mask[part, :, None] * self.there
+
+    def in_band(self, histories: Tensor) -> Tensor:
+        """(P, channels) histories at the points, as far as the sensors' samples follow them."""
+        spectrum = torch.fft.rfft(histories, dim=0)
+        spectrum[len(histories) // (2 * self.refinement) + 1 :] = 0.0
+        return torch.fft.irfft(spectrum, len(histories), dim=0)
