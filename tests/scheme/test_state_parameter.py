@@ -96,15 +96,15 @@ def test_starting_values_by_kind_and_by_name(measurements):
     assert list(start) == ["k_1", "k_2", "k_3", "kappa_1", "kappa_2", "kappa_3"]
 
 
-def test_where_a_force_is_unknown_starts_are_those_that_were_given(measurements):
+def test_where_a_force_is_unknown_what_was_given_is_a_start(measurements):
     force, unforced = measurements.record.force.copy(), measurements.record.unforced.copy()
     force[:, 2], unforced[2] = np.nan, False
     scheme = StateParameter(unobserved=[2], unknown=["k_1", "k_2"], initial={"k": 10.0, "k_2": 12.0})
     problem = scheme.problem(
         small_chain(), scheme.observe(replace(measurements.record, force=force, unforced=unforced))
     )
-    assert [p.prescribed for p in problem.uncertain if p.unknown] == [10.0, 12.0]
-    assert not problem.alternatives
+    starts = [[p.prescribed for p in one.uncertain if p.unknown] for one in (problem, *problem.alternatives)]
+    assert [10.0, 12.0] in starts
 
 
 def test_starting_values_from_the_record_scale_with_it(measurements):

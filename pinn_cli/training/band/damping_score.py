@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pinn_cli.training.band.coloured import has_forces
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.history import History
@@ -19,6 +20,8 @@ def scored_damping(found: Inferred, settings: InferenceSettings, device: str, hi
     if equations.known is not None:
         return equations.known.damping_doubt
     problem, trained = found.evidence.problem, found.trained
+    if has_forces(problem):  # that nobody measured: they are free to be whatever damping is not
+        return None
     values = {kind: x.cpu().numpy() for kind, x in equations.parameters(point).items()}
     extended = with_other_damping(problem, values)
     if extended is None:

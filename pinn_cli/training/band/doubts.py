@@ -26,7 +26,7 @@ from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.sensor_doubts import HIGH_PASS, Columns, Term, sensor_columns
+from pinn_cli.training.band.sensor_doubts import GAIN, HIGH_PASS, Columns, Term, sensor_columns
 from pinn_cli.training.estimate import Doubt
 from pinn_cli.training.noise_model import NoiseModel
 
@@ -135,6 +135,8 @@ class _Asked:
         gain = 0.5 * score**2 / (1.0 + x) - 0.5 * np.log1p(x)
         # A sensor that passes more than the others do is one whose others pass less.
         wrong = np.array([term.kind == HIGH_PASS for term in self.terms]) & (score < 0.0)
+        # A change that leaves no mass, or nothing of a sensor, is beyond what a linear test can tell.
+        wrong |= np.isin([term.kind for term in self.terms], (MASS, GAIN)) & (score <= -(1.0 + x))
         gain[wrong | ~told_apart | np.isin(np.arange(count), told)] = -np.inf
         return gain
 

@@ -47,7 +47,7 @@ class Drive:
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """The drive of the solution over the frequencies of the record's band.
+    """The drive of the solution over the frequencies of a band.
 
     Attributes:
         frequency: (F,), Hz.
@@ -76,7 +76,7 @@ class Told:
 
 def level_in_band(evidence: Evidence, trained: Trained) -> float | None:
     """:attr:`Told.level` of the unknown forces; None without any."""
-    seen = told_in_band(evidence, trained, evidence.equations.dynamics.forces)
+    seen = _of_forces(evidence, trained)
     return None if seen is None else seen.level
 
 
@@ -85,7 +85,7 @@ def spectrum_in_band(evidence: Evidence, trained: Trained) -> Drive | None:
 
     Flat up to the band's edge, or falling off from a corner below it.
     """
-    seen = told_in_band(evidence, trained, evidence.equations.dynamics.forces)
+    seen = _of_forces(evidence, trained)
     if seen is None or not seen.is_enough:
         return None
     inputs = evidence.equations.problem.inputs
@@ -142,8 +142,21 @@ def reaches_beyond(evidence: Evidence, trained: Trained) -> float:
     return wider if share.size and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
 
-def told_in_band(evidence: Evidence, trained: Trained, functions: slice) -> Told | None:
-    """What drives some functions alike; None where there are none, or no averages over knot intervals."""
+def _of_forces(evidence: Evidence, trained: Trained) -> Told | None:
+    """What drives the unknown forces, in the record's band; None without any."""
+    equations = evidence.equations
+    return told_below(evidence, trained, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
+
+
+def told_below(evidence: Evidence, trained: Trained, functions: slice, top: float) -> Told | None:
+    """What drives some functions alike, up to a frequency (Hz); None without any, or without averages over intervals.
+
+    Args:
+        evidence: Of one record.
+        trained: Its solution.
+        functions: Which.
+        top: The frequency.
+    """
     equations, point = evidence.equations, trained.solution.point
     innovation, averages = trained.noise.innovation, equations.averages
     if functions.start == functions.stop or innovation is None or averages is None:
@@ -161,5 +174,5 @@ def told_in_band(evidence: Evidence, trained: Trained, functions: slice) -> Told
         scatter += power(torch.cat(of_draw)) / DRAWS
     told = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
     frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))
-    inside = (frequency > 0.0) & (frequency <= equations.problem.inputs.edge / (2.0 * np.pi))
+    inside = (frequency > 0.0) & (frequency <= top)
     return Told(frequency[inside], found[inside], told[inside])

@@ -34,8 +34,6 @@ from pinn_cli.training.noise_model import FeatureProjection, first_output, outpu
 
 # Corner of the errors' filter over the Nyquist frequency.
 CORNER = 1.2
-# Mean of |B|^2 up to the Nyquist frequency: a sensor's noise is that of its samples, in this band.
-IN_BAND = 1.0 + CORNER**-4 / 5.0
 # Samples from where the samples tell an input on, within which its derivatives are not told yet.
 FROM_THE_END = 3
 # Noise over the rms of an input that its interpolation allows for at most: more would smooth the input.
@@ -55,10 +53,9 @@ def _between_samples(history: np.ndarray, step: float, refinement: int) -> tuple
     return points, minimum_filter1d(told, near, mode="constant", cval=False)
 
 
-def _weights(told: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
+def _weights(told: np.ndarray, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the input and of its derivatives at the points, each (P,): where the samples do not tell it they are alone."""
-    samples = np.arange(len(told)) % refinement == 0
-    return np.where(told, 1.0, np.sqrt(refinement * IN_BAND) * samples), told.astype(float)
+    return np.where(told, 1.0, alone), told.astype(float)
 
 
 class InputRows:
@@ -78,6 +75,7 @@ class InputRows:
         segments: The same, as they count there.
         told: (P,), 1 where the samples tell the input, 0 near the ends.
         rows: Constant rows of the filtered error.
+        gain: Of the filter, which B is divided by.
         target: (I, S, channels), filtered history, 0 where there is no sensor.
     """
 
@@ -97,14 +95,17 @@ class InputRows:
         corner = CORNER * math.pi / record.step
         factors = (1.0, 2.0 * FLAT / corner, corner**-2)
         ((_, felt),) = dynamics.sensing(quantity)
-        weights = [csr_matrix(factor / IN_BAND**0.5 * felt) for factor in factors]
+        # The noise is that of the samples in the band that the features follow: there |B|^2 is one on average.
+        self.gain = (1.0 + min(1.0, network.free_intervals * record.step) ** 4 / (5.0 * CORNER**4)) ** 0.5
+        weights = [csr_matrix(factor / self.gain * felt) for factor in factors]
         self.felt = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
         history = np.where(there, np.nan_to_num(record.histories(quantity)), 0.0)
         values, told = _between_samples(history, record.step, refinement)
         target = self._filtered(network, torch.as_tensor(values).to(like), factors)
-        of_value, of_rates = (torch.as_tensor(x).to(like) for x in _weights(told, refinement))
+        alone = self.gain * refinement**0.5 * (np.arange(len(told)) % refinement == 0)
+        of_value, of_rates = (torch.as_tensor(x).to(like) for x in _weights(told, alone))
         self.segments, self.told = self.points.weighted(of_value, of_rates), of_rates
-        plain = of_value[:, None] * torch.as_tensor(values).to(like) / IN_BAND**0.5
+        plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
         self.rows = SensorRows(self.segments, list(enumerate(weights)), there)
 
@@ -114,7 +115,7 @@ class InputRows:
         weights = FeatureProjection(segments, features[0]).coefficients(values).to(values)[segments.feature]
         rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], features[1:], strict=True))
         assert isinstance(rates, Tensor)
-        return (values + segments.scatter(rates)) / IN_BAND**0.5
+        return (values + segments.scatter(rates)) / self.gain
 
     def filtered(self, states: States) -> Tensor:
         """(I, S, channels), what the sensors feel of a motion, through the filter."""

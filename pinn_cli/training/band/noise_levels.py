@@ -17,7 +17,7 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
-from pinn_cli.training.band.driving import told_in_band
+from pinn_cli.training.band.driving import told_below
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
@@ -253,10 +253,13 @@ def _driving(evidence: Evidence, trained: Trained, seen: np.ndarray, left: np.nd
 
     Alike for all unknown forces: few sensors tell them apart.
     """
-    dynamics, level = evidence.equations.dynamics, np.full(len(seen), np.nan)
+    equations, level = evidence.equations, np.full(len(seen), np.nan)
+    dynamics, nyquist = equations.dynamics, 0.5 / equations.problem.record.step
     for i in range(dynamics.smooth.start, dynamics.smooth.stop):
-        told = told_in_band(evidence, trained, slice(i, i + 1))
-        level[i] = np.sqrt(seen[i] / left[i]) if told is None or told.level is None else told.level
+        level[i] = np.sqrt(seen[i] / left[i])
+        if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
+            told = told_below(evidence, trained, slice(i, i + 1), nyquist)
+            level[i] = level[i] if told is None or told.level is None else told.level
     if dynamics.inputs.forces:
         level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / left[dynamics.forces].sum())
     return level
