@@ -16,15 +16,11 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.base import States
-from pinn_cli.record.between_samples import refined_history, refined_times
+from pinn_cli.record.between_samples import interpolated, refined_times
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
-from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
-
-# Noise over the rms of a force that its interpolation allows for at most: more would smooth the force.
-NOISIEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +145,8 @@ def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
 
 def _between_samples(record: Record, force: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
     """(P, n) force at the refined times, and the standard deviation of what the samples leave open there, N."""
-    rms = np.sqrt(np.mean(force**2, axis=0))
-    noise = [noise_level(column, record.step) / level for column, level in zip(force.T, rms, strict=True) if level > 0]
-    points, spread = refined_history(force, refinement, min(max(noise, default=0.0), NOISIEST))
-    return points, spread[:, None] * rms
+    points, spread, _ = interpolated(force, record.step, refinement)
+    return points, spread[:, None] * np.sqrt(np.mean(force**2, axis=0))
 
 
 def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:

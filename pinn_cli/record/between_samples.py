@@ -12,11 +12,15 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from pinn_cli.record.spectrum import noise_level
+
 # Neighbours on either side. A history that fills 78 % of the band up to the Nyquist frequency is told to 4e-6 of its
 # rms with 32 of them, to 5e-4 with 16: as much as the noise of a load cell of 65 dB.
 REACH = 32
 # Least power of a sample that is its own noise, over that of the process: keeps the weights from exploding.
 LEAST_NOISE = 1e-7
+# Noise over the rms of a history that its interpolation allows for at most: more would smooth the history.
+NOISIEST = 0.1
 # The process fills the spectrum up to this part of the sampling rate, whatever the history's own band: the noise
 # between the samples is then that of the samples. Closer to one half nothing is left to interpolate with.
 BAND = 0.45
@@ -67,6 +71,22 @@ def refined_history(values: np.ndarray, refinement: int, noise: float = 0.0) -> 
         parts = spread[part::refinement]
         parts[:] = np.sqrt(np.maximum(parts - _in_the_middle(part / refinement, nugget), 0.0))
     return out, spread
+
+
+def interpolated(values: np.ndarray, step: float, refinement: int) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Histories at :func:`refined_times` as the noise that their spectra show allows.
+
+    Args:
+        values: (N, n), samples.
+        step: From sample to sample, s.
+        refinement: Intervals that each step is divided into.
+
+    Returns:
+        Both of :func:`refined_history`, and the noise of every history that is not zero over its rms.
+    """
+    rms = np.sqrt(np.mean(values**2, axis=0))
+    noise = [noise_level(column, step) / level for column, level in zip(values.T, rms, strict=True) if level > 0.0]
+    return *refined_history(values, refinement, min(max(noise, default=0.0), NOISIEST)), noise
 
 
 def _neighbours(width: int, nugget: float) -> tuple[np.ndarray, tuple[np.ndarray, bool]]:

@@ -24,9 +24,8 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.record.between_samples import refined_history, refined_times
+from pinn_cli.record.between_samples import interpolated, refined_times
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import FLAT
 from pinn_cli.training.band.sensor_rows import SensorRows
@@ -36,26 +35,6 @@ from pinn_cli.training.noise_model import FeatureProjection, first_output, outpu
 CORNER = 1.2
 # Samples from where the samples tell an input on, within which its derivatives are not told yet.
 FROM_THE_END = 3
-# Noise over the rms of an input that its interpolation allows for at most: more would smooth the input.
-NOISIEST = 0.1
-
-
-def _between_samples(history: np.ndarray, step: float, refinement: int) -> tuple[np.ndarray, np.ndarray]:
-    """(P, channels) history (N, channels) at the points, and (P,) bool whether the samples tell it there.
-
-    At the ends of a record, where half of the neighbours are missing, they do not tell it as well as a sample does.
-    """
-    rms = np.sqrt(np.mean(history**2, axis=0))
-    noise = [noise_level(column, step) / level for column, level in zip(history.T, rms, strict=True) if level > 0.0]
-    points, spread = refined_history(history, refinement, min(max(noise, default=0.0), NOISIEST))
-    told = spread <= min(noise, default=0.0)
-    near = 2 * FROM_THE_END * refinement + 1
-    return points, minimum_filter1d(told, near, mode="constant", cval=False)
-
-
-def _weights(told: np.ndarray, alone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the input and of its derivatives at the points, each (P,): where the samples do not tell it they are alone."""
-    return np.where(told, 1.0, alone), told.astype(float)
 
 
 class InputRows:
@@ -100,10 +79,14 @@ class InputRows:
         weights = [csr_matrix(factor / self.gain * felt) for factor in factors]
         self.felt = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
         history = np.where(there, np.nan_to_num(record.histories(quantity)), 0.0)
-        values, told = _between_samples(history, record.step, refinement)
+        values, spread, noise = interpolated(history, record.step, refinement)
+        # At the ends of a record, where half of the neighbours are missing, they tell less than a sample does. There
+        # the samples stand alone.
+        near = 2 * FROM_THE_END * refinement + 1
+        told = minimum_filter1d(spread <= min(noise, default=0.0), near, mode="constant", cval=False)
         target = self._filtered(network, torch.as_tensor(values).to(like), factors)
         alone = self.gain * refinement**0.5 * (np.arange(len(told)) % refinement == 0)
-        of_value, of_rates = (torch.as_tensor(x).to(like) for x in _weights(told, alone))
+        of_value, of_rates = (torch.as_tensor(x).to(like) for x in (np.where(told, 1.0, alone), told.astype(float)))
         self.segments, self.told = self.points.weighted(of_value, of_rates), of_rates
         plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))

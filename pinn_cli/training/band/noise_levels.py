@@ -171,10 +171,13 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
 
 def _left_of_input(evidence: Evidence, trained: Trained, quantity: str) -> np.ndarray:
     """(channels,) sum of squares of what the solution leaves of an input's samples."""
-    rows, point = evidence.equations.inputs[quantity], trained.solution.point
-    states = evidence.equations.states(rows.segments, point)
-    left = rows.in_band(rows.segments.scatter(rows.residual(states, slice(None))))
-    return left.square().sum(0).cpu().numpy() / rows.refinement
+    equations = evidence.equations
+    rows, point = equations.inputs[quantity], trained.solution.point
+    left = rows.target.new_zeros((rows.segments.samples, rows.target.shape[-1]))
+    for part in equations.windows(rows.segments):
+        states = equations.states(rows.segments, point, part)
+        rows.segments.part(part).place(rows.residual(states, part), left)
+    return rows.in_band(left).square().sum(0).cpu().numpy() / rows.refinement
 
 
 def _usual_level(evidence: Evidence, quantity: str, noise: NoiseModel) -> np.ndarray:
