@@ -134,6 +134,13 @@ class RowPattern:
         """Motion of the coordinates in the slots, (..., n) to (..., n, D); what there is not does not move."""
         return _with_none(x)[..., self._neighbours]
 
+    def full(self, slots: np.ndarray) -> np.ndarray:
+        """(n, n), of one value in every slot (n, D)."""
+        row, slot = np.nonzero(self.coupled)
+        out = np.zeros((len(slots), len(slots)))
+        np.add.at(out, (row, self.dynamics.coupling.neighbours[row, slot]), slots[row, slot])
+        return out
+
     def by_parameter(self, own: Tensor) -> Tensor:
         """(..., n, kinds, F), rows by parameter, from what they do to every connection or mass that has one."""
         rows = _with_none(own)[..., self._own] * self._sign

@@ -10,20 +10,19 @@ import numpy as np
 import torch
 
 from pinn_cli.network.linear_readout import Segments
+from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.spectrum import occupied_band, visible_floor
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.discrepancy_search import DiscrepancySearch, Trained
 from pinn_cli.training.band.force_residuals import ForceResiduals
+from pinn_cli.training.band.motion_density import log_density, seen_powers
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 
 R = TypeVar("R")
-
-# A mass at its bound of zero has a logarithm too, kg.
-LEAST_MASS = 1e-300
 
 
 class Evidence(DiscrepancySearch):
@@ -86,27 +85,26 @@ class Evidence(DiscrepancySearch):
         losses = equations.losses(point, noise)
         forces = self.force_residuals(point, noise)
         rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain"))
-        # What physics says of a motion is a density of accelerations, not of forces: else a massless chain, on which
-        # every motion balances, would be the most probable of all.
-        moving = equations.target.equation[: equations.dynamics.ndof]
-        mass = equations.parameters(point)["m"][moving].cpu().numpy()
-        inertia = 2.0 * forces.count * float(np.log(np.maximum(mass, LEAST_MASS)).sum())
         sensors = self.log_variances(noise)
-        driven = self._innovation_density(forces.count)
-        return -0.5 * (forces.misfit(noise) + rest + sensors + readout_log_determinant - inertia) + driven
+        # What is probable is a force, not the motion that it makes.
+        moved = self._log_density_of_motion(point, forces.count)
+        return -0.5 * (forces.misfit(noise) + rest + sensors + readout_log_determinant) + moved
 
-    def _innovation_density(self, count: int) -> float:
-        """Logarithm of the determinant from unknown forces to what drives them.
-
-        What is probable is a force, not what drives it. Over the frequencies that the features follow it is the sum of
-        log |1 - (omega / edge)^2 + i omega tau|.
-        """
-        inputs = self.equations.problem.inputs
-        if not inputs.forces:
-            return 0.0
-        omega = np.pi * self.equations.network.free_intervals * (np.arange(count) + 0.5) / count
-        gain = np.hypot(1.0 - (omega / inputs.force_edge) ** 2, omega * inputs.correlation_time)
-        return len(inputs.forces) * float(np.log(gain).sum())
+    def _log_density_of_motion(self, point: Point, count: int) -> float:
+        """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
+        equations = self.equations
+        enforced, segments = equations.target.equation.cpu().numpy() > 0, equations.physics
+        sums = np.zeros((2, *equations.pattern.coupled.shape))
+        for part in equations.windows(segments):
+            rows, there = equations.rows(segments, point, part=part), segments.mask[part][..., None, None]
+            sums += [(x * there).sum((0, 1)).cpu().numpy() for x in (rows.stiffness, rows.damping)]
+        stiffness, damping = (equations.pattern.full(x / float(segments.mask.sum())) for x in sums)
+        mass = equations.dynamics.mass(equations.parameters(point)).cpu().numpy()
+        kept = np.ix_(enforced, enforced)
+        network, averaged = equations.network, equations.averages is not None
+        degree = network.degree if averaged and isinstance(network, SplineNetwork) else None
+        seen = seen_powers(count, np.pi * network.free_intervals, degree)
+        return log_density(mass[enforced], damping[kept], stiffness[kept], seen)
 
     def log_variances(self, noise: NoiseModel) -> float:
         """Sum over all samples of the sensors; those of an observer equation stand with the forces.

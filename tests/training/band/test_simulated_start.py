@@ -124,7 +124,7 @@ def test_of_two_the_more_probable_one_is_taken(monkeypatch):
     assert found.log_evidence >= expected.log_evidence
 
 
-STRONG = build_chain(6, Duffing(), m=10.0, c=1.0, k=15.0, kappa=2000.0)
+STRONG = build_chain(6, Duffing(), m=10.0, c=1.0, k=15.0, kappa=5000.0)
 
 
 def strongly_nonlinear() -> Measurements:
