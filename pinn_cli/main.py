@@ -230,6 +230,10 @@ def _carry_out(
     problem, context = prepared.problem.problem, prepared.context
     with stages("estimate"):
         estimate = config.estimator.solve(problem, replace(context, watch=watch))
+    prescribed = prepared.problem.prescribed
+    if estimate.structure is not None:
+        problem = problem.in_coordinates_of(estimate.structure)
+        prescribed = prescribed.in_coordinates_of(estimate.structure)
     settle_directory()
     with stages("posterior"):
         posterior = posterior_result(config.posterior, problem, estimate, context)
@@ -242,7 +246,7 @@ def _carry_out(
     linear = _linear_response(config, prepared.problem.true) if drawn else None
     results = Results(
         config.description,
-        prepared.problem.prescribed,
+        prescribed,
         record,
         prepared.problem.truth,
         estimate,

@@ -84,3 +84,14 @@ def test_without_a_word_each_mode_in_the_band_has_a_ratio(pinn_run: PinnRun, tmp
     assert "nothing is said of damping" in outcome.out + outcome.err
     found = pd.read_csv(outcome.directory / "parameters.csv", index_col="parameter")
     np.testing.assert_allclose([found.loc[f"zeta_{i}", "estimate"] for i in (1, 2, 3)], ZETA, rtol=0.03)
+
+
+@pytest.mark.slow
+def test_windows_without_a_word_learn_the_same_ratios(pinn_run: PinnRun, tmp_path):
+    path = tmp_path / "record.csv"
+    pd.DataFrame(chain_of_ratios(3, 20.0)).to_csv(path, index=False)
+    outcome = pinn_run(*RECORD, f"data.path={path}", "scheme.unknown=[k_*]", "data.window=10", "data.overlap=2")
+    assert outcome.status == 0, outcome.err
+    assert "nothing is said of damping" in outcome.out + outcome.err
+    found = pd.read_csv(outcome.directory / "parameters.csv", index_col="parameter")
+    np.testing.assert_allclose([found.loc[f"zeta_{i}", "estimate"] for i in (1, 2, 3)], ZETA, rtol=0.05)

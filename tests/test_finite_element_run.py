@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -112,6 +113,40 @@ def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
     assert (parameters["std"] < 0.02).all()
     first = pd.read_csv(outcome.directory / "modes.csv")
     assert len(first) == 2
+
+
+@pytest.mark.slow
+def test_parts_far_off_in_a_record_of_the_whole_model(pinn_run: PinnRun):
+    """The first coordinates leave out more than the sensors' noise; every mode of the beam is in the record."""
+    factors, sensed = (0.75, 1.25), {"tip": deflection(10), "a": deflection(4), "b": deflection(7)}
+    M, K = beam(10)
+    parts = [beam_part(10, own) for own in (range(4), range(4, 10))]
+    np.savez("beam.npz", M=M.toarray(), K=K.toarray(), root=parts[0].toarray(), end=parts[1].toarray())
+    rate, finer, random = 256.0, 64, np.random.default_rng(8)
+    time = np.arange(0.0, 4.0, 1.0 / (finer * rate))
+    waves, phases = random.uniform(3.0, 80.0, 80), random.uniform(0.0, 2.0 * np.pi, 80)
+    force = np.sin(2.0 * np.pi * np.outer(time, waves) + phases).sum(1) * np.minimum(4.0 * time, 1.0)
+    changed = sum(f * part for f, part in zip(factors, parts, strict=True))
+    motion = response(M, changed, 0.02, (sensed["b"], force), time[1])[2][::finer]
+    table = pd.DataFrame({"f": force[::finer], **{name: motion[:, dof - 1] for name, dof in sensed.items()}})
+    table += 10.0 ** (-50 / 20) * random.standard_normal(table.shape) * table.std().to_numpy()
+    table.insert(0, "t", time[::finer])
+    table.to_csv("beam.csv", index=False)
+    outcome = pinn_run(
+        "system=matrices", "system.path=beam.npz", "system.modes=5", "system.factors={root: null, end: null}",
+        f"system.dofs={{{', '.join(f'{n}: {d}' for n, d in sensed.items())}}}",
+        "data=csv", "data.path=beam.csv", "data.force={b: f}",
+        "data.acceleration={tip: tip, a: a, b: b}", "scheme=state_parameter", "scheme.parameter_uncertainty=0",
+        "figures=false",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    assert "nothing is said of damping" in outcome.out + outcome.err
+    found = pd.read_csv(outcome.directory / "parameters.csv", index_col="parameter")
+    true = {"factor_root": factors[0], "factor_end": factors[1]} | {f"zeta_{i}": 0.02 for i in (1, 2, 3)}
+    z = {name: (found["estimate"][name] - value) / found["std"][name] for name, value in true.items()}
+    assert max(map(abs, z.values())) < 3.5, z
+    assert (found["std"][["factor_root", "factor_end"]] < 1e-3).all()
+    assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound", outcome.out
 
 
 def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):

@@ -166,7 +166,7 @@ def read_source(
     (data,) = data_of_records(config.data)
     simulated = build(data, "data", excitation=excitation, simulation=simulation, noise=noise)
     return Source(
-        lambda true: named(simulated.measure, true, true.labels),
+        lambda true: named(simulated.measure, true.reduced_at(), true.labels),
         simulated=True,
         snr_db=noise.snr_db,
         windows=_windows_of(config, simulated, [], follows),

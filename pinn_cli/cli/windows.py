@@ -86,6 +86,9 @@ def windowed_run(
         true, prescribed = config.model_error.structures(config.structure)
         prescribed = prescribed if config.model is None else config.model.structure
     updates = config.scheme.looks_for_changes and config.model is not None
+    if config.model is None:
+        begin = _measured(config, true, next(windows.after(0)))
+        prescribed = config.scheme.damped(prescribed, [config.observe(begin.record)])
     solver = WindowSolver(
         config.description, config.scheme, config.estimator, UpdatedNetwork(config.training, config.network), true,
         prescribed, partial(_measured, config, true), config.observe, config.source.simulated, config.model, context,

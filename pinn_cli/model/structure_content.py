@@ -44,6 +44,8 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
     if structure.shapes is not None:
         words["residual"] = structure.shapes.residual
         arrays["shapes"] = structure.shapes.matrix
+        if structure.shapes.exact_at is not None:
+            arrays["shapes_exact_at"] = structure.shapes.exact_at
         if structure.shapes.with_ground is not None:
             arrays["shapes_with_ground"] = structure.shapes.with_ground
         if structure.shapes.stretch is not None:
@@ -69,7 +71,8 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     shapes = None
     if "shapes" in arrays:
         stretch = _matrix("shapes_stretch", arrays) if "shapes_stretch_shape" in arrays else None
-        shapes = Shapes(arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"]))
+        own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
+        shapes = Shapes(*own, exact_at=arrays.get("shapes_exact_at"))
     pairs = Pairs(tuple(words["pairs"]), _matrix("pairs", arrays)) if "pairs" in words else None
     return Structure(parameters, groups, labels, arrays.get("influence"), shapes, pairs)
 
@@ -81,6 +84,8 @@ def difference(structure: Structure, other: Structure) -> str:
     """
     if other_dofs(structure, other):
         return other_dofs(structure, other)
+    if other.shapes is not None and other.shapes.exact_at is not None:
+        structure = structure.reduced_at(other.shapes.exact_at)
     if structure.nonlinearity_name != other.nonlinearity_name or [g.kinds for g in structure.groups] != [
         g.kinds for g in other.groups
     ]:

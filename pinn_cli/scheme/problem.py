@@ -99,6 +99,22 @@ class Problem:
         further = tuple(replace(own, structure=structure) for own in self.further)
         return replace(self, structure=structure, further=further)
 
+    def reduced_at(self, factors: np.ndarray) -> Problem:
+        """The same in coordinates that are exact for some factors, see :meth:`Structure.reduced_at`."""
+        return self.in_coordinates_of(self.structure.reduced_at(factors))
+
+    def in_coordinates_of(self, structure: Structure) -> Problem:
+        """The same with its structure in the coordinates that a reduction of its finite-element model has."""
+        if structure.shapes is self.structure.shapes:
+            return self
+        structure = self.structure.in_coordinates_of(structure)
+        held = {p: float(structure.parameters[p.kind][p.index]) for p in structure.every_parameter()}
+        moved = tuple(replace(p, prescribed=held.get(p, p.prescribed)) for p in self.uncertain)
+        further, others = (
+            tuple(one.in_coordinates_of(structure) for one in each) for each in (self.further, self.alternatives)
+        )
+        return replace(self, structure=structure, uncertain=moved, further=further, alternatives=others)
+
     @property
     def by_record(self) -> tuple[Problem, ...]:
         """A problem for every record, this one's first."""

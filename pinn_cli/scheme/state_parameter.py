@@ -104,13 +104,15 @@ class StateParameter(Scheme):
     def damped(self, prescribed: Structure, records: Sequence[Record]) -> Structure:
         """See :meth:`Scheme.damped`: an unknown ratio for each mode in the band; modes beyond have the last.
 
-        Where all dampers of a measured structure are missing, and none is asked for.
+        Where all dampers of a measured structure are missing, or of a finite-element model those of its coordinates,
+        and none of them is asked for.
         """
         dampers, whole = prescribed.parameters["c"], prescribed.coordinates <= MOST_RATIOS
-        given = prescribed.is_damped_as_whole or not bool(dampers.isnan().all())
+        own = len(dampers) if prescribed.shapes is None else prescribed.groups[0].incidence.shape[0]
+        given = prescribed.is_damped_as_whole or not bool(dampers[:own].isnan().all())
         if given or records[0].simulated or any(p.kind == "c" for p in self._chosen(prescribed, records)):
             return prescribed
-        undamped = prescribed.with_parameters(c=torch.zeros_like(dampers))
+        undamped = prescribed.with_parameters(c=torch.cat([torch.zeros_like(dampers[:own]), dampers[own:]]))
         if not whole:
             log.warning("nothing is said of damping: Rayleigh's is unknown, a_0 and a_1 (system.damping)")
             return damped(undamped, {"rayleigh": [None, None]})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.matrix_files import read_matrices
 from pinn_cli.system.parameters import FACTOR, MASS
-from pinn_cli.system.reduction import ReducedModel, enriched, reduced_model
+from pinn_cli.system.reduction import ReducedModel, WholeModel, enriched, reduced_at, reduced_model
 from pinn_cli.system.shapes import Shapes
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts, check_parts, read_parts, substructures
@@ -39,6 +40,71 @@ class _Springs:
     c: np.ndarray
     k: np.ndarray
     names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteElements:
+    """A finite-element model and how it becomes a structure, whatever coordinates it is reduced to.
+
+    Attributes:
+        whole: Before it is reduced.
+        names: Of the DOFs that are of interest.
+        C: Damping matrix (N, N), N s/m; None: the ratio says it.
+        damping_ratio: See :func:`build_finite_elements`.
+        parts: Whose stiffness factors multiply.
+        own: Connections between the named DOFs; None without any.
+        moved: (N,), how far every DOF moves with the ground; None: nobody has said.
+    """
+
+    whole: WholeModel
+    names: tuple[str, ...]
+    C: csc_matrix | None
+    damping_ratio: float | Sequence[float] | None
+    parts: Parts
+    own: Structure | None
+    moved: np.ndarray | None
+
+    def structure(self, reduced: ReducedModel) -> Structure:
+        """In the coordinates of a reduced model."""
+        places, own = self.whole.named, self.own
+        springs = _springs(reduced, self.C, self.damping_ratio)
+        structure = _with_parts(_assembled(self.names, reduced.vectors[places], springs, own), reduced, self.parts)
+        moved, n = self.moved, structure.coordinates
+        return replace(
+            structure,
+            influence=np.zeros(n) if moved is None else reduced.vectors.T @ (self.whole.M @ moved),
+            shapes=Shapes(
+                reduced.vectors[places],
+                None if moved is None else moved[places],
+                csr_matrix((0, len(self.names))) if own is None else own.incidence.matrix,
+                n - reduced.modes,
+            ),
+            reduction=CoordinatesOfModel(self, reduced) if self.parts.matrices else None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinatesOfModel:
+    """The coordinates of a structure whose finite-element model is at hand, see :class:`Structure`."""
+
+    model: FiniteElements
+    reduced: ReducedModel
+
+    @cached_property
+    def structure(self) -> Structure:
+        """As the model gives it."""
+        return self.model.structure(self.reduced)
+
+    def at(self, factors: np.ndarray) -> Structure:
+        """The model in as many coordinates that are exact where its parts have these factors (P,)."""
+        made = self.model.structure(reduced_at(self.model.whole, factors, self.reduced))
+        assert made.shapes is not None
+        return replace(made, shapes=replace(made.shapes, exact_at=factors))
+
+    def onto(self, other: CoordinatesOfModel) -> np.ndarray:
+        """(n, n), from coordinates to those of another reduction of the model."""
+        product: np.ndarray = other.reduced.vectors.T @ (self.model.whole.M @ self.reduced.vectors)
+        return product
 
 
 def build_finite_elements(
@@ -70,7 +136,8 @@ def build_finite_elements(
         K: N/m.
         C: N s/m; None: ``damping_ratio`` says it all.
         modes: How many of the lowest ones are kept.
-        damping_ratio: Of every mode, 0.01 is one per cent; a list: mode by mode, the last one of all that follow.
+        damping_ratio: Of every mode, 0.01 is one per cent; a list: mode by mode, the last one of all that follow; None
+            without a C: nobody has said.
         connections: Between named DOFs and the ground, as in ``system=structure``; None: none.
         factors: Name of a part of K to the file of its stiffness matrix, which a factor multiplies, 1; or to
             ``{file: ..., value: 0.8}`` with another. The dampers stay as they are.
@@ -97,26 +164,17 @@ def build_finite_elements(
     own = connected(names, [1.0] * len(names), connections) if connections else None
     static = np.unique(places[_static(names, static_correction, own, loaded)])
     parts = read_parts(factors, path, size, base)
-    reduced = reduced_model(matrices["M"], matrices["K"], modes, static)
+    model = WholeModel(matrices["M"], matrices["K"], tuple(parts.matrices.values()), static, places)
+    reduced = reduced_model(model.M, model.K, modes, static)
     if parts.matrices:
         check_parts(reduced, parts)
-        reduced = enriched(matrices["M"], matrices["K"], reduced, list(parts.matrices.values()), static)
+        reduced = enriched(model, reduced)
     if damping is not None and (damping_ratio is not None or "C" in matrices):
         given = "C" if "C" in matrices else f"system.damping_ratio={damping_ratio}"
         raise InputError("system.damping", damping, f"null beside {given}", "each says all of the damping")
-    springs = _springs(reduced, matrices.get("C"), damping_ratio if damping is None else 0.0)
+    ratio = damping_ratio if damping is None else 0.0
     moved = None if ground is None else _moved_by_ground(ground, size)
-    structure = _with_parts(_assembled(names, reduced.vectors[places], springs, own), reduced, parts)
-    structure = replace(
-        structure,
-        influence=np.zeros(structure.coordinates) if moved is None else reduced.vectors.T @ (matrices["M"] @ moved),
-        shapes=Shapes(
-            reduced.vectors[places],
-            None if moved is None else moved[places],
-            csr_matrix((0, len(names))) if own is None else own.incidence.matrix,
-            structure.coordinates - reduced.modes,
-        ),
-    )
+    structure = FiniteElements(model, names, matrices.get("C"), ratio, parts, own, moved).structure(reduced)
     check_parameters_differ(structure)
     tell_if_loose(structure)
     return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
@@ -177,13 +235,12 @@ def _springs(reduced: ReducedModel, C: csc_matrix | None, damping_ratio: Any) ->
 
 
 def _ratios(given: Any, n: int) -> np.ndarray:
-    """(n,)."""
-    values = [given] if is_finite_number(given) else entries(given) if given is not None else []
+    """(n,), NaN where nobody has said."""
+    if given is None:
+        return np.full(n, np.nan)
+    values = [given] if is_finite_number(given) else entries(given)
     if not values or len(values) > n or not all(is_finite_number(x) and 0 <= x < 1 for x in values):
-        allowed = f"a number from 0 to below 1, or a list of at most {n}"
-        raise InputError(
-            "system.damping_ratio", given, allowed, "the matrices have no C; or system.damping" if given is None else ""
-        )
+        raise InputError("system.damping_ratio", given, f"a number from 0 to below 1, or a list of at most {n}")
     return np.array([*values, *[values[-1]] * (n - len(values))], dtype=np.float64)
 
 

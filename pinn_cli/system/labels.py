@@ -46,7 +46,7 @@ class Labels:
         if not parameter.label:
             return f"system.{parameter.kind}"
         if parameter.label in self.modes:
-            return "system.modes"
+            return "system.damping_ratio" if parameter.kind == "c" else "system.modes"
         if parameter.kind == FACTOR:
             return f"system.factors.{parameter.label}"
         return (

@@ -9,7 +9,7 @@ stiffer than they are said to be, shapes that only the changed model takes come 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
@@ -29,6 +29,25 @@ RIGID = 1e-9
 # Parts are tried at these factors, one at a time. The shapes that are added leave out no more than this of the energy
 # of any mode of the models so changed: that is the error of its frequency squared.
 FACTORS, LEFT_OUT = (0.7, 1.3), 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class WholeModel:
+    """What is reduced.
+
+    Attributes:
+        M: Mass matrix (N, N), kg.
+        K: Stiffness matrix (N, N), N/m.
+        parts: P of K, N/m, which factors may multiply.
+        static: (s,), the DOFs whose static response is kept, counted from 0.
+        named: (d,), those whose motion is of interest.
+    """
+
+    M: csc_matrix
+    K: csc_matrix
+    parts: tuple[csc_matrix, ...]
+    static: np.ndarray
+    named: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,22 +91,64 @@ def reduced_model(M: csc_matrix, K: csc_matrix, modes: int, static: np.ndarray) 
     return _model(vectors, values, more, stiffness)
 
 
-def enriched(
-    M: csc_matrix, K: csc_matrix, reduced: ReducedModel, parts: Sequence[csc_matrix], static: np.ndarray
-) -> ReducedModel:
-    """The same model with shapes that it takes where parts of it are softer or stiffer.
-
-    Args:
-        M: Mass matrix (N, N), kg.
-        K: Stiffness matrix (N, N), N/m.
-        reduced: Of both.
-        parts: Of K, N/m, none of them stiffer than K.
-        static: (s,), the DOFs whose static response is kept, counted from 0.
-    """
-    modes = reduced.modes
-    changed = _changed_shapes(M, K, parts, reduced, static)
+def enriched(model: WholeModel, reduced: ReducedModel) -> ReducedModel:
+    """A reduced model with shapes that the whole one takes where parts of it are softer or stiffer."""
+    M, K, modes = model.M, model.K, reduced.modes
+    energies, shapes = _changed_shapes(M, K, model.parts, reduced, model.static)
+    changed = shapes[:, np.cumsum(energies) > LEFT_OUT]
     vectors, values = reduced.vectors[:, :modes], reduced.stiffness[:modes]
     return _model(vectors, values, *_beside(M, K, vectors, np.hstack([reduced.vectors[:, modes:], changed])))
+
+
+def reduced_at(model: WholeModel, factors: np.ndarray, like: ReducedModel) -> ReducedModel:
+    """As many coordinates as another reduced model has, that are exact where parts of the model are softer or stiffer.
+
+    They hold the modes so changed and the static responses of chosen DOFs, then as many shapes as there are parts that
+    it takes beside these factors, then static responses of the DOFs that are of interest and higher modes in turn. As
+    in all reduced models, they are orthogonal in K itself.
+
+    Args:
+        model: To be reduced.
+        factors: (P,), on the stiffness of its parts, > 0.
+        like: Of the same model at other factors.
+
+    Raises:
+        InputError: So changed, the model has no modes.
+    """
+    M, parts, count = model.M, model.parts, len(like.stiffness)
+    changed = csc_matrix(model.K + sum((f - 1.0) * part for f, part in zip(factors, parts, strict=True)))
+    modes = min(count + 1, M.shape[0])
+    _, vectors, shifted, _ = _modes(M, changed, modes)
+    kept, higher = vectors[:, : like.modes], vectors[:, like.modes :]
+    exact = reduced_model(M, changed, like.modes, model.static)
+    own = [f * part for f, part in zip(factors, parts, strict=True)]
+    beside = _changed_shapes(M, changed, own, exact, model.static)[1][:, ::-1][:, : len(parts)]
+    felt = _residual_vectors(M, changed, kept, shifted, model.named)[0]
+    turns = min(felt.shape[1], higher.shape[1])
+    in_turn = np.stack([felt[:, :turns], higher[:, :turns]], axis=2).reshape(len(vectors), -1)
+    rest = [in_turn, felt[:, turns:], higher[:, turns:], like.vectors]
+    basis = _orthonormal(M, kept, np.hstack([exact.vectors[:, like.modes :], beside, *rest]), count)
+    stiffness, turned = np.linalg.eigh(basis.T @ (model.K @ basis))
+    stiffness = np.where(stiffness < RIGID * stiffness.max(), 0.0, stiffness)
+    nothing = np.empty((len(basis), 0))
+    return replace(_model(basis @ turned, stiffness, nothing, nothing[0]), modes=like.modes)
+
+
+def _orthonormal(M: csc_matrix, basis: np.ndarray, shapes: np.ndarray, count: int) -> np.ndarray:
+    """M-orthonormal vectors (N, b) and what the first of some shapes (N, s) are beyond them, until there are so many.
+
+    Shapes that are within those before them are left out.
+    """
+    for shape in shapes.T:
+        if basis.shape[1] == count:
+            break
+        left = shape / np.sqrt(shape @ (M @ shape))
+        for _ in range(2):  # once leaves the rounding of what it took away
+            left = left - basis @ (basis.T @ (M @ left))
+        size = float(left @ (M @ left))
+        if size > DEPENDENT:
+            basis = np.column_stack([basis, left / np.sqrt(size)])
+    return basis
 
 
 def _model(vectors: np.ndarray, values: np.ndarray, more: np.ndarray, stiffness: np.ndarray) -> ReducedModel:
@@ -105,11 +166,11 @@ def _modes(M: csc_matrix, K: csc_matrix, modes: int) -> tuple[np.ndarray, np.nda
 
 def _changed_shapes(
     M: csc_matrix, K: csc_matrix, parts: Sequence[csc_matrix], reduced: ReducedModel, static: np.ndarray
-) -> np.ndarray:
-    """(N, r), what modes and static responses of the changed model are beyond those of the model, the largest of it.
+) -> tuple[np.ndarray, np.ndarray]:
+    """(r,) energies, ascending, and shapes (N, r): modes and static responses of the changed model beyond the model's.
 
     The shapes have unit energy, so that the squared singular values of what is left, in the norm of energy, are errors
-    of frequencies squared; a proper orthogonal decomposition keeps the fewest shapes.
+    of frequencies squared; a proper orthogonal decomposition orders what is left.
     """
     unit = np.zeros((M.shape[0], len(static)))
     unit[static, np.arange(len(static))] = 1.0
@@ -126,8 +187,7 @@ def _changed_shapes(
     basis, left = reduced.vectors, np.hstack(shapes)
     left = left - basis @ (basis.T @ (M @ left))
     energies, turned = np.linalg.eigh(left.T @ (K @ left))
-    kept: np.ndarray = left @ turned[:, np.cumsum(energies) > LEFT_OUT]
-    return kept
+    return energies, left @ turned
 
 
 def _check_positive(M: csc_matrix) -> None:

@@ -21,12 +21,15 @@ class Shapes:
         with_ground: (dofs,), how far every DOF moves with the ground; None: nobody has said.
         stretch: (C', dofs), how the DOFs stretch connections that were added to the modes, C' behind the modes' own.
         residual: How many of the coordinates, the last ones, are static responses and no modes.
+        exact_at: (P,), factors of parts of a finite-element model for which the coordinates hold its modes; None: they
+            are near for all.
     """
 
     matrix: np.ndarray
     with_ground: np.ndarray | None = None
     stretch: csr_matrix | None = None
     residual: int = 0
+    exact_at: np.ndarray | None = None
 
     def of_dofs(self, q: Array) -> Array:
         """Motion of the DOFs (..., dofs), from that of the coordinates (..., n)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
@@ -21,11 +21,25 @@ from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.pairs import Pairs
-from pinn_cli.system.parameters import LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
+from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.shapes import Shapes
 
 if TYPE_CHECKING:
     from pinn_cli.system.connection.base import Nonlinearity
+
+
+class Reduction(Protocol):
+    """What made the coordinates of a structure of a finite-element model, and makes others."""
+
+    @property
+    def structure(self) -> Structure:
+        """As the model gives it."""
+
+    def at(self, factors: np.ndarray) -> Structure:
+        """The model in as many coordinates that are exact where its parts have these factors (P,)."""
+
+    def onto(self, other: Any) -> np.ndarray:
+        """(n, n), from coordinates to those of another reduction of the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +66,7 @@ class Structure:
         shapes: How the DOFs move with the coordinates, where these are modes; None: the coordinates are the DOFs.
             Records, sensors and forces belong to DOFs, everything here to coordinates.
         pairs: Of DOFs whose drift is to be told as well; None: none.
+        reduction: What made the coordinates; None: they are no reduction with factors, or the model is not at hand.
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -63,6 +78,7 @@ class Structure:
     influence: np.ndarray | None = None
     shapes: Shapes | None = None
     pairs: Pairs | None = None
+    reduction: Reduction | None = None
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
@@ -363,6 +379,55 @@ class Structure:
             for group in self.groups
         )
         return replace(self, groups=groups)
+
+    def in_coordinates_of(self, other: Structure) -> Structure:
+        """The same model, of finite elements, with these parameters, in the coordinates of another reduction of it.
+
+        What springs and dampers of the coordinates were beside those that the model gives them, they are again.
+        """
+        values, own = dict(self.parameters), self.groups[0].incidence.shape[0]
+        for kind in ("c", "k"):
+            given, made = (
+                now if one.reduction is None else one.reduction.structure.parameters[kind][:own]
+                for one, now in ((self, values[kind][:own]), (other, other.parameters[kind][:own]))
+            )
+            now = values[kind][:own]
+            kept = torch.where(given.isfinite() & (given != 0), made * now / given, now)
+            values[kind] = torch.cat([kept, values[kind][own:]])
+        damping = (group for group in self.groups if group.damps_whole)
+        return replace(
+            self,
+            parameters=values,
+            groups=(*(group for group in other.groups if not group.damps_whole), *damping),
+            labels=replace(self.labels, connections=other.labels.connections),
+            influence=other.influence,
+            shapes=other.shapes,
+            reduction=other.reduction,
+        ).present()
+
+    def reduced_at(self, factors: np.ndarray | None = None) -> Structure:
+        """The same in coordinates that are exact where parts of a finite-element model have some factors (P,).
+
+        It is as it was where the model is not at hand, or is no structure there.
+
+        Args:
+            factors: None: its own.
+        """
+        if self.reduction is None:
+            return self
+        at = self.parameters_like(np.empty(0))[FACTOR] if factors is None else factors
+        if not (at > 0).all():
+            return self
+        other = self.reduction.at(at)
+        fits = [group.incidence.shape[0] for group in (self.groups[0], other.groups[0])]
+        return self.in_coordinates_of(other) if fits[0] == fits[1] else self
+
+    def is_exact_at(self, factors: np.ndarray, tolerance: float) -> bool:
+        """Whether its coordinates are exact within a relative tolerance of factors (P,), or there are no others."""
+        if self.reduction is None or self.shapes is None:
+            return True
+        at = self.shapes.exact_at
+        return at is not None and bool(np.all(np.abs(factors / at - 1.0) <= tolerance))
 
     def with_values(self, values: Mapping[Parameter, float]) -> Structure:
         """The same structure with single parameters at other values, all of them float64 on the CPU."""

@@ -19,6 +19,7 @@ from pinn_cli.training.other_damping import DampingDoubt
 
 if TYPE_CHECKING:
     from pinn_cli.runs.checkpoint import Checkpoints
+    from pinn_cli.system.structure import Structure
     from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
 
 # Called with each row of a history as it comes; it must not change it.
@@ -251,6 +252,7 @@ class Estimate:
         peaks: Of a prediction.
         misfit: The force that the model leaves out; None where the training does not say.
         doubts: What the model may lack; nothing where the training does not say.
+        structure: In whose coordinates the motion is; None: in those of the problem.
     """
 
     response: Response
@@ -273,6 +275,7 @@ class Estimate:
     peaks: tuple[Peak, ...] = ()
     misfit: Misfit | None = None
     doubts: tuple[Doubt, ...] = ()
+    structure: Structure | None = None
 
     @property
     def before_any_record(self) -> list[ParameterEstimate]:

@@ -111,6 +111,8 @@ class GaussNewton(Training):
         doubt = None if self.weights else scored_damping(found, settings, run.device, history)
         summary = estimate.summary | {"narrowed_by_refinement": found.narrowed}
         estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
+        if found.evidence.problem.structure.shapes is not problem.structure.shapes:
+            estimate = replace(estimate, structure=found.evidence.problem.structure)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))

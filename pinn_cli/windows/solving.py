@@ -99,6 +99,8 @@ class WindowSolver:
                 estimate = (self.first if before is None else self.later).solve(problem, self.context)
         except (DivergenceError, InputError) as error:
             raise DivergenceError(f"{window.name}: {error}") from error
+        if estimate.structure is not None:
+            problem = problem.in_coordinates_of(estimate.structure)
         report = _Report(self, window, problem, measured, estimate, before)
         verdict = report.write(store, stages)
         content = report.content(verdict, self.beliefs(problem, store, window))
@@ -196,8 +198,10 @@ class _Report:
         record = as_calibrated(self.problem.record, self.estimate)
         problem = replace(self.problem, record=record)
         true = solver.true if solver.simulated else None
+        reduced, prescribed = self.estimate.structure, solver.prescribed
+        prescribed = prescribed if reduced is None else prescribed.in_coordinates_of(reduced)
         return Results(
-            solver.run, solver.prescribed, record, self.measured.truth, self.estimate, problem=problem, true=true,
+            solver.run, prescribed, record, self.measured.truth, self.estimate, problem=problem, true=true,
             model=self.before or solver.model,
         )  # fmt: skip
 

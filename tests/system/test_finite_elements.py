@@ -114,7 +114,6 @@ def test_a_body_that_nothing_holds_is_told(folder, caplog):
         ({"dofs": {"tip": 3, "end": 3}}, "system.dofs.end", "tip is DOF 3 as well"),
         ({"modes": 0}, "system.modes", ">= 1"),
         ({"modes": 21}, "system.modes", "at most 20"),
-        ({"damping_ratio": None}, "system.damping_ratio", "the matrices have no C"),
         ({"damping_ratio": -0.1}, "system.damping_ratio", "from 0 to below 1"),
         ({"damping_ratio": [0.1] * 5}, "system.damping_ratio", "at most 4"),
         ({"path": "damped.npz"}, "system.damping_ratio", "null where there is a C"),

@@ -59,6 +59,54 @@ def test_frequencies_are_those_of_the_whole_model(folder, factors):
     np.testing.assert_allclose(found, expected, rtol=5e-5 if near else 4e-4)
 
 
+def whole_response(factors, rates):
+    """(rates, DOFs), accelerations per newton on the first of DOFS, of the whole model with a loss factor."""
+    M, _ = beam(ELEMENTS)
+    K = sum(f * beam_part(ELEMENTS, own) for f, own in zip(factors, PARTS.values(), strict=True))
+    return receptance(M.toarray(), K.toarray(), np.eye(len(M.toarray()))[np.array(list(DOFS.values())) - 1], rates)
+
+
+def receptance(M, K, places, rates):
+    """(rates, DOFs), of the DOFs that rows of ``places`` (DOFs, n) pick, a force on the first of them."""
+    return np.array([-(w**2) * places @ np.linalg.solve((1 + 0.04j) * K - w**2 * M, places[0]) for w in rates])
+
+
+@pytest.mark.parametrize("factors", [[0.7, 1.3, 0.75], [1.3, 0.7, 1.2]])
+def test_coordinates_at_factors_move_as_the_whole_model(folder, factors):
+    """Also at sensors that no force is on; coordinates of the model as prescribed are tens of times as far off."""
+    first = with_factors(built(folder, dofs={**DOFS, "b": deflection(19)}), factors)
+    again = first.reduced_at()
+    assert again.coordinates == first.coordinates
+    np.testing.assert_allclose(Modes.of(again).natural_frequencies[:6], full_frequencies(factors, 6), rtol=1e-8)
+    rates = 2.0 * np.pi * np.linspace(0.1, 1.0, 60) * full_frequencies(factors, 5)[-1]
+    expected = whole_response(factors, rates)
+    off = []
+    for structure in (first, again):
+        n = structure.coordinates
+        found = receptance(np.eye(n), Modes.of(structure).K, structure.shapes.matrix, rates)[:, : len(DOFS)]
+        off.append(np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0))
+    assert off[1].max() < 2e-4, off
+    assert (off[1] < 0.1 * off[0]).all(), off
+
+
+def test_coordinates_at_factors_keep_what_was_said(folder):
+    first = with_factors(built(folder, connections=STOP), [0.8, 1.1, 1.2])
+    softer = first.with_parameters(k=first.parameters["k"] * 0.9)
+    again = softer.reduced_at()
+    for kind in ("factor", "kappa"):
+        assert torch.equal(again.parameters[kind], first.parameters[kind])
+    own = first.groups[0].incidence.shape[0]
+    assert torch.equal(again.parameters["k"][own:], softer.parameters["k"][own:])
+    made = again.reduction.structure.parameters["k"][:own]
+    torch.testing.assert_close(again.parameters["k"][:own], 0.9 * made)
+    assert again.is_exact_at(np.array([0.8, 1.1, 1.2]), 1e-9)
+    assert not again.is_exact_at(np.array([0.8, 1.1, 1.3]), 1e-3)
+    turn = first.reduction.onto(again.reduction)
+    shape = np.linalg.lstsq(first.shapes.matrix, [1.0, 0.4], rcond=None)[0]  # of low modes, which both hold
+    low = np.where(np.arange(len(shape)) < 3, shape, 0.0)
+    np.testing.assert_allclose(again.shapes.matrix @ turn @ low, first.shapes.matrix @ low, rtol=1e-3, atol=1e-6)
+
+
 @pytest.mark.parametrize("modes", [2 * ELEMENTS - 1, 2 * ELEMENTS])
 def test_all_modes_may_be_kept(folder, modes):
     structure = built(folder, modes=modes)

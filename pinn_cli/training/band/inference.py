@@ -14,7 +14,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.parameters import FACTOR, ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.coloured import coloured, driven_in_band, has_forces
 from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, Trained
@@ -45,9 +45,10 @@ NEAR_TOLERANCE = 3e-5
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 # Times that the features are made finer at most, and the factor on their number below which that is not worth it.
 REFINEMENTS, WORTHWHILE = 2, 1.1
-# Times that damping of the whole is taken to the modes of the last solution at most, and the relative change of its
-# matrix below which they are the same: beside what else is uncertain of damping that is nothing.
-MODE_ROUNDS, SAME_MODES = 3, 2e-3
+# Times that damping of the whole and reduced coordinates are taken to the modes of the last solution at most, and the
+# relative change of damping's matrix below which they are the same: beside what else is uncertain of damping that is
+# nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
+MODE_ROUNDS, SAME_MODES, SAME_FACTORS = 3, 2e-3, 5e-3
 # Finer features whose sensors come out so many times as noisy have not found the solution.
 SUSPECT = 2.0
 
@@ -270,14 +271,15 @@ def _of_wider_band(problem: Problem, factor: float) -> Problem:
 def _in_present_modes(
     found: Inferred, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
 ) -> Inferred:
-    """The solution whose damping of the whole is that of its own modes: they move with masses and stiffnesses.
+    """The solution in its own modes, which move with masses and stiffnesses: damping of the whole, and coordinates.
 
     The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
     equations: of the stiffness's part it is the damping ratio.
     """
     for _ in range(MODE_ROUNDS):
-        moved = _present(found).structure.damping_apart(found.evidence.problem.structure)
-        again = _refined(found, designs, settings, device, history) if moved > SAME_MODES else None
+        before, now = found.evidence.problem.structure, _present(found).structure
+        moved = now.shapes is not before.shapes or now.damping_apart(before) > SAME_MODES
+        again = _refined(found, designs, settings, device, history) if moved else None
         if again is None:
             break
         found = again
@@ -285,9 +287,14 @@ def _in_present_modes(
 
 
 def _present(found: Inferred) -> Problem:
-    """The problem of a solution, with damping of the whole in the modes that the structure has there."""
+    """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     equations, point = found.by_record[0]
-    return found.evidence.problem.present({k: x.cpu().numpy() for k, x in equations.parameters(point).items()})
+    problem, values = found.evidence.problem, {k: x.cpu().numpy() for k, x in equations.parameters(point).items()}
+    # A state that is handed over has its coordinates, and so have parameters that spectra have told.
+    free = problem.prior is None and problem.hand_over is None and equations.known is None
+    if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
+        problem = problem.reduced_at(values[FACTOR])
+    return problem.present(values)
 
 
 def _refined(

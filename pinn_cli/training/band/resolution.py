@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.spectrum import periodogram, record_band
@@ -132,10 +133,15 @@ def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
 
 
 def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -> Point:
-    """The same motion and parameters in the features of a finer spline."""
+    """The same motion and parameters in the features of a finer spline, or in other coordinates."""
     segments = fine.physics
     times = fine.target.physics_time
     motion = coarse.flat_states(coarse.network.segments(times), point).displacement
+    before, after = (equations.dynamics.structure.reduction for equations in (coarse, fine))
+    if before is not None and after is not before:
+        turn = torch.as_tensor(before.onto(after)).to(motion)
+        n = len(turn)
+        motion = torch.cat([motion[:, :n] @ turn.T, motion[:, n:]], 1)
     projection = FeatureProjection(first_output(fine.network, segments), output_features(fine.network, segments)[0])
     weights = projection.coefficients(motion).to(motion)
     return Point(fine.layout.unknowns(weights), point.parameters)
