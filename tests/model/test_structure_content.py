@@ -77,6 +77,11 @@ def test_parts_of_a_finite_element_model(tmp_path):
     u = np.random.default_rng(0).standard_normal((3, structure.coordinates))
     np.testing.assert_array_equal(copy.restoring_force(u, u), structure.restoring_force(u, u))
     assert copy.parameter("factor", 0).name == "factor_base"
+    # A run reduces it anew at the factors that it finds; whoever has its matrices has the same structure.
+    found = again(structure.reduced_at())
+    assert not np.allclose(found.shapes.matrix, structure.shapes.matrix, rtol=1e-6)
+    assert difference(structure.with_parameters(factor=torch.ones(1, dtype=torch.float64)), found) == ""
+    assert difference(copy, found) == "other connections"
 
 
 @pytest.mark.parametrize(
