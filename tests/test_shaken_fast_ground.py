@@ -45,7 +45,9 @@ def shaken(seed: int, highest: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("frame", "highest", "ground_db"), [("relative", 35.0, 30.0), ("absolute", 40.0, 40.0)])
+@pytest.mark.parametrize(
+    ("frame", "highest", "ground_db"), [("relative", 35.0, 20.0), ("absolute", 40.0, 40.0), ("relative", 45.0, 40.0)]
+)
 def test_springs_dampers_and_bands(pinn_run: PinnRun, tmp_path, frame, highest, ground_db):
     time, ground, motion = shaken(1, highest)
     rng = np.random.default_rng(2)

@@ -72,7 +72,7 @@ def test_a_record_shorter_than_the_reach_is_interpolated_from_all_of_it():
     found, std = refined_history(np.cos(samples)[:, None], 2)
     error = np.abs(found[:, 0] - np.cos(np.arange(79) / 2)) / rms
     assert np.all(error <= 3.0 * std + 1e-3)
-    assert error[20:60].max() < 1e-3
+    assert error[20:60].max() < 3e-3
 
 
 def test_refined_times_pass_through_the_samples():
@@ -81,3 +81,13 @@ def test_refined_times_pass_through_the_samples():
     np.testing.assert_array_equal(found[::4], time)
     assert np.all(np.diff(found) > 0)
     assert refined_times(time, 1) is time
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+def test_a_noisy_history_keeps_its_size_up_to_nine_tenths_of_the_nyquist_frequency(noise):
+    """What is most probable of it is smaller, by a hundredth at 20 dB."""
+    history, rng = band_limited(0.45), np.random.default_rng(1)
+    samples = history(np.arange(4000.0))
+    found, _ = refined_history((samples + noise * rng.normal(size=4000))[:, None], 3, noise)
+    truth, between = history(np.arange(len(found)) / 3), np.arange(len(found)) % 3 > 0
+    assert found[between, 0] @ truth[between] / (truth[between] @ truth[between]) == pytest.approx(1.0, abs=0.003)

@@ -116,7 +116,7 @@ def test_a_force_up_to_a_part_of_the_nyquist_frequency_is_followed_between_its_s
     between = time[:-1] + 0.4
     off = np.abs(force_spline(time, exact(time))(between) - exact(between)) / np.std(exact(time))
     assert off[50:-50].max() < 1e-4
-    assert off.max() < 0.1
+    assert off.max() < 0.15
 
 
 def test_a_history_may_be_asked_for_at_times_of_any_shape():

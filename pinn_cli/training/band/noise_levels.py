@@ -14,6 +14,7 @@ import numpy as np
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
+from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
@@ -283,8 +284,10 @@ def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     of_noise = FINEST_OF_NOISE * replace(noise, further=()).least_of_inputs
     discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), of_noise)
     response = {q: np.fmin(finest[q], level) for q, level in noise.response.items()}
-    # A load cell has at least the noise that its spectrum shows: where the motion does not tell it, none at all would
-    # do as well, and bands would be too narrow.
+    # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load
+    # cell's, none at all would do as well; and the ground, which may move alike at all frequencies, takes noise for it.
+    if GROUND in response:
+        response[GROUND] = np.maximum(response[GROUND], evidence.shown_noise(GROUND))
     for dof in np.flatnonzero(record.sensors("force") & ~record.gauged("force")):
         shown = evidence.shown_noise(FORCE)[dof]
         if FORCE in response:
