@@ -15,12 +15,13 @@ from pinn_cli.record.response import QUANTITIES, Response
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Storeys from the ground up: masses kg, dampers N s/m, springs N/m and N/m^3."""
+    """Storeys from the ground up: masses kg, dampers N s/m, springs N/m, N/m^3 and N/m^2."""
 
     m: np.ndarray
     c: np.ndarray
     k: np.ndarray
     kappa: np.ndarray
+    quadratic: float = 0.0
 
     @property
     def frequencies(self) -> np.ndarray:
@@ -35,7 +36,7 @@ class Structure:
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
             e, de = np.diff(y[:n], prepend=0.0), np.diff(y[n:], prepend=0.0)
-            carried = self.c * de + self.k * e + self.kappa * e**3
+            carried = self.c * de + self.k * e + self.quadratic * e**2 + self.kappa * e**3
             pull = np.append(carried[1:], 0.0) - carried
             pull[-1] += force(t)
             return np.append(y[n:], pull / self.m)

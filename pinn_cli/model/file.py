@@ -148,7 +148,8 @@ def _misfit(arrays: Mapping[str, np.ndarray], coordinates: int) -> Misfit:
     history = arrays["history"]
     if history.ndim != 2 or history.shape[1] != coordinates or len(history) < 2 or not np.isfinite(history).all():
         raise ValueError("the force that it leaves out is none of its coordinates")
-    return Misfit(float(arrays["step"]), history, float(arrays["acting"]), float(arrays["rest"]))
+    at_motion = float(arrays.get("at_motion", 1.0))  # runs of earlier releases do not say
+    return Misfit(float(arrays["step"]), history, float(arrays["acting"]), float(arrays["rest"]), at_motion)
 
 
 def _check(known: ParameterKnowledge, count: int) -> None:

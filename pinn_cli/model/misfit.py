@@ -22,15 +22,18 @@ class Misfit:
         history: (L, n), N, at even samples: its posterior mean, without the noise of the inputs' sensors.
         acting: N, root mean square of what the measured inputs put into the equations; 0 where nothing was measured.
         rest: N, standard deviation per sample of a white force on every coordinate: what the record leaves open.
+        at_motion: Share, root mean square, of it at the frequencies at which the coordinates move: what may hide in the
+            parameters; 1 where nobody asked.
     """
 
     step: float
     history: np.ndarray
     acting: float
     rest: float
+    at_motion: float = 1.0
 
     @classmethod
-    def of(cls, step: float, history: np.ndarray, acting: float, rest: float) -> Misfit:
+    def of(cls, step: float, history: np.ndarray, acting: float, rest: float, at_motion: float = 1.0) -> Misfit:
         """Of a history (N, n), of which no more than can be kept is."""
         most = max(2, MOST_KEPT // max(history.shape[1], 1))
-        return cls(step, history[-most:].astype(np.float32), acting, rest)
+        return cls(step, history[-most:].astype(np.float32), acting, rest, at_motion)

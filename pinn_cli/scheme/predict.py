@@ -74,7 +74,10 @@ class Predict(Scheme):
             raise InputError("data.force", f"null on {names}", "a column with scheme=predict", "a free run needs it")
         if record.unforced.all() and record.ground_acceleration is None:
             raise InputError("data.force", "{}", "a column, or data.ground_acceleration", "nothing moves the structure")
-        return problem_of_model(self.model, record, False, "derivative", FREE, FREE_FORCE)
+        known, misfit = self.model.known, self.model.misfit
+        if misfit is not None:  # of it the parameters hide no more than there is at their frequencies
+            known = replace(known, told=misfit.at_motion * known.told)
+        return problem_of_model(replace(self.model, known=known), record, False, "derivative", FREE, FREE_FORCE)
 
 
 def _checked_start(start: Any, structure: Structure) -> tuple[np.ndarray, np.ndarray]:

@@ -31,7 +31,7 @@ def model() -> Model:
     told = DiscrepancyTold(1e-3, True, np.array([-4.0, -3.0]), np.array([0.0, -1.5]))
     levels = Levels({"acceleration": np.array([0.1, np.nan, 0.2])}, 0.3, 0.01, 5.0, 7.5, told)
     end = EndState(2.0, np.arange(6.0), np.eye(6), np.ones((6, 2)))
-    misfit = Misfit.of(0.01, np.arange(12.0).reshape(4, 3), 5.0, 0.25)
+    misfit = Misfit.of(0.01, np.arange(12.0).reshape(4, 3), 5.0, 0.25, 0.75)
     return Model(structure, parameters, known, levels, end, "questionable", "why", np.ones((4, 2)), misfit=misfit)
 
 
@@ -65,7 +65,7 @@ def test_what_goes_in_comes_out(tmp_path):
     np.testing.assert_array_equal(back.draws, np.ones((4, 2)))
     assert back.misfit is not None
     np.testing.assert_array_equal(back.misfit.history, np.arange(12.0).reshape(4, 3))
-    assert (back.misfit.step, back.misfit.acting, back.misfit.rest) == (0.01, 5.0, 0.25)
+    assert (back.misfit.step, back.misfit.acting, back.misfit.rest, back.misfit.at_motion) == (0.01, 5.0, 0.25, 0.75)
 
 
 def test_of_a_long_history_the_end_is_kept():

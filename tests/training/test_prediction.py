@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from independent_records import IndependentRecord, measured, random_force
+from independent_records import Structure as Circuit
 from storeys import C, K, M, record, response
 
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
@@ -14,10 +16,14 @@ from pinn_cli.model.model import Model
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.predict import Predict
+from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain
-from pinn_cli.system.connection import Linear
+from pinn_cli.system.connection import Duffing, Linear
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.prediction import Predictor
 
@@ -124,6 +130,44 @@ def test_the_force_that_was_left_out_acts_again_as_large_a_part_of_the_input():
     assert left_out(2.0 * acting) == pytest.approx(0.5 * usual, rel=1e-6)
     assert usual > 1.5 * spread(model(discrepancy=100.0), seen)  # it has most of its power where the structure answers
     assert left_out(acting, 0.0, 100.0) == pytest.approx(left_out(0.0, 0.0, 100.0), rel=1e-6)
+
+
+def test_the_parameters_hide_no_more_of_it_than_there_is_at_their_frequencies():
+    known = replace(model(0.01).known, told=np.full(3, 1e2), weight=np.full(3, 1e-2))  # 1e4 N/m may be hidden of each
+    misfit = Misfit.of(0.02, np.zeros((4, 3)), 1.0, 0.0, at_motion=0.3)
+    given = replace(model(0.01), known=known, misfit=misfit)
+    found = [p.prior_std for p in Predict(given).problem(STRUCTURE, force_alone(duration=4.0)).uncertain]
+    hidden = 0.3 / np.hypot(1.0 / 1e4, 0.3 / known.first_std)
+    np.testing.assert_allclose(found, np.hypot(0.01 * known.mean, hidden), rtol=1e-6)
+
+
+def circuit(quadratic: float, seed: int) -> tuple[Structure, IndependentRecord]:
+    """A mass of 1 on a cubic spring at 68 Hz and on a quadratic one, which the model lacks; a record of 2 s."""
+    k, time = (2.0 * np.pi * 68.0) ** 2, np.arange(1220) / 610.0
+    true = Circuit(np.ones(1), np.array([38.0]), np.array([k]), np.array([3.8 * k]), quadratic * k)
+    moved = true.moved(random_force(1.0, 200.0, 3e3, time[-1], seed), time)
+    chain = build_chain(1, Duffing(), m=[1.0], c=[30.0], k=[1.1 * k], kappa=[4.0 * k])
+    return chain, measured(true, moved, {"displacement": (1,)}, 55.0, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("quadratic", "widest"), [(0.0, 1.5), (0.05, 5.0)])
+def test_bands_of_a_circuit_hold_another_record_and_are_about_as_wide_as_the_error(quadratic, widest):
+    """What a quadratic spring leaves out has other frequencies than the forces of the parameters, and acts again."""
+    (chain, first), (_, second) = circuit(quadratic, 1), circuit(quadratic, 101)
+    problem = StateParameter(unknown=["c_1", "k_1", "kappa_1"]).problem(chain, first.record)
+    found = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    own, structure = tuple(p.parameter for p in found.parameters), estimated_structure(chain, found.parameters)
+    assert found.known is not None
+    levels = replace(model().levels, step=first.record.step)
+    given = Model(structure, own, found.known, levels, None, "sound", "", misfit=found.misfit)
+    blank = np.full_like(second.truth.force, np.nan)
+    new = replace(second.record, displacement=blank, responds=False)
+    band = predicted(given, new, draws=60)
+    for quantity in ("displacement", "velocity"):
+        off, std = getattr(band.response, quantity) - getattr(second.truth, quantity), getattr(band.std, quantity)
+        assert np.mean(np.abs(off) < 1.645 * std) > 0.75
+        assert 0.6 < np.sqrt(np.mean(std**2) / np.mean(off**2)) < widest
 
 
 def test_noise_of_a_measured_ground_and_what_a_channel_shows_of_it():

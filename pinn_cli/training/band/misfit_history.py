@@ -9,6 +9,9 @@ B for what one standard deviation of every input's noise puts into the equations
     left out = (1 - B S (d^2 + B' B)^-1 B') e,
 
 with S, diagonal, the share of each input's variance that its spectrum shows.
+
+As much may hide in the parameters, but only at the frequencies of their own forces, those at which the structure moves:
+the zeroth and the second harmonic of a forgotten quadratic spring hide in no spring and in no damper.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.signal import welch
 
 from pinn_cli.model.misfit import Misfit
 from pinn_cli.record.input_force import input_force
@@ -27,6 +31,9 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+
+# Parts of a record whose spectra are averaged, and the share of a coordinate's power at the frequencies of its motion.
+PARTS, MOVING = 16, 0.95
 
 
 def misfit_history(evidence: Evidence, trained: Trained) -> Misfit:
@@ -54,8 +61,19 @@ def misfit_history(evidence: Evidence, trained: Trained) -> Misfit:
     size = noise.misfit(equations.network.count, len(record.time)) ** 2
     seen = float(np.mean(missing**2))
     rest = discrepancy * math.sqrt(max(0.0, 1.0 - seen / size)) if size > 0.0 else 0.0
-    acting = float(np.sqrt(np.mean(input_force(equations.dynamics.structure, record) ** 2)))
-    return Misfit.of(record.step, missing, acting, rest)
+    inputs = input_force(equations.dynamics.structure, record)
+    velocity = jet.rate[..., :n].detach().cpu().numpy()
+    return Misfit.of(record.step, missing, float(np.sqrt(np.mean(inputs**2))), rest, _at_motion(missing, velocity))
+
+
+def _at_motion(missing: np.ndarray, velocity: np.ndarray) -> float:
+    """Share, root mean square, of a force (N, n) at the frequencies at which its coordinates move, (N, n)."""
+    length = max(2, len(missing) // PARTS)
+    force, moved = (welch(x, nperseg=length, detrend=False, axis=0)[1] for x in (missing, velocity))
+    order = np.argsort(-moved, axis=0)
+    force, moved = (np.take_along_axis(power, order, axis=0) for power in (force, moved))
+    inside = np.cumsum(moved, axis=0) - moved < MOVING * moved.sum(axis=0)
+    return math.sqrt(float((force * inside).sum() / force.sum())) if force.any() else 0.0
 
 
 def _inputs(evidence: Evidence, trained: Trained) -> Iterator[tuple[np.ndarray, float, np.ndarray, int | None]]:

@@ -55,3 +55,4 @@ def test_a_wrong_mass_below_the_load_cell_is_left_out_whatever_the_cell_is_taken
     assert left[:, 2].std() > 3.0 * record(1, duration=6.0, snr_db=40.0).noise["force"][2]
     under_force, under_both = free_run(found, seen, seen.force), free_run(found, seen, seen.force + left)
     assert (under_both < 0.35 * under_force).all()
+    assert found.misfit.at_motion > 0.7
