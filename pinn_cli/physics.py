@@ -212,6 +212,7 @@ def estimated_response(
         x.detach().cpu().double() for x in (displacement, velocity, acceleration, force)
     )
     ground, hidden = (seen.value[..., at].detach().cpu().double().numpy() for at in (dynamics.ground, dynamics.hidden))
+    supports = torch.stack([x[..., dynamics.supports] for x in seen], 1).detach().cpu().double().numpy()
     return Response(
         record.time,
         displacement.numpy(),
@@ -221,6 +222,7 @@ def estimated_response(
         ground[:, 0] if ground.size else None,
         hidden if hidden.size else None,
         _coordinates(dynamics, seen),
+        supports if dynamics.inputs.supports else None,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.sparse import csr_matrix
@@ -65,6 +67,11 @@ def hysteretic() -> Structure:
         "n": _numbers(1.0, 1.3),
     }
     return Structure(parameters, groups)
+
+
+def carried() -> Structure:
+    """The hysteretic frame whose cubic spring and whose brace stand on two supports that move."""
+    return replace(hysteretic(), by_supports=csr_matrix([[-1.0, 0.0], [0.0, 0.0], [0.3, -1.0]]))
 
 
 def modal() -> Structure:

@@ -48,7 +48,12 @@ class KalmanSmoother(Estimator):
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Estimator.check`."""
-        if problem.inputs.ground or len(problem.structure.memory) or problem.structure.shapes is not None:
+        if (
+            problem.inputs.ground
+            or problem.inputs.supports
+            or len(problem.structure.memory)
+            or problem.structure.shapes is not None
+        ):
             allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
             raise InputError("baseline", self.name, allowed, "the smoother's state is the motion of the DOFs alone")
         if problem.prior is not None:

@@ -16,7 +16,7 @@ from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
-    from pinn_cli.record.record import Measurements
+    from pinn_cli.record.record import Measurements, Record
     from pinn_cli.system.labels import Labels
 
 # Settings that are a map whose keys are DOFs, and those that are a list of DOFs.
@@ -83,6 +83,8 @@ def _number_channels(group: str, data: Any, labels: Labels) -> None:
         if not isinstance(channel, dict):
             continue  # refused by what reads it
         setting = f"{group}.channels.{name}"
+        if channel.get("support") is not None:
+            channel["support"] = _support(f"{setting}.support", channel["support"], labels.supports)
         if channel.get("dof") is not None:
             channel["dof"] = _number(f"{setting}.dof", channel["dof"], labels)
         if isinstance(channel.get("between"), list):
@@ -97,7 +99,40 @@ def named(measure: Callable[[Any], Measurements], of: object, labels: Labels) ->
     """What ``measure`` makes of something, its record's DOFs with the names that the user has given them."""
     with in_names(labels):
         measured = measure(of)
-    return replace(measured, record=replace(measured.record, dofs=labels.dofs))
+    return replace(measured, record=described(measured.record, labels))
+
+
+def described(record: Record, labels: Labels) -> Record:
+    """A record with the names of the structure's DOFs and supports.
+
+    Raises:
+        InputError: Of a support that moves nothing was measured, or there is no such support.
+    """
+    import numpy as np
+
+    names, measured = labels.supports, np.zeros(len(labels.supports), dtype=bool)
+    supports = {}
+    for quantity, values in record.supports.items():
+        if values.shape[1] > len(names):
+            hint = "system.supports names the supports that move"
+            raise InputError("data.channels", f"support {values.shape[1]}", "one that the structure has", hint)
+        supports[quantity] = np.pad(values, ((0, 0), (0, len(names) - values.shape[1])), constant_values=np.nan)
+        measured |= np.isfinite(supports[quantity][0])
+    if not measured.all():
+        name = names[int(np.argmin(measured))]
+        hint = f"data.channels={{{name}: {{sensor: displacement, support: {name}}}}}; one at rest is ground"
+        raise InputError("system.supports", name, "one with a channel of its motion", hint)
+    return replace(record, dofs=labels.dofs, supports=supports, support_names=names)
+
+
+def _support(setting: str, given: object, names: tuple[str, ...]) -> int:
+    """Number of a support, from 1."""
+    if given in names:
+        return names.index(str(given)) + 1
+    if is_whole_number(given) and 1 <= given <= len(names):  # type: ignore[operator]
+        return int(given)  # type: ignore[call-overload]
+    allowed = f"one of system.supports: {', '.join(names)}" if names else "left out: system.supports names none"
+    raise InputError(setting, given, allowed, suggestion(str(given), names))
 
 
 @contextmanager

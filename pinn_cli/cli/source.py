@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from pinn_cli.cli.dof_names import in_names, named
+from pinn_cli.cli.dof_names import described, in_names, named
 from pinn_cli.cli.records import data_of_records, of_record
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.instantiation import build, construct
@@ -209,4 +209,4 @@ def _validation_record(
 ) -> ValidationRecord:
     with in_names(true.labels):
         found = held.read(seen, true.ndof, connections)
-    return replace(found, record=replace(found.record, dofs=true.labels.dofs))
+    return replace(found, record=described(found.record, true.labels))

@@ -11,6 +11,7 @@ import numpy as np
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.settings.override_syntax import setting_of
+from pinn_cli.system.quantities import SUPPORT
 
 # Samples per period of the highest frequency: what a run needs, and more than this are worth decimating.
 NEEDED, PLENTY = 5.0, 12.0
@@ -80,7 +81,7 @@ def guessed(signal: Signal) -> Signal:
 def _columns(signals: Sequence[Signal]) -> list[str]:
     """``data.acceleration={1: a1}``, the first column of a quantity and DOF alone."""
     places: dict[str, dict[str, str]] = {}
-    for signal in signals:
+    for signal in (one for one in signals if one.quantity not in SUPPORT):
         places.setdefault(signal.quantity, {}).setdefault(str(int(signal.place or 0)), signal.column)
     words = {
         quantity: "{" + ", ".join(f"{dof}: {_quoted(column)}" for dof, column in columns.items()) + "}"
@@ -89,6 +90,12 @@ def _columns(signals: Sequence[Signal]) -> list[str]:
     ground = places.get(GROUND)
     if ground:
         words[GROUND] = _quoted(next(iter(ground.values())))
+    moved = [
+        f"{_quoted(one.column)}: {{sensor: {SUPPORT[one.quantity]}, support: {one.place}}}"
+        for one in signals
+        if one.quantity in SUPPORT
+    ]
+    words |= {"channels": "{" + ", ".join(moved) + "}"} if moved else {}
     return [f"data.{quantity}={text}" for quantity, text in words.items()]
 
 

@@ -33,6 +33,7 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
         "dofs": list(structure.labels.dofs),
         "connections": list(structure.labels.connections),
         "modes": list(structure.labels.modes),
+        "supports": list(structure.labels.supports),
         "groups": [_group_words(group) for group in structure.groups],
         "kinds": list(structure.parameters),
     }
@@ -50,6 +51,8 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
             arrays["shapes_with_ground"] = structure.shapes.with_ground
         if structure.shapes.stretch is not None:
             arrays |= _sparse("shapes_stretch", structure.shapes.stretch)
+    if structure.by_supports is not None:
+        arrays |= _sparse("by_supports", structure.by_supports)
     if structure.pairs is not None:
         words["pairs"] = list(structure.pairs.names)
         arrays |= _sparse("pairs", structure.pairs.weights)
@@ -66,7 +69,7 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         ConnectionGroup(_law(own), Incidence(_matrix(f"group_{number}", arrays)), _parts(own))
         for number, own in enumerate(words["groups"])
     )
-    labels = Labels(*(tuple(map(str, words[name])) for name in ("dofs", "connections", "modes")))
+    labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in ("dofs", "connections", "modes", "supports")))
     parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
     shapes = None
     if "shapes" in arrays:
@@ -74,7 +77,8 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
         own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
         shapes = Shapes(*own, exact_at=arrays.get("shapes_exact_at"))
     pairs = Pairs(tuple(words["pairs"]), _matrix("pairs", arrays)) if "pairs" in words else None
-    return Structure(parameters, groups, labels, arrays.get("influence"), shapes, pairs)
+    by_supports = _matrix("by_supports", arrays) if "by_supports_shape" in arrays else None
+    return Structure(parameters, groups, labels, arrays.get("influence"), shapes, pairs, by_supports=by_supports)
 
 
 def difference(structure: Structure, other: Structure) -> str:
@@ -94,12 +98,15 @@ def difference(structure: Structure, other: Structure) -> str:
         return f"{structure.nonlinearity_name} connections of other settings"
     if structure.labels != other.labels:
         return "other names of connections"
-    mine, theirs = (
-        Incidence.stacked(g.incidence for g in one.groups if not g.damps_whole).matrix for one in (structure, other)
-    )
+    mine, theirs = (_stretch(one) for one in (structure, other))
     if mine.shape != theirs.shape or abs(mine - theirs).max() > 1e-9 * abs(theirs).max():
         return "other connections"
     return ""
+
+
+def _stretch(structure: Structure) -> csr_matrix:
+    """(C', n + S), of the connections that are no damping of the whole; that stands behind them."""
+    return structure.stretch.matrix[: sum(g.incidence.shape[0] for g in structure.groups if not g.damps_whole)]
 
 
 def other_dofs(structure: Structure, other: Structure) -> str:

@@ -49,11 +49,11 @@ class Segments:
         continuity = None if self.continuity is None else self.continuity[groups]
         return replace(self, continuity=continuity, **{name: getattr(self, name)[groups] for name in arrays})
 
-    def weighted(self, of_value: Tensor, of_rates: Tensor) -> Segments:
-        """The same with the values of features, and both derivatives, times weights of the times, each (N,)."""
-        value, rates = (self.gather(weight)[..., None] for weight in (of_value, of_rates))
-        velocity, acceleration = rates * self.velocity, rates * self.acceleration
-        return replace(self, displacement=value * self.displacement, velocity=velocity, acceleration=acceleration)
+    def weighted(self, *weights: Tensor) -> Segments:
+        """The same with the values of features, and both derivatives, times weights of the times, (N,) of each."""
+        features = zip((self.displacement, self.velocity, self.acceleration), weights, strict=True)
+        value, velocity, acceleration = (self.gather(weight)[..., None] * phi for phi, weight in features)
+        return replace(self, displacement=value, velocity=velocity, acceleration=acceleration)
 
     def scatter(self, grouped: Tensor) -> Tensor:
         """(I, S, ...) back to (N, ...)."""

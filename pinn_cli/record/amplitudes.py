@@ -9,6 +9,7 @@ import numpy as np
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram, record_band
+from pinn_cli.system.quantities import SUPPORT
 
 # The Hann window spreads a channel's mean over the two lowest bins.
 LOWEST_BIN = 2
@@ -49,6 +50,16 @@ def slowest_motion(record: Record) -> float:
             if displacement > 0:
                 ratios.append(acceleration / displacement)
     return min(ratios, default=(math.pi * band) ** 2)
+
+
+def support_amplitudes(record: Record) -> np.ndarray:
+    """(S,), root mean square of the displacement of every support, m."""
+    band, out = record_band(record), np.zeros(len(record.support_names))
+    for quantity, values in reversed(list(record.supports.items())):
+        for i in np.flatnonzero(record.sensors(quantity)):
+            order = RESPONSE_QUANTITIES.index(SUPPORT[quantity])
+            out[i] = _rms(values[:, i] - values[:, i].mean(), record.step, band, -order)
+    return out
 
 
 def _rms(channel: np.ndarray, step: float, band: float, derivatives: int) -> float:

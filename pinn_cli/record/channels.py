@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
@@ -26,8 +27,8 @@ class Channel:
     """One sensor and what it measured.
 
     Attributes:
-        quantity: displacement, velocity, acceleration, force or ground_acceleration.
-        dof: Counted from 0; `GROUND_DOF` of the ground.
+        quantity: displacement, velocity, acceleration, force, ground_acceleration, or that of a support.
+        dof: Counted from 0; `GROUND_DOF` of the ground; of a support its number.
         measured: (N,), in the quantity's unit.
         label: What the user calls the DOF; "": its number.
         there: (N,) bool, where a sample was measured; None: everywhere.
@@ -42,6 +43,8 @@ class Channel:
     @property
     def name(self) -> str:
         """As sentences have it, the DOF counted from 1: ``acceleration of DOF 3``, ``ground acceleration``."""
+        if self.quantity in SUPPORT:
+            return f"{SUPPORT[self.quantity]} of support {self.where}"
         return "ground acceleration" if self.quantity == GROUND else f"{self.quantity} of DOF {self.where}"
 
     @property
@@ -52,19 +55,25 @@ class Channel:
     @property
     def setting(self) -> str:
         """Where a user gave it: ``data.acceleration, DOF 3``."""
+        if self.quantity in SUPPORT:
+            return f"data.channels, {self.name}"
         return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.where}"
 
     @property
     def order(self) -> int:
         """How often the displacement is differentiated."""
-        return RESPONSE_QUANTITIES.index("acceleration" if self.quantity == GROUND else self.quantity)
+        quantity = SUPPORT.get(self.quantity, self.quantity)
+        return RESPONSE_QUANTITIES.index("acceleration" if quantity == GROUND else quantity)
 
     def sampled(self, values: np.ndarray) -> np.ndarray:
         """Those of the values (N,) that belong to a sample."""
         return values if self.there is None else values[self.there]
 
     def of(self, response: Response) -> np.ndarray:
-        """The same quantity of the same DOF in a response, (N,); NaN where the response has no motion of the ground."""
+        """The same quantity of the same DOF in a response, (N,); NaN where it has none of ground or support."""
+        if self.quantity in SUPPORT:
+            moved = response.supports
+            return np.full(len(response.time), np.nan) if moved is None else moved[:, self.order, self.dof]
         values: np.ndarray | None = getattr(response, self.quantity)
         if self.quantity == GROUND:
             return np.full(len(response.time), np.nan) if values is None else values
@@ -91,8 +100,14 @@ def channels(
             record.there(quantity, int(dof)),
         )
         for quantity in quantities
-        if quantity != GROUND
+        if quantity in QUANTITIES
         for dof in np.flatnonzero(record.sensors(quantity))
+    ]
+    every += [
+        Channel(quantity, int(i), record.supports[quantity][:, i], record.support_names[int(i)])
+        for quantity in record.supports
+        if quantity in quantities
+        for i in np.flatnonzero(record.sensors(quantity))
     ]
     if GROUND in quantities and record.ground_acceleration is not None:
         every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration, there=record.there(GROUND, 0)))

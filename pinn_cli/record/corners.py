@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 MARGIN = 1.0 / 128.0
 # A law that turns over a speed is straight beyond so many times it, and takes steps of such a part of it.
 STRAIGHT, FINE = 6.0, 0.3
+# Loads at both ends of a step without supports that move.
+AT_REST = (np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +29,13 @@ class Corners:
         rate: (corners, states), the elongations' rates from states in a row.
         width: (corners,), the speeds that the laws turn over, m/s; 0: at once.
         hidden: The hidden forces among the states.
+        by_supports: (corners, S), the rates from the velocities of supports that move.
     """
 
     rate: np.ndarray
     width: np.ndarray
     hidden: slice
+    by_supports: np.ndarray
 
     @classmethod
     def of(cls, structure: Structure) -> Corners | None:
@@ -47,15 +52,18 @@ class Corners:
             return None
         n, hidden = len(p["m"]), len(structure.memory)
         rate = np.zeros((sum(map(len, places)), 2 * n + hidden))
-        rate[:, n : 2 * n] = structure.incidence.matrix[np.concatenate(places)].toarray()
-        return cls(rate, np.concatenate(widths), slice(2 * n, 2 * n + hidden))
+        stretch = structure.stretch.matrix[np.concatenate(places)].toarray()
+        rate[:, n : 2 * n] = stretch[:, :n]
+        return cls(rate, np.concatenate(widths), slice(2 * n, 2 * n + hidden), stretch[:, n:])
 
     @property
     def shortest(self) -> float:
         """Least length of the parts that a step is divided into, over the step."""
         return MARGIN / 32.0 if self.width.any() else MARGIN
 
-    def cuts(self, before: np.ndarray, after: np.ndarray, least: float) -> np.ndarray:
+    def cuts(
+        self, before: np.ndarray, after: np.ndarray, least: float, loads: Sequence[np.ndarray] = AT_REST
+    ) -> np.ndarray:
         """Where a step from one state to another is divided, in ascending order, over the step; none: nowhere.
 
         Args:
@@ -63,10 +71,12 @@ class Corners:
             after: That at the end, if the step is taken at once.
             least: Distance of a cut from either end, over the step, at most a half. Without one, a step that begins
                 at a corner would be divided there again and again.
+            loads: At the beginning and at the end; they hold the velocity of supports that move.
         """
-        before, after = before.reshape(-1), after.reshape(-1)
-        first = np.concatenate((self.rate @ before, before[self.hidden]))
-        last = np.concatenate((self.rate @ after, after[self.hidden]))
+        first, last = (
+            np.concatenate((self.rate @ state + self._of_supports(load), state[self.hidden]))
+            for state, load in zip((before.reshape(-1), after.reshape(-1)), loads, strict=True)
+        )
         sharp, wide = self._sharp & (first * last < 0.0), self._across(first, last)
         if not sharp.any() and not wide.any():
             return np.zeros(0)
@@ -77,6 +87,10 @@ class Corners:
             count = int(np.ceil(abs(ends[1] - ends[0]) / (FINE * width)))
             cuts.append((np.linspace(ends[0], ends[1], count + 1) - x) / (y - x))
         return np.unique(np.clip(np.concatenate(cuts), least, 1.0 - least))
+
+    def _of_supports(self, load: np.ndarray) -> np.ndarray | float:
+        moved = self.by_supports.shape[1]
+        return self.by_supports @ load[1, -moved:] if moved else 0.0
 
     @cached_property
     def _widths(self) -> np.ndarray:

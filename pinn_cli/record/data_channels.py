@@ -17,7 +17,7 @@ from pinn_cli.settings.suggestion import suggestion
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, TILT
 
 SENSORS = (*MOTION, FORCE, GROUND, CONNECTION_FORCE)
-PLACES = ("dof", "between", "weights", "connection")
+PLACES = ("dof", "between", "weights", "connection", "support")
 KEYS = ("sensor", "column", "unit", *PLACES, *CALIBRATION_UNITS)
 UNKNOWN = "unknown"
 # Sensors that may have a number of a calibration, where not all may.
@@ -39,6 +39,7 @@ class DataChannel:
         calibration: Numbers of `CALIBRATION_UNITS` where they are given: a number, ``unknown``, or value and
             uncertainty; offset and drift in the channel's unit, the delay in s, a tilt in 1/s^2, a corner in Hz.
         filter_order: Of the high-pass filter that the corner is of.
+        support: Number, from 0, of the support that it measures; None: it measures something else.
     """
 
     setting: str
@@ -50,6 +51,7 @@ class DataChannel:
     factor: float | None = None
     calibration: Mapping[str, float | str | tuple[float, float]] = field(default_factory=dict)
     filter_order: int = 1
+    support: int | None = None
 
     @property
     def dof(self) -> int | None:
@@ -63,7 +65,9 @@ class DataChannel:
 
     @property
     def place(self) -> tuple[str, int] | None:
-        """Quantity and DOF, counted from 1, or the ground with 0; None: it is no column of a record."""
+        """Quantity and DOF or support, counted from 1, or the ground with 0; None: it is no column of a record."""
+        if self.support is not None:
+            return f"support_{self.sensor}", self.support + 1
         if self.sensor == GROUND:
             return GROUND, 0
         return None if self.dof is None else (self.sensor, self.dof + 1)
@@ -187,7 +191,7 @@ def _channel(name: str, node: Any) -> DataChannel:
     column = name if node.get("column") is None else node["column"]
     if not isinstance(column, str) or not column:
         raise InputError(f"{setting}.column", column, "the name of a column")
-    weights, connection = _where(setting, sensor, node)
+    weights, connection, support = _where(setting, sensor, node)
     factor = None if node.get("unit") is None else si_factor(f"{setting}.unit", node["unit"], sensor)
     given = {kind: node[kind] for kind in CALIBRATION_UNITS if node.get(kind) is not None}
     order = 1
@@ -197,7 +201,13 @@ def _channel(name: str, node: Any) -> DataChannel:
         if kind in given and sensor not in sensors:
             raise InputError(f"{setting}.{kind}", given[kind], f"left out: it is of {' or '.join(sensors)}")
     calibration = {kind: _number(f"{setting}.{kind}", kind, value) for kind, value in given.items()}
-    return DataChannel(setting, name, column, sensor, weights, connection, factor, calibration, order)
+    known = {kind: isinstance(value, float) for kind, value in calibration.items()}
+    for kind in (kind for kind in calibration if support is not None):
+        if not known[kind] or kind not in ("gain", "offset", "drift"):
+            raise InputError(
+                f"{setting}.{kind}", given[kind], "left out, or a known gain, offset or drift of a support"
+            )
+    return DataChannel(setting, name, column, sensor, weights, connection, factor, calibration, order, support)
 
 
 def _filter(setting: str, given: Any) -> tuple[Any, int]:
@@ -210,24 +220,28 @@ def _filter(setting: str, given: Any) -> tuple[Any, int]:
     return given["frequency"], int(order)
 
 
-def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> tuple[dict[int, float], str | int | None]:
-    """Weights of DOFs, counted from 0, and the connection of a channel."""
+def _where(setting: str, sensor: str, node: Mapping[str, Any]) -> tuple[dict[int, float], str | int | None, int | None]:
+    """Weights of DOFs, counted from 0, the connection of a channel, and its support."""
     given = [key for key in PLACES if node.get(key) is not None]
-    wanted = {GROUND: (), CONNECTION_FORCE: ("connection",), FORCE: ("dof",)}.get(sensor, ("dof", "between", "weights"))
+    wanted = {GROUND: (), CONNECTION_FORCE: ("connection",), FORCE: ("dof",)}.get(
+        sensor, ("dof", "between", "weights", "support")
+    )
     if len(given) != min(len(wanted), 1) or any(key not in wanted for key in given):
         shown = "{" + ", ".join(f"{key}: {node[key]}" for key in given) + "}"
         allowed = f"one of {', '.join(wanted)}" if wanted else "no dof, between, weights or connection"
         raise InputError(setting, shown, f"{allowed} with sensor: {sensor}")
     if not given:
-        return {}, None
+        return {}, None, None
     place = node[given[0]]
     if given[0] == "connection":
-        return {}, place
+        return {}, place, None
+    if given[0] == "support":
+        return {}, None, _dof(f"{setting}.support", place)
     if given[0] == "dof":
-        return {_dof(f"{setting}.dof", place): 1.0}, None
+        return {_dof(f"{setting}.dof", place): 1.0}, None, None
     if given[0] == "between":
-        return _between(f"{setting}.between", place), None
-    return _weights(f"{setting}.weights", place), None
+        return _between(f"{setting}.between", place), None, None
+    return _weights(f"{setting}.weights", place), None, None
 
 
 def _between(setting: str, place: Any) -> dict[int, float]:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import force_spline
+from pinn_cli.record.resimulation import force_spline, support_motion
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
 from pinn_cli.record.steps import follower_masses, substeps_needed, with_slow_followers
+from pinn_cli.record.supports import SupportErrors
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
@@ -66,6 +67,7 @@ class Members:
             equations of the coordinates at a sample. Between samples they go in straight lines.
         seed: Of their values.
         replay: A force beside them; None: there is none.
+        carried: Errors of what was measured of supports that move; None: none moves, or what was measured is right.
     """
 
     parameters: Mapping[str, np.ndarray]
@@ -73,6 +75,7 @@ class Members:
     sources: np.ndarray
     seed: int
     replay: Replay | None = None
+    carried: SupportErrors | None = None
 
 
 def spread_of(members: Members, structure: Structure, record: Record, about: Response) -> Response:
@@ -86,7 +89,7 @@ def spread_of(members: Members, structure: Structure, record: Record, about: Res
     """
     out = Response.unknown(record.time, record.ndof)
     with np.errstate(over="ignore", invalid="ignore"):
-        for part, motion, _ in followed_members(members, structure, record):
+        for part, motion, _, _ in followed_members(members, structure, record):
             for name, values in motion.items():
                 distance = values - getattr(about, name)[part, None]
                 getattr(out, name)[part] = np.sqrt(np.mean(distance**2, axis=1))
@@ -95,7 +98,7 @@ def spread_of(members: Members, structure: Structure, record: Record, about: Res
 
 def followed_members(
     members: Members, structure: Structure, record: Record
-) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray]]:
+) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray, np.ndarray]]:
     """The motion of all members, some hundred samples at a time: a step of Runge-Kutta takes about 0.2 ms.
 
     Args:
@@ -104,20 +107,23 @@ def followed_members(
         record: Whose force and ground motion act on all.
 
     Yields:
-        Samples, quantity to (M, H, dofs) at these, and the states (M, H, 2 n + h). Parts overlap by one sample.
+        Samples, quantity to (M, H, dofs) at these, the states (M, H, 2 n + h), and displacement and velocity of the
+        supports (M, H, 2, S). Parts overlap by one sample.
     """
     masses, structure = follower_masses(structure, record.step), with_slow_followers(structure, record.step)
     members = replace(members, parameters={**members.parameters, "m": members.parameters["m"] * masses})
     substeps, samples = substeps_needed(structure, record.step), len(record.time)
     ensemble = _Ensemble(structure, members, record)
     random = np.random.default_rng(members.seed)
-    state, last = members.start, _drawn(members, random, 0, 1)
+    state, last, carried = members.start, _drawn(members, random, 0, 1), members.carried
+    errors = np.zeros((1, len(state), 3, structure.supports))
     for first in range(0, samples - 1, CHUNK):
         stop = min(first + CHUNK, samples - 1) + 1
         noise = np.concatenate((last, _drawn(members, random, first + 1, stop)))
-        states, load = ensemble.followed(state, noise, first, stop, substeps)
+        errors = errors[-1:] if carried is None else carried.drawn(random, len(noise) - 1, errors[-1])
+        states, load = ensemble.followed(state, ensemble.beside(noise, errors), slice(first, stop), substeps)
         ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
-        yield slice(first, stop), ensemble.motion(states, load, ground), states
+        yield slice(first, stop), ensemble.motion(states, load, ground), states, load[..., ensemble.n :]
         state, last = states[-1], noise[-1:]
 
 
@@ -146,28 +152,29 @@ class _Ensemble:
         self.load = np.stack((force, np.zeros_like(force)), axis=1)
         if ground is not None:
             self.load[:, 1] = ground[:, None] * structure.with_ground
+        self.supports = support_motion(record)
         self.held = record.intersample == "zero_order_hold"
         self.between = None if self.held else force_spline(record.time, self.load)
 
-    def followed(
-        self, state: np.ndarray, noise: np.ndarray, first: int, stop: int, substeps: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """States and loads of all members at the samples first to stop (excluded)."""
-        time = self.record.time[first:stop]
+    def followed(self, state: np.ndarray, own: np.ndarray, part: slice, substeps: int) -> tuple[np.ndarray, np.ndarray]:
+        """States and loads of all members at some samples, from what each has of a load for its own."""
+        time = self.record.time[part]
 
         def load(at: np.ndarray) -> np.ndarray:
             assert self.between is not None
-            return self._with(self.between(at), _between(noise, (at - time[0]) / (time[1] - time[0])))
+            place = (at - time[0]) / (time[1] - time[0])
+            together: np.ndarray = self._beside(at, self.between(at))[:, None] + _between(own, place)
+            return together
 
-        sampled = self._with(self.load[first:stop], noise)
+        sampled = self._beside(time, self.load[part])[:, None] + own
         hold = "zero_order" if self.held else "exact"
         return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
 
     def motion(self, states: np.ndarray, load: np.ndarray, ground: np.ndarray | None) -> dict[str, np.ndarray]:
         """Quantity to (M, H, dofs), in the record's frame, under the ground's acceleration (M,)."""
         u, v, z = self._split(states)
-        a = self.structure.acceleration(u, v, load[..., 0, :], self.parameters, z)
-        shapes, carried = self.structure.shapes, load[..., 1, :]
+        a = self.structure.acceleration(*self._stretching(u, v, load), load[..., 0, : self.n], self.parameters, z)
+        shapes, carried = self.structure.shapes, load[..., 1, : self.n]
         if self.record.frame == "relative" or shapes is not None:
             a = a - carried
         if shapes is not None:
@@ -178,23 +185,33 @@ class _Ensemble:
 
     def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         u, v, z = self._split(state)
-        structure, p = self.structure, self.parameters
-        acceleration = structure.acceleration(u, v, load[..., 0, :], p, z) - load[..., 1, :]
+        structure, p, n = self.structure, self.parameters, self.n
+        x, dx = self._stretching(u, v, load)
+        acceleration = structure.acceleration(x, dx, load[..., 0, :n], p, z) - load[..., 1, :n]
         if z is None:
             return np.concatenate((v, acceleration), axis=-1)
-        rate = structure.hidden_rate(structure.elongation(u), structure.elongation(v), z, p)
+        rate = structure.hidden_rate(structure.elongation(x), structure.elongation(dx), z, p)
         return np.concatenate((v, acceleration, rate), axis=-1)
 
     def _split(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         u, v, z = state[..., : self.n], state[..., self.n : 2 * self.n], state[..., 2 * self.n :]
         return u, v, z if z.shape[-1] else None
 
-    @staticmethod
-    def _with(load: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """(M, 2, n) and (M, H, n) as (M, H, 2, n)."""
-        every = np.repeat(load[:, None], noise.shape[1], axis=1)
-        every[:, :, 0] += noise
-        return every
+    def _beside(self, at: np.ndarray, load: np.ndarray) -> np.ndarray:
+        """(M, 2, n + S), a load with the motion of the supports at times (M,)."""
+        return load if self.supports is None else np.concatenate((load, self.supports(at)[:, :2]), axis=2)
+
+    def _stretching(self, u: np.ndarray, v: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(..., n + S), displacement and velocity of coordinates and supports."""
+        moved = load[..., self.n :]
+        return np.concatenate((u, moved[..., 0, :]), axis=-1), np.concatenate((v, moved[..., 1, :]), axis=-1)
+
+    def beside(self, noise: np.ndarray, errors: np.ndarray) -> np.ndarray:
+        """(M, H, 2, n + S), members' own forces (M, H, n) and errors (M, H, 3, S) of supports as loads."""
+        own = np.zeros((*noise.shape[:2], 2, self.n + self.structure.supports))
+        own[:, :, 0, : self.n] = noise
+        own[..., self.n :] = errors[:, :, :2]
+        return own
 
 
 def _between(noise: np.ndarray, place: np.ndarray) -> np.ndarray:

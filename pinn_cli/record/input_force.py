@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.supports import told_by
 from pinn_cli.system.parameters import MASS
 
 if TYPE_CHECKING:
@@ -14,11 +15,23 @@ if TYPE_CHECKING:
 
 
 def input_force(structure: Structure, record: Record) -> np.ndarray:
-    """(N, n), N: measured forces, and the ground's acceleration times the masses that it moves, S f - M iota a_g."""
+    """(N, n), N: measured forces, and the ground's acceleration times the masses that it moves, S f - M iota a_g.
+
+    Of supports their displacement times the springs that it stretches, or their acceleration times what it moves.
+    """
     acting = np.nan_to_num(record.force)
     acting = acting if structure.shapes is None else structure.shapes.onto_coordinates(acting)
-    if record.ground_acceleration is None:
+    mass = structure.parameters_like(np.empty(0))[MASS]
+    if record.ground_acceleration is not None:
+        acting = acting - np.outer(np.nan_to_num(record.ground_acceleration), mass * structure.with_ground)
+    if structure.by_supports is None:
         return acting
-    moved = structure.parameters_like(np.empty(0))[MASS] * structure.with_ground
-    out: np.ndarray = acting - np.outer(np.nan_to_num(record.ground_acceleration), moved)
-    return out
+    springs = (
+        structure.at_rest()[0].sum(axis=0)[:, None] * structure.stretch.matrix[:, structure.coordinates :].toarray()
+    )
+    stiffness = abs(structure.incidence.matrix.T @ springs)
+    for i, (quantity, order) in enumerate(told_by(record)):
+        of_spring = stiffness[:, i] ** (1.0 - 0.5 * order)
+        moved = of_spring * np.where(stiffness[:, i] > 0.0, mass, 0.0) ** (0.5 * order)
+        acting = acting + np.outer(record.supports[quantity][:, i], moved)
+    return acting

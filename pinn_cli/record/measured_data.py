@@ -32,7 +32,7 @@ from pinn_cli.settings.legal_values import (
     whole_number,
 )
 from pinn_cli.settings.paths import located
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, SUPPORT
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,12 @@ class MeasuredData:
         ]
         unforced = ~dof_mask(forced, ndof)
         seen.force[:, unforced] = 0.0
+        supports: dict[str, np.ndarray] = {}
+        moving = max((channel.support + 1 for channel in self.channels if channel.support is not None), default=0)
         for (quantity, dof), column in found.columns.items():
-            if quantity != GROUND:
+            if quantity in SUPPORT:
+                supports.setdefault(quantity, np.full((len(time), moving), np.nan))[:, dof - 1] = column
+            elif quantity != GROUND:
                 hidden = quantity in RESPONSE_QUANTITIES and dof in self.holdout
                 getattr(truth if hidden else seen, quantity)[:, dof - 1] = column
         for gauge in found.gauges:
@@ -151,6 +155,8 @@ class MeasuredData:
             frame=self.frame,
             gauges=not_held_out(found.gauges, self.holdout),
             responds=self.responds,
+            supports=supports,
+            support_names=tuple(str(i + 1) for i in range(moving)),
         )
         return Measurements(record, Truth(truth))
 
@@ -253,7 +259,8 @@ class MeasuredData:
             raise InputError("data.intersample", self.intersample, allowed, "nothing holds the ground between samples")
 
     def _check_sensors(self) -> None:
-        felt = [(c.sensor, {dof + 1 for dof in c.weights}) for c in self._every_channel]
+        of_dofs = [c for c in self._every_channel if c.support is None]
+        felt = [(c.sensor, {dof + 1 for dof in c.weights}) for c in of_dofs]
         response = [dofs for sensor, dofs in felt if sensor in RESPONSE_QUANTITIES]
         if self.responds and not response:
             settings = ", ".join(f"data.{quantity}" for quantity in RESPONSE_QUANTITIES)
@@ -268,7 +275,7 @@ class MeasuredData:
         if all(dofs & set(self.holdout) for dofs in response):
             allowed = "such that a displacement, velocity or acceleration column is left"
             raise InputError("data.holdout", list(self.holdout), allowed)
-        if all(c.dof is None for c in self._every_channel if c.sensor in RESPONSE_QUANTITIES):
+        if all(c.dof is None for c in of_dofs if c.sensor in RESPONSE_QUANTITIES):
             allowed = "one displacement, velocity or acceleration at least that feels one DOF alone"
             hint = "the size and the band of the motion are read off it"
             raise InputError("data.channels", "drifts and weighted sums only", allowed, hint)

@@ -16,6 +16,7 @@ from pinn_cli.record.repeats import Repeats
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of
+from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -53,6 +54,11 @@ class Record:
         missing: Quantity to (N, channels) bool, where a column shows something else for want of a sample, once that is
             known; none where every sample is one.
         responds: Whether a response was measured; otherwise it is what acts on a structure, and no more.
+        supports: Name in :data:`pinn_cli.system.quantities.SUPPORT` to (N, S), what was measured of the motion of the
+            structure's S supports; a column of NaN where it was not.
+        support_names: What the user calls them.
+        supports_begin: (2, S), displacement and velocity of the supports at the first sample, which no accelerometer
+            tells; None: rest.
 
     Raises:
         InputError: No response sensor at all; a held force where the ground moves.
@@ -75,6 +81,9 @@ class Record:
     gauges: tuple[Gauge, ...] = ()
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
     responds: bool = True
+    supports: Mapping[str, np.ndarray] = field(default_factory=dict)
+    support_names: tuple[str, ...] = ()
+    supports_begin: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):
@@ -114,6 +123,9 @@ class Record:
             raise ValueError("the force on an unforced DOF must be 0")
 
     def _check_ground(self) -> None:
+        if self.supports and self.intersample == "zero_order_hold":
+            allowed = "band_limited where a support moves"
+            raise InputError("data.intersample", self.intersample, allowed, "nothing holds it between samples")
         if self.ground_acceleration is None:
             return
         values = np.asarray(self.ground_acceleration, dtype=np.float64)
@@ -155,11 +167,14 @@ class Record:
 
     @property
     def response_quantities(self) -> tuple[str, ...]:
-        """What response sensors measure: of every DOF, and of the ground where it moves."""
-        return RESPONSE_QUANTITIES if self.ground_acceleration is None else (*RESPONSE_QUANTITIES, GROUND)
+        """What response sensors measure: of every DOF, and of the ground and supports where they move."""
+        ground = () if self.ground_acceleration is None else (GROUND,)
+        return (*RESPONSE_QUANTITIES, *ground, *self.supports)
 
     def histories(self, quantity: str) -> np.ndarray:
-        """(N, channels) of a quantity: n of the DOFs' ones, one of the ground's."""
+        """(N, channels) of a quantity: n of the DOFs' ones, one of the ground's, S of the supports'."""
+        if quantity in SUPPORT:
+            return self.supports[quantity]
         values: np.ndarray = getattr(self, quantity)
         return values[:, None] if quantity == GROUND else values
 
@@ -242,6 +257,11 @@ class Record:
         gauges = tuple(gauge for gauge in self.gauges if gauge.quantity != "force")
         return replace(self, force=np.where(self.unforced, self.force, np.nan), gauges=gauges)
 
+    def carried_by(self, motion: np.ndarray, first: int = 0) -> Record:
+        """The record under another motion (N, 3, S) of the supports, for what begins at a sample."""
+        supports = {quantity: motion[:, order] for order, quantity in enumerate(SUPPORT)}
+        return replace(self, supports=supports, supports_begin=motion[first, :2])
+
     def until(self, samples: int) -> Record:
         """The record's first samples; see :meth:`part`."""
         return self.part(0, samples)
@@ -251,13 +271,15 @@ class Record:
         histories = {name: getattr(self, name)[first:stop] for name in ("time", *QUANTITIES)}
         if self.ground_acceleration is not None:
             histories[GROUND] = self.ground_acceleration[first:stop]
+        supports = {quantity: values[first:stop] for quantity, values in self.supports.items()}
         repeats, samples = self.repeats, len(histories["time"])
         if repeats is not None:
             left = samples / repeats.samples
             repeats = replace(repeats, samples=samples, square={q: left * s for q, s in repeats.square.items()})
         ends = float(histories["time"][0]) if first else -np.inf, float(histories["time"][-1])
         gauges = tuple(gauge.between(*ends) for gauge in self.gauges)
-        return replace(self, **histories, repeats=repeats, gauges=tuple(g for g in gauges if len(g.time)))
+        gauges = tuple(gauge for gauge in gauges if len(gauge.time))
+        return replace(self, **histories, repeats=repeats, gauges=gauges, supports=supports)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from numpy.polynomial import Polynomial
+from scipy.interpolate import BSpline, make_interp_spline
 
 from pinn_cli.record.between_samples import refined_history, refined_times
 from pinn_cli.record.record import Record
@@ -15,6 +17,7 @@ from pinn_cli.record.runge_kutta import Force
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.record.steps import has_equation_of_motion, substeps_needed, with_slow_followers
+from pinn_cli.record.supports import told_by
 
 if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
@@ -68,8 +71,36 @@ def resimulate(
     time, force = record.time[first:], (record.force if force is None else force)[first:]
     moved = record.ground_acceleration if ground is None else ground
     shaking = None if moved is None else force_spline(time, moved[first:])
-    acting = _between_samples(time, force, hold)
-    return simulate(structure, acting, time, hold, initial=initial, ground=shaking, frame=record.frame)
+    acting, carried = _between_samples(time, force, hold), support_motion(record, first)
+    return simulate(
+        structure, acting, time, hold, initial=initial, ground=shaking, supports=carried, frame=record.frame
+    )
+
+
+def support_motion(record: Record, first: int = 0) -> Force | None:
+    """From times (M,) from a sample on to the motion (M, 3, S) of the supports, by splines; None where none moves.
+
+    A velocity or an acceleration is integrated from :attr:`Record.supports_begin`, and so is the sensor's noise.
+    """
+    if not record.supports:
+        return None
+    time = record.time[first:]
+    begins = np.zeros((2, len(record.support_names))) if record.supports_begin is None else record.supports_begin
+    jets = []
+    for i, (quantity, order) in enumerate(told_by(record)):
+        spline = dense_spline(time, record.supports[quantity][first:, i])
+        # What is integrated begins as it is known to: a polynomial more.
+        start = Polynomial([begins[k, i] / math.factorial(k) for k in range(order)] or [0.0])
+        jets.append((spline.antiderivative(order), order, start))
+
+    def motion(at: np.ndarray) -> np.ndarray:
+        out = np.empty((len(at), 3, len(jets)))
+        for i, (history, order, start) in enumerate(jets):
+            for k in range(3):
+                out[:, k, i] = history(at, k) + (start.deriv(k)(at - time[0]) if order > k else 0.0)
+        return out
+
+    return motion
 
 
 def _between_samples(time: np.ndarray, force: np.ndarray, hold: str) -> Force:
@@ -86,9 +117,7 @@ def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
     """
     columns = force.reshape(len(force), -1)
     acting = np.flatnonzero(columns.any(axis=0))
-    spline = None
-    if acting.size:
-        spline = make_interp_spline(refined_times(time, DENSER), _denser(time, columns[:, acting]), k=SPLINE_DEGREE)
+    spline = dense_spline(time, columns[:, acting]) if acting.size else None
 
     def history(at: np.ndarray) -> np.ndarray:
         out = np.zeros((*np.shape(at), columns.shape[1]))
@@ -97,6 +126,12 @@ def force_spline(time: np.ndarray, force: np.ndarray) -> Force:
         return out.reshape(*np.shape(at), *force.shape[1:])
 
     return history
+
+
+def dense_spline(time: np.ndarray, samples: np.ndarray) -> BSpline:
+    """Of band-limited histories (N,) or (N, n) with samples at times (N,)."""
+    dense = _denser(time, samples.reshape(len(samples), -1)).reshape(-1, *samples.shape[1:])
+    return make_interp_spline(refined_times(time, DENSER), dense, k=SPLINE_DEGREE)
 
 
 def _denser(time: np.ndarray, samples: np.ndarray) -> np.ndarray:

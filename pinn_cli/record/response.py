@@ -17,7 +17,7 @@ QUANTITIES = (*RESPONSE_QUANTITIES, "force")
 # Of the ground, common to all DOFs: it stands beside the quantities of a DOF.
 GROUND = quantities.GROUND
 # All that a sensor may measure.
-MEASURED_QUANTITIES = (*QUANTITIES, GROUND)
+MEASURED_QUANTITIES = (*QUANTITIES, GROUND, *quantities.SUPPORT)
 UNITS = quantities.UNITS
 
 
@@ -34,6 +34,7 @@ class Response:
         hidden: (N, h), N, the forces of connections with memory; None where there are none.
         coordinates: (N, 2, c), displacement and velocity of a structure's coordinates, where these are modes and not
             the DOFs; None where they are the DOFs.
+        supports: (N, 3, S), displacement, velocity and acceleration of supports that move; None where none does.
     """
 
     time: np.ndarray
@@ -44,11 +45,12 @@ class Response:
     ground_acceleration: np.ndarray | None = None
     hidden: np.ndarray | None = None
     coordinates: np.ndarray | None = None
+    supports: np.ndarray | None = None
 
     @property
     def measurable(self) -> dict[str, Any]:
-        """All of it that sensors may measure, by the name that a record has for it; the times as well."""
-        return {name: getattr(self, name) for name in ("time", *MEASURED_QUANTITIES)}
+        """What sensors may measure of DOFs and ground, by the name that a record has for it; the times as well."""
+        return {name: getattr(self, name) for name in ("time", *QUANTITIES, GROUND)}
 
     def state(self, sample: int) -> list[np.ndarray]:
         """Displacement and velocity of the coordinates at a sample, and hidden forces (h,) where there are any."""
@@ -56,6 +58,16 @@ class Response:
         if self.coordinates is not None:
             motion = self.coordinates[sample, 0], self.coordinates[sample, 1]
         return [*motion] if self.hidden is None else [*motion, self.hidden[sample]]
+
+    @property
+    def stretching(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity of coordinates and, behind them, of supports: what stretches connections."""
+        motion = self.displacement, self.velocity
+        if self.coordinates is not None:
+            motion = self.coordinates[:, 0], self.coordinates[:, 1]
+        if self.supports is None:
+            return motion
+        return np.hstack((motion[0], self.supports[:, 0])), np.hstack((motion[1], self.supports[:, 1]))
 
     def part(self, first: int, stop: int) -> Response:
         """The samples first to stop (excluded)."""

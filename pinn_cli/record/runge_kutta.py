@@ -52,7 +52,7 @@ def runge_kutta(
     states[0] = z
     for step, (f0, f1, f2) in enumerate(zip(left, middle, right, strict=True)):
         after = runge_kutta_step(slope, z, f0, f1, f2, h)
-        if corners is not None and corners.cuts(z, after, corners.shortest).size:
+        if corners is not None and corners.cuts(z, after, corners.shortest, (f0, f2)).size:
             at = force if hold == "exact" else _held(f0)
             after = _in_parts(slope, at, corners, z, time[0] + h * step, h)
         z = after
@@ -72,7 +72,7 @@ def _in_parts(slope: Slope, force: Force, corners: Corners, z: np.ndarray, begin
         part = ahead[-1] - at
         left, middle, right = force(at + part * np.array([0.0, 0.5, 1.0]))
         after = runge_kutta_step(slope, z, left, middle, right, part)
-        cuts = corners.cuts(z, after, shortest / part) if part > 2.0 * shortest else np.zeros(0)
+        cuts = corners.cuts(z, after, shortest / part, (left, right)) if part > 2.0 * shortest else np.zeros(0)
         if cuts.size:
             ahead.extend(at + part * cuts[::-1])
         else:

@@ -102,7 +102,7 @@ def _on_lines(
     Raises:
         InputError: Where that was said of samples that are missing or uneven.
     """
-    acts = [channel.sensor in (FORCE, GROUND) for channel in channels]
+    acts = [channel.sensor in (FORCE, GROUND) or channel.support is not None for channel in channels]
     if intersample == FIRST_ORDER_HOLD:
         for channel, here, complete in zip(channels, acts, whole, strict=True):
             if here and not complete:
@@ -131,6 +131,9 @@ def _placed(
         place, there = channel.place, ~np.isnan(column)
         if channel.is_plain and place is not None and place not in columns and _fills(axis, time[there]):
             columns[place] = channel.calibrated(column[there], axis)
+        elif channel.support is not None:
+            allowed = "one channel of a kind for a support, with every sample at even times"
+            raise InputError(channel.setting, repr(channel.column), allowed)
         else:
             rest.append((channel, column))
     gauges: list[Gauge] = []

@@ -9,11 +9,12 @@ import numpy as np
 from pinn_cli.record.response import GROUND, UNITS
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
+from pinn_cli.system.quantities import SUPPORT
 
 # Times off the regular axis by more than this part of a step are put onto it.
 EVEN = 0.05
 # What acts on a structure.
-INPUTS = ("force", GROUND)
+INPUTS = ("force", GROUND, *SUPPORT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +25,7 @@ class Signal:
         column: Its name in the file.
         values: (N,), in ``unit``; NaN where a cell is empty.
         quantity: displacement, velocity, acceleration, force or ground_acceleration; "": nobody has said.
-        place: Number or name of the DOF; "" of the ground, and where nobody has said.
+        place: Number or name of the DOF or support; "" of the ground, and where nobody has said.
         unit: "": nobody has said; where it is known what is measured, SI.
     """
 
@@ -39,6 +40,8 @@ class Signal:
         """As sentences have it: ``acceleration of DOF 3``; else the column in quotes."""
         if not self.quantity:
             return repr(self.column)
+        if self.quantity in SUPPORT:
+            return f"{SUPPORT[self.quantity]} of support {self.place}"
         return "ground acceleration" if self.quantity == GROUND else f"{self.quantity} of DOF {self.place}"
 
     @property

@@ -126,6 +126,7 @@ def simulate(
     *,
     initial: npt.ArrayLike | None = None,
     ground: Ground | None = None,
+    supports: Ground | None = None,
     frame: Frame = "absolute",
 ) -> Response:
     """The noise-free response of a structure from rest or from a given state.
@@ -143,6 +144,7 @@ def simulate(
         initial: Displacement (m) and velocity (m/s) of the coordinates at ``time[0]``: (2, n) or a pair of (n,), and
             where connections have memory their hidden forces (h,), N; None: rest.
         ground: (M,) s to (M,) m/s^2, the ground's acceleration for any times; None: it is at rest.
+        supports: (M,) s to (M, 3, S), displacement, velocity and acceleration of the supports; None: at rest.
         frame: Of the acceleration that is returned: ``absolute``, or ``relative`` to the ground.
 
     Returns:
@@ -159,10 +161,13 @@ def simulate(
         raise InputError("simulation.hold", hold, "exact where the ground moves", why)
     if structure.shapes is not None:
         _check_modal(structure.shapes, hold, ground)
-    equation = StateEquation(structure, ground is not None)
+    if supports is not None and hold != "exact":
+        raise InputError("simulation.hold", hold, "exact where a support moves", "nothing holds it between samples")
+    shaken = ground is not None or supports is not None
+    equation = StateEquation(structure, shaken)
     start, slope = equation.start(initial), equation.slope
     acting = _in_coordinates(excitation_force, structure)
-    load = acting if ground is None else _loads(acting, ground)
+    load = _loads(acting, ground, supports) if shaken else acting
     sampled = load(time)
     with np.errstate(over="ignore", invalid="ignore"):
         if method == "rk4":
@@ -172,8 +177,11 @@ def simulate(
             states = _dop853(slope, load, time, sampled, hold, start)
     _check_finite(states, time, structure)
     u, v, hidden = equation.split(states)
-    force, moved = (sampled, None) if ground is None else (sampled[:, 0], sampled[:, 1, 0])
-    acceleration = structure.acceleration(u, v, force, structure.parameters_like(u), hidden)
+    n = structure.coordinates
+    force, moved = sampled[:, 0, :n] if shaken else sampled, None if ground is None else sampled[:, 1, 0]
+    carried = None if supports is None else supports(time)
+    stretching = Response(time, u, v, v, force, supports=carried).stretching
+    acceleration = structure.acceleration(*stretching, force, structure.parameters_like(u), hidden)
     if structure.shapes is not None:
         acceleration = acceleration if moved is None else acceleration - moved[:, None] * structure.with_ground
         return _of_dofs(
@@ -181,7 +189,7 @@ def simulate(
         )
     if moved is not None and frame == "relative":
         acceleration = acceleration - moved[:, None] * structure.with_ground
-    return Response(time, u, v, acceleration, force, moved, hidden)
+    return Response(time, u, v, acceleration, force, moved, hidden, supports=carried)
 
 
 def _check_modal(shapes: Shapes, hold: str, ground: Ground | None) -> None:
@@ -206,12 +214,14 @@ def _of_dofs(shapes: Shapes, motion: Response, frame: Frame) -> Response:
     return replace(motion, displacement=u, velocity=v, acceleration=a, coordinates=coordinates)
 
 
-def _loads(force: Force, ground: Ground) -> Force:
-    """(M,) s to (M, 2, ndof): the force, N, and the ground's acceleration beside every DOF, m/s^2."""
+def _loads(force: Force, ground: Ground | None, supports: Ground | None) -> Force:
+    """(M,) s to (M, 2, n + S), see :class:`StateEquation`."""
 
     def loads(time: np.ndarray) -> np.ndarray:
         acting = force(time)
-        return np.stack((acting, np.broadcast_to(ground(time)[:, None], acting.shape)), axis=1)
+        carried = np.zeros((len(time), 1)) if ground is None else ground(time)[:, None]
+        load = np.stack((acting, np.broadcast_to(carried, acting.shape)), axis=1)
+        return load if supports is None else np.concatenate((load, supports(time)[:, :2]), axis=2)
 
     return loads
 

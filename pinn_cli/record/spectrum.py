@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pinn_cli.record.record import Record
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 
 # Anti-alias filters leave little above 80 % of the Nyquist frequency; noise read there would come out too small.
 USABLE_NYQUIST_FRACTION = 0.8
@@ -104,17 +105,21 @@ def _noise_floor(power: np.ndarray) -> float:
 def record_band(record: Record) -> float:
     """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution.
 
-    The ground's acceleration is followed as far as it may reach: where it shows no noise above its content, that is all
-    that can be used.
+    The motion of the ground, or of a support, is followed as far as it may reach: where it shows no noise above its
+    content, that is all that can be used.
     """
     bands = [
         signal_band(record.histories(quantity)[:, dof], record.step)
         for quantity in (*record.response_quantities, "force")
         for dof in np.flatnonzero(record.sensors(quantity))
     ]
-    if record.ground_acceleration is not None:
-        ground, usable = record.ground_acceleration, USABLE_NYQUIST_FRACTION * 0.5 / record.step
-        bands.append(usable if visible_floor(ground, record.step) is None else signal_band(ground, record.step))
+    usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
+    for quantity in record.response_quantities[len(RESPONSE_QUANTITIES) :]:
+        bands += [
+            usable
+            for moved in record.histories(quantity)[:, record.sensors(quantity)].T
+            if visible_floor(moved, record.step) is None
+        ]
     return max(*bands, 1.0 / record.duration)
 
 

@@ -19,15 +19,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class StateEquation:
-    """Of a structure under a load: the force (n,), or, where the ground moves, force and ground acceleration (2, n).
+    """Of a structure under a load: the force (n,), or, where ground or supports move, force and what moves (2, n + S).
 
-    All of it is in the structure's coordinates.
+    The first row of that holds the force and behind it the displacement of the supports, the second row the ground's
+    acceleration beside every coordinate and the velocity of the supports. All of it is in the structure's coordinates.
 
     Its state is {u, v}, (2, n); with hidden forces z it is {u, v, z} in a row, (2 n + h,).
 
     Attributes:
         structure: Whose parameters are detached.
-        shaken: Whether its ground moves.
+        shaken: Whether its ground or a support moves.
     """
 
     structure: Structure
@@ -77,15 +78,15 @@ class StateEquation:
 
     def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:
         structure, p = self.structure, self._parameters
-        force = load[0] if self.shaken else load
         n, hidden = structure.coordinates, len(structure.memory)
         u, v, z = (state[:n], state[n : 2 * n], state[2 * n :]) if hidden else (*state, None)
-        acceleration = structure.acceleration(u, v, force, p, z)
+        x, dx = (np.concatenate(pair) for pair in ((u, load[0, n:]), (v, load[1, n:]))) if self.shaken else (u, v)
+        acceleration = structure.acceleration(x, dx, load[0, :n] if self.shaken else load, p, z)
         if self.shaken:
-            acceleration = acceleration - structure.with_ground * load[1]
+            acceleration = acceleration - structure.with_ground * load[1, :n]
         if z is None:
             return np.array((v, acceleration))
-        rate = structure.hidden_rate(structure.elongation(u), structure.elongation(v), z, p)
+        rate = structure.hidden_rate(structure.elongation(x), structure.elongation(dx), z, p)
         return np.concatenate((v, acceleration, rate))
 
     def split(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

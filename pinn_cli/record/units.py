@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import positive_number
-from pinn_cli.system.quantities import GROUND, MOTION, UNITS
+from pinn_cli.system.quantities import GROUND, MOTION, SUPPORT, UNITS
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
@@ -39,7 +39,7 @@ def si_factor(setting: str, unit: Any, quantity: str) -> float:
         raise InputError(setting, unit, allowed)
     if NUMBER.fullmatch(unit.strip()):
         return float(positive_number(setting, float(unit)))
-    accelerates = quantity in (MOTION[2], GROUND)
+    accelerates = SUPPORT.get(quantity, quantity) in (MOTION[2], GROUND)
     name = GRAVITY.get(unit.strip(), unit) if accelerates else unit
     import pint
 

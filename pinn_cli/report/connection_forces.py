@@ -52,9 +52,6 @@ def _true(structure: Structure, truth: Truth, shape: tuple[int, ...]) -> tuple[n
     known = truth.parameters is not None and np.isfinite(response.velocity).all()
     if not known or set(truth.parameters or ()) != set(structure.parameters):
         return unknown, unknown
-    motion = [response.displacement, response.velocity]
-    if response.coordinates is not None:
-        motion = [response.coordinates[:, 0], response.coordinates[:, 1]]
-    e, de = (structure.elongation(x) for x in motion)
+    e, de = (structure.elongation(x) for x in response.stretching)
     force = structure.connection_force(e, de, truth.parameters, response.hidden)
     return e[:, structure.added], force[:, structure.added]

@@ -11,6 +11,7 @@ import xarray as xr
 
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, UNITS
 from pinn_cli.runs.reserved_file import replacing_by_reserved
+from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,7 +58,8 @@ def response_dataset(
         ``displacement_<name>`` of the baseline and ``displacement_<name>_std``. Where the ground moves,
         ``ground_acceleration`` and the same of it over ``time``, each left out where there is none. ``drift``,
         ``drift_std`` and, where known, ``drift_true`` over ``time`` and ``connection`` (its name, or its number from
-        1). ``observed`` and ``unforced``: DOFs with a response sensor, and those known to carry no force.
+        1). Where supports move, ``support_displacement`` and its derivatives, and the same of these, over ``time`` and
+        ``support``. ``observed`` and ``unforced``: DOFs with a response sensor, and those known to carry no force.
     """
     variables: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
     for quantity in QUANTITIES:
@@ -80,7 +82,7 @@ def response_dataset(
         for quantity, (suffix, words, response) in product(QUANTITIES, kinds):
             described = {"long_name": f"{words}{quantity} estimated by {name}", "units": UNITS[quantity]}
             variables[f"{quantity}_{name}{suffix}"] = (("time", "dof"), getattr(response, quantity), described)
-    variables |= _of_the_ground(estimate, record, truth) | _of_the_connections(drifts)
+    variables |= _of_the_ground(estimate, record, truth) | _of_the_connections(drifts) | _of_supports(estimate, record)
     variables |= _internal_forces(forces, drifts)
     fixed = {
         "Conventions": "CF-1.11",
@@ -108,6 +110,21 @@ def _of_the_ground(
         for suffix, (values, long_name) in sources.items()
         if values is not None
     }
+
+
+def _of_supports(estimate: Estimate, record: Record) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """Their motion, estimated and observed, where they move; see :func:`response_dataset`."""
+    out: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
+    for order, (name, quantity) in enumerate(SUPPORT.items()):
+        sources = {"": (estimate.response.supports, ""), "_std": (estimate.std.supports, "standard deviation of the ")}
+        for suffix, (moved, words) in sources.items():
+            if moved is not None:
+                described = {"long_name": f"{words}estimated {quantity} of the support", "units": UNITS[name]}
+                out[name + suffix] = (("time", "support"), moved[:, order], described)
+        if name in record.supports:
+            described = {"long_name": f"observed {quantity} of the support", "units": UNITS[name]}
+            out[f"{name}_observed"] = (("time", "support"), record.supports[name], described)
+    return out
 
 
 def _of_the_connections(drifts: Drifts | None) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
@@ -175,6 +192,8 @@ def _coordinates(record: Record, drifts: Drifts | None) -> dict[str, tuple[str, 
         "observed": ("dof", record.observed, {"long_name": "has a displacement, velocity or acceleration sensor"}),
         "unforced": ("dof", record.unforced, {"long_name": "is known to carry no force"}),
     }
+    if record.supports:
+        coordinates["support"] = ("support", np.array(record.support_names), {"long_name": "support that moves"})
     if drifts is not None:
         described = {"long_name": "connection; what it joins is stretched by its drift"}
         coordinates["connection"] = ("connection", np.array(drifts.names), described)

@@ -54,14 +54,14 @@ class Drifts:
             truth: NaN where unknown: a connection is known where all that it joins are.
         """
         stretch, known = structure.drifts_of_dofs, estimate.connections
-        found = estimate.response.displacement @ stretch.T
+        found = _with_supports(estimate.response, structure.supports) @ stretch.T
         std = np.full(found.shape, np.nan) if known is None else known.elongation_std
         return cls(
             estimate.response.time,
             structure.drift_names,
             found,
             std,
-            _elongation(stretch, truth.displacement),
+            _elongation(stretch, _with_supports(truth, structure.supports)),
         )
 
     def peak(self, histories: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,8 +104,16 @@ def drift_table(drifts: Drifts, labels: Mapping[str, object]) -> pd.DataFrame:
     return with_labels(table, labels)
 
 
+def _with_supports(response: Response, supports: int) -> np.ndarray:
+    """(N, n + S), displacements of DOFs and of supports, NaN where these are not known."""
+    if not supports:
+        return response.displacement
+    unknown = np.full((len(response.time), supports), np.nan)
+    return np.hstack((response.displacement, unknown if response.supports is None else response.supports[:, 0]))
+
+
 def _elongation(stretch: csr_matrix, displacement: np.ndarray) -> np.ndarray:
-    """(N, C) of displacements (N, n) that may be NaN."""
+    """(N, C) of displacements (N, n + S) that may be NaN."""
     unknown = np.isnan(displacement).any(axis=0)
     joins = abs(stretch) @ unknown.astype(float) > 0.0
     known = np.nan_to_num(displacement) @ stretch.T

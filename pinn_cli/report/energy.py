@@ -68,10 +68,7 @@ class DissipatedEnergy:
 
 def dissipated(structure: Structure, response: Response) -> np.ndarray:
     """(C,), J: energy dissipated by `Structure.added` in a motion; NaN where a hidden force of it is not known."""
-    motion = response.displacement, response.velocity
-    if response.coordinates is not None:
-        motion = response.coordinates[:, 0], response.coordinates[:, 1]
-    e, de = (structure.elongation(x) for x in motion)
+    e, de = (structure.elongation(x) for x in response.stretching)
     parameters, z = structure.parameters_like(e), response.hidden
     if len(structure.memory) and z is None:
         z = np.full((len(e), len(structure.memory)), np.nan)

@@ -64,7 +64,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
     Args:
         prescribed: The chain that the estimator was given.
         estimate: Whose parameters and whose state at the first sample are taken.
-        record: Whose force acts, and the motion of whose ground; what these do between the samples is the record's
+        record: Whose force acts, and the motion of whose ground and supports; what these do between the samples is its
             ``intersample``.
     """
     unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
@@ -108,7 +108,9 @@ def free_run_table(
 
 def _simulated(structure: Structure, estimate: Estimate, record: Record, first: int = 0) -> Response:
     """The structure under the force of the record and its ground, from the estimated state at sample ``first`` on."""
-    start = estimate.response.state(first)
+    start, carried = estimate.response.state(first), estimate.response.supports
+    if carried is not None:
+        record = replace(record, supports_begin=carried[first, :2])
     return resimulate(structure, record, start, first=first)
 
 
@@ -143,6 +145,8 @@ def _excused_agreement(structure: Structure, estimate: Estimate, record: Record,
         ground = record.ground_acceleration
     try:
         acting = replace(record, force=force, ground_acceleration=ground)
+        if estimate.response.supports is not None:
+            acting = acting.carried_by(estimate.response.supports, first)
         return _agreement(_simulated(structure, estimate, acting, first), estimate)
     except OverflowsError:
         return float("nan")

@@ -80,7 +80,8 @@ def _of_intervals(estimate: Estimate) -> ParameterKnowledge:
 def _levels(results: Results) -> Levels:
     summary, record = results.estimate.summary, results.record
     sensors = {}
-    for quantity, channels in (*((quantity, record.ndof) for quantity in QUANTITIES), (GROUND, 1)):
+    supports = [(quantity, len(record.support_names)) for quantity in record.supports]
+    for quantity, channels in (*((quantity, record.ndof) for quantity in QUANTITIES), (GROUND, 1), *supports):
         found = summary.get(f"sigma_{quantity}")
         if isinstance(found, list) and len(found) == channels:
             sensors[quantity] = np.array([np.nan if sigma is None else sigma for sigma in found], dtype=float)

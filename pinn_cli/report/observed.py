@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.response import MEASURED_QUANTITIES
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -25,11 +25,10 @@ def observed_digest(records: Iterable[Record]) -> str:
         _add(digest, "time", record.time)
         digest.update(f"{record.intersample} {record.frame}".encode())
         _add(digest, "unforced", record.unforced)
-        for quantity in MEASURED_QUANTITIES:
-            if quantity in MEASURED_QUANTITIES[:-1] or record.ground_acceleration is not None:
-                measured = record.sensors(quantity) & ~record.gauged(quantity)
-                _add(digest, quantity, measured)
-                _add(digest, quantity, record.histories(quantity)[:, measured])
+        for quantity in (*QUANTITIES, *record.response_quantities[len(RESPONSE_QUANTITIES) :]):
+            measured = record.sensors(quantity) & ~record.gauged(quantity)
+            _add(digest, quantity, measured)
+            _add(digest, quantity, record.histories(quantity)[:, measured])
         for gauge in record.gauges:
             _add(digest, gauge.name, gauge.time)
             _add(digest, gauge.quantity, gauge.values)

@@ -22,6 +22,7 @@ from pinn_cli.record.ensemble import Members, spread_of
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS
 from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.record.supports import SupportErrors
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.report.results import with_labels
 from pinn_cli.system.parameters import MASS
@@ -93,6 +94,8 @@ class ValidationRun:
         structure = estimated_structure(prescribed, estimate.parameters)
         at_rest = data.begins is None
         start = _at_rest(structure) if data.begins is None else estimate.response.state(data.begins)
+        if data.begins is not None and estimate.response.supports is not None:
+            record = replace(record, supports_begin=estimate.response.supports[data.begins, :2])
         try:
             response = resimulate(structure, record, start)
         except TooStiffError as error:
@@ -224,7 +227,9 @@ def _members(
     normals = np.random.default_rng([seed, 3]).standard_normal((len(draws), len(state)))
     sources = _sources(structure, estimate, *records)
     parameters = drawn_structures(structure, estimate.parameters, draws)
-    return Members(parameters, state + deviation * normals, sources, seed)
+    levels = {quantity: estimate.summary.get(f"sigma_{quantity}") for quantity in records[1].supports}
+    errors = SupportErrors.of(records[1], {q: np.array(level, dtype=float) for q, level in levels.items() if level})
+    return Members(parameters, state + deviation * normals, sources, seed, carried=errors)
 
 
 def _sources(structure: Structure, estimate: Estimate, seen: Record, record: Record) -> np.ndarray:

@@ -51,6 +51,7 @@ class ChannelDoubts:
         channels = [
             *((RESPONSE_QUANTITIES[order], dof) for order, dof in zip(spectra.orders, spectra.sensors, strict=True)),
             *((FORCE, dof) for dof in spectra.forced),
+            *((order, "support") for order in spectra.carried),  # none of which is in doubt
             *([(GROUND, 0)] if spectra.felt is not None else []),
         ]
         self.count = len(channels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import LOWEST_BINS, group_starts, lowest_level, record_band
+from pinn_cli.record.supports import told_by
 from pinn_cli.scheme.lagged_products import Products
 from pinn_cli.system.quantities import FORCE
 
@@ -25,12 +27,14 @@ BEYOND_BAND = 1.0
 class CrossSpectra:
     """Averaged products of the spectra of what acts and of sensors, over groups of neighbouring frequencies.
 
-    What acts, F of it, are the measured forces and last, where it moves, the ground's acceleration.
+    What acts, F of it, are the measured forces, the motions of supports and last, where it moves, the ground's
+    acceleration.
 
     Attributes:
         omega: (B,), rad/s.
         forced: DOFs of the load cells, from 0.
         felt: (S,) bool, the sensors that feel the ground's acceleration; None where it is at rest.
+        carried: Of every support that moves how often its displacement is differentiated in what was measured.
         sensors: (S,), DOFs of the response sensors, from 0.
         orders: (S,), 0, 1, 2 for displacement, velocity, acceleration.
         of_forces: (B, F, F), force times conjugate force.
@@ -55,6 +59,7 @@ class CrossSpectra:
     force_floor: np.ndarray
     sensor_floor: np.ndarray
     felt: np.ndarray | None = None
+    carried: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, record: Record, records: int = 1) -> CrossSpectra | None:
@@ -65,9 +70,10 @@ class CrossSpectra:
             records: How many are looked at together: so many times fewer frequencies of each will do.
         """
         forced, ground = np.flatnonzero(record.sensors("force")), record.ground_acceleration
-        if (not len(forced) and ground is None) or not np.isfinite(record.force).all():
+        moves = ground is not None or bool(record.supports)
+        if (not len(forced) and not moves) or not np.isfinite(record.force).all():
             return None
-        return cls._of(record, records, forced, ground)
+        return cls._of(record, records, forced, ground, told_by(record))
 
     @classmethod
     def of_sensors_alone(cls, record: Record, records: int = 1) -> CrossSpectra:
@@ -75,11 +81,20 @@ class CrossSpectra:
         return cls._of(record, records, np.zeros(0, dtype=int), None)
 
     @classmethod
-    def _of(cls, record: Record, records: int, forced: np.ndarray, ground: np.ndarray | None) -> CrossSpectra:
-        acting = record.force[:, forced] if ground is None else np.column_stack((record.force[:, forced], ground))
+    def _of(
+        cls,
+        record: Record,
+        records: int,
+        forced: np.ndarray,
+        ground: np.ndarray | None,
+        supports: Sequence[tuple[str, int]] = (),
+    ) -> CrossSpectra:
+        carried = [record.supports[quantity][:, i] for i, (quantity, _) in enumerate(supports)]
+        acting = np.column_stack((record.force[:, forced], *carried, *([] if ground is None else [ground])))
         channels = [(q, int(dof)) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         measured = np.stack([getattr(record, q)[:, dof] for q, dof in channels], axis=1)
-        driving = [(FORCE, int(dof)) for dof in forced] + ([] if ground is None else [(GROUND, 0)])
+        driving = [(FORCE, int(dof)) for dof in forced] + [(quantity, i) for i, (quantity, _) in enumerate(supports)]
+        driving += [] if ground is None else [(GROUND, 0)]
         products = Products.of_samples(record, acting, measured, driving, channels if driving else [])
         frequency = np.fft.rfftfreq(len(record.time), record.step)
         last = int(np.searchsorted(frequency, BEYOND_BAND * record_band(record), side="right"))
@@ -109,6 +124,7 @@ class CrossSpectra:
             None
             if ground is None
             else np.array([q == "acceleration" and record.frame == "absolute" for q, _ in channels]),
+            tuple(order for _, order in supports),
         )
 
     @cached_property

@@ -41,7 +41,13 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
     loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
     filters = tuple(number for number, gauge in enumerate(record.gauges) if gauge.filter_order)
     together = bool(filters) or not all(gauge.feels_one for gauge in record.gauges)
-    if not forces and not loads and record.ground_acceleration is None and not len(structure.memory):
+    if (
+        not forces
+        and not loads
+        and record.ground_acceleration is None
+        and not len(structure.memory)
+        and not record.supports
+    ):
         return Inputs(together=together, filters=filters)
     band = record_band(record)
     return Inputs(
@@ -54,6 +60,7 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
         loads=loads,
         together=together,
         filters=filters,
+        supports=tuple(record.supports),
     )
 
 

@@ -51,13 +51,14 @@ class LinearFit:
         width: float = WIDEST,
     ) -> None:
         self.doubts = doubts if doubts is not None and len(doubts) else None
-        self.influence = np.ones(stretch.shape[1]) if influence is None else influence
+        n = len(known["m"])
+        self.influence = np.ones(n) if influence is None else influence
         self.spectra, self.known = spectra, {"loss": np.zeros(1)} | dict(known)
-        self.end, self.typical = last_ends(stretch), float(np.median(typical))
+        self.stretch, self.by_supports = stretch[:, :n], stretch[:, n:]
+        self.end, self.typical = last_ends(self.stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(self.known[kind])) for kind in ("m", "k", "c", "loss")}
         self.damped, self.lossy = len(self.free["c"]) > 0, len(self.free["loss"]) > 0
         self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped + self.lossy
-        self.stretch = stretch
         self.smooth(width)
 
     def smooth(self, width: float) -> None:
@@ -157,7 +158,7 @@ class LinearFit:
         seen = shown * s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
         by = []
         driven = self._moved(p, flexibility) @ of_forces
-        pull, stretched = seen @ self.stretch.T, self.stretch @ driven
+        pull, stretched = seen @ self.stretch.T, self.stretch @ driven + self.by_supports @ self._carried() @ of_forces
         for dof in self.free["m"]:
             slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
             if s.felt is not None:  # a heavier mass also feels more of the ground
@@ -188,7 +189,7 @@ class LinearFit:
             are shown (B, F, F); what each force adds to the first (F, B, S, F), empty where no channel is in doubt.
         """
         s, p = self.spectra, self.parameters(x)
-        connection = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * s.omega[:, None] * p["c"]  # (B, C)
+        connection = self._connection(p)
         stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
         stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
         flexibility = np.linalg.inv(stiffness)
@@ -202,9 +203,27 @@ class LinearFit:
         driven = np.einsum("bsf,bfg->fbsg", response, of_forces)
         return driven.sum(0), flexibility, of_forces, driven
 
+    def _connection(self, p: Mapping[str, np.ndarray]) -> np.ndarray:
+        """(B, C), dynamic stiffness of every connection."""
+        connection: np.ndarray = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j)
+        return connection + 1j * self.spectra.omega[:, None] * p["c"]
+
+    def _carried(self) -> np.ndarray:
+        """(B, S', F), displacements of supports for one of what acts."""
+        s = self.spectra
+        count, forced = len(s.carried), len(s.forced)
+        out = np.zeros((len(s.omega), self.by_supports.shape[1], forced + count + (s.felt is not None)), complex)
+        for i, order in enumerate(s.carried):
+            out[:, i, forced + i] = (1j * s.omega) ** -order
+        return out
+
     def _moved(self, p: Mapping[str, np.ndarray], flexibility: np.ndarray) -> np.ndarray:
         """(B, n, F), displacements for one of what acts."""
         moved = flexibility[:, :, self.spectra.forced]
+        if self.spectra.carried:
+            own = slice(len(self.spectra.forced), len(self.spectra.forced) + len(self.spectra.carried))
+            pushed = self.stretch.T @ (self._connection(p)[:, :, None] * (self.by_supports @ self._carried()[..., own]))
+            moved = np.concatenate((moved, -flexibility @ pushed), axis=2)
         if self.spectra.felt is None:
             return moved
         shaken = -flexibility @ (p["m"] * self.influence)

@@ -32,7 +32,8 @@ def check_given(prescribed: Structure, unknown: Collection[Parameter] = ()) -> N
     named = bool(prescribed.labels.connections)
     names = ", ".join(_shown([p.name for p in ps], named) for ps in missing.values())
     given = "a number" if named else f"a number or a list of {prescribed.ndof}"
-    whole = "; system.damping={ratio: 0.02} says it of the whole, without a c" if "c" in missing else ""
+    of_whole = "c" in missing and not prescribed.supports
+    whole = "; system.damping={ratio: 0.02} says it of the whole, without a c" if of_whole else ""
     raise InputError(
         settings,
         "(nothing)",

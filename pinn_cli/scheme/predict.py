@@ -72,7 +72,7 @@ class Predict(Scheme):
         if unknown.size:
             names = record.dof_names(unknown)
             raise InputError("data.force", f"null on {names}", "a column with scheme=predict", "a free run needs it")
-        if record.unforced.all() and record.ground_acceleration is None:
+        if record.unforced.all() and record.ground_acceleration is None and not record.supports:
             raise InputError("data.force", "{}", "a column, or data.ground_acceleration", "nothing moves the structure")
         known, misfit = self.model.known, self.model.misfit
         if misfit is not None:  # of it the parameters hide no more than there is at their frequencies

@@ -41,6 +41,9 @@ def unreached_dofs(problem: Problem) -> list[int]:
     acting = ~record.unforced
     if record.ground_acceleration is not None:
         acting = acting | (structure.with_ground != 0)
+    if structure.by_supports is not None:
+        carried = (abs(structure.stretch.matrix[joins]).T @ abs(structure.stretch.matrix[joins]))[:, len(acting) :]
+        acting = acting | (carried.sum(axis=1).A1[: len(acting)] > 0.0)
     reached = np.isin(part, part[acting])
     return np.flatnonzero(record.observed & ~reached).tolist() if reached.any() else []
 

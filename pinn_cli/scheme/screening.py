@@ -61,7 +61,7 @@ def screened(
 
     Args:
         record: What was measured.
-        stretch: (C, n), row i: which displacements stretch connection i.
+        stretch: (C, n + S), row i: which displacements stretch connection i, those of supports that move behind.
         known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,) if there is one, NaN where unknown.
         guess: ``m``, ``k``, where the unknown ones may be: their ratios count, and one start is the guess.
         influence: (n,), how far each coordinate moves with the ground; None: by one.

@@ -83,7 +83,7 @@ def parameter_starts(
     if prescribed.shapes is not None:
         return [_starts(prescribed, records, unknown, given, _of_modes(prescribed, unknown, given))]
     known, guess = _known(prescribed, unknown), _guess(prescribed, records, unknown, given)
-    stretch, moved = prescribed.incidence.matrix[prescribed.added].toarray(), prescribed.with_ground
+    stretch, moved = prescribed.stretch.matrix[prescribed.added].toarray(), prescribed.with_ground
     every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
     candidates = [c for c in every if c.misfit < HOPELESS + (NEARLY_NOTHING - HOPELESS) * c.scatter]
     if most is None:

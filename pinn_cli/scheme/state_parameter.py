@@ -105,11 +105,11 @@ class StateParameter(Scheme):
         """See :meth:`Scheme.damped`: an unknown ratio for each mode in the band; modes beyond have the last.
 
         Where all dampers of a measured structure are missing, or of a finite-element model those of its coordinates,
-        and none of them is asked for.
+        and none of them is asked for. Beside supports that move such damping is not of the masses alone: there is none.
         """
         dampers, whole = prescribed.parameters["c"], prescribed.coordinates <= MOST_RATIOS
         own = len(dampers) if prescribed.shapes is None else prescribed.groups[0].incidence.shape[0]
-        given = prescribed.is_damped_as_whole or not bool(dampers[:own].isnan().all())
+        given = prescribed.is_damped_as_whole or prescribed.supports > 0 or not bool(dampers[:own].isnan().all())
         if given or records[0].simulated or any(p.kind == "c" for p in self._chosen(prescribed, records)):
             return prescribed
         undamped = prescribed.with_parameters(c=torch.cat([torch.zeros_like(dampers[:own]), dampers[own:]]))

@@ -77,10 +77,10 @@ class Dynamics(Functions):
 
     def residual(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         """Left-hand sides of all equations (..., N), N; of those of the motion f is still to be taken off."""
-        n, structure = self.ndof, self.structure
+        structure = self.structure
         if self.is_plain:
             return structure.external_force(*jet, parameters)
-        u, v, z = jet.value[..., :n], jet.rate[..., :n], jet.value[..., self.hidden]
+        u, v, z = self.stretching(jet.value), self.stretching(jet.rate), jet.value[..., self.hidden]
         motion = parameters[MASS] * self.inertial_acceleration(jet) + structure.restoring_force(u, v, parameters, z)
         rows = [motion]
         if z.shape[-1]:
@@ -113,10 +113,10 @@ class Dynamics(Functions):
 
     def linearise(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Linearisation:
         """The equations linearised: stiffness and damping of the terms of :attr:`coupling`, each (..., T)."""
-        n, structure = self.ndof, self.structure
+        structure = self.structure
         if self.is_plain:
             return structure.linearise(jet.value, jet.rate, parameters)
-        u, v, z = jet.value[..., :n], jet.rate[..., :n], jet.value[..., self.hidden]
+        u, v, z = self.stretching(jet.value), self.stretching(jet.rate), jet.value[..., self.hidden]
         own = structure.linearise(u, v, parameters)
         stiffness, damping, by_parameter = [own.stiffness], [own.damping], dict(own.by_parameter)
         if z.shape[-1]:
@@ -198,8 +198,9 @@ class Dynamics(Functions):
         branches = self.branches.matrix
         if self.is_plain:
             return Coupling(branches, branches, together=self.inputs.together)
-        stretched, hidden = branches[self.structure.memory], branches[self._connections :]
-        into, by = [branches, stretched, hidden], [branches, hidden, stretched]
+        stretched, hidden = self.stretched[self.structure.memory], branches[self._connections :]
+        into = [branches, branches[self.structure.memory], hidden]
+        by = [vstack([self.stretched, hidden]), hidden, stretched]
         if self.inputs.ground:
             moved = self._moved_by_ground
             into.append(self.picked(moved))

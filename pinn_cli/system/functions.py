@@ -11,7 +11,7 @@ import torch
 from scipy.sparse import csr_matrix, eye
 from torch import Tensor
 
-from pinn_cli.system.quantities import FORCE, GROUND, MOTION
+from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.system.structure import Structure
 
 # Damping ratio of the process of second order whose spectrum is flattest below its edge (Butterworth).
@@ -43,6 +43,7 @@ class Inputs:
         damping_ratio: Of the process of unknown forces: at 0.7 its spectrum is flat up to an edge; with more it falls
             off from a corner below that.
         filters: Gauges, counted from 0, behind a filter that has a state, whose equation is the gauge's own.
+        supports: What sensors measure of the supports that move, names of :data:`pinn_cli.system.quantities.SUPPORT`.
     """
 
     ground: bool = False
@@ -55,6 +56,7 @@ class Inputs:
     together: bool = False
     damping_ratio: float = FLAT
     filters: tuple[int, ...] = ()
+    supports: tuple[str, ...] = ()
 
     @property
     def force_edge(self) -> float:
@@ -64,7 +66,7 @@ class Inputs:
 
 @dataclass(frozen=True, eq=False)
 class Functions:
-    """The columns of a network: coordinates, hidden forces, the ground's acceleration, measured and unknown forces.
+    """The columns of a network: coordinates, hidden forces, supports, ground, measured and unknown forces.
 
     Attributes:
         structure: Whose motion it is.
@@ -85,9 +87,14 @@ class Functions:
         return slice(self.ndof, self.ndof + len(self.structure.memory))
 
     @cached_property
+    def supports(self) -> slice:
+        """The displacements of supports that move among the functions."""
+        return slice(self.hidden.stop, self.hidden.stop + self.structure.supports)
+
+    @cached_property
     def ground(self) -> slice:
         """The ground's acceleration among the functions; empty where it is not measured."""
-        return slice(self.hidden.stop, self.hidden.stop + int(self.inputs.ground))
+        return slice(self.supports.stop, self.supports.stop + int(self.inputs.ground))
 
     @cached_property
     def loads(self) -> slice:
@@ -96,8 +103,8 @@ class Functions:
 
     @cached_property
     def smooth(self) -> slice:
-        """The ground's acceleration and the measured forces: processes that are flat up to an edge."""
-        return slice(self.ground.start, self.loads.stop)
+        """The supports, the ground's acceleration and the measured forces: processes that are flat up to an edge."""
+        return slice(self.supports.start, self.loads.stop)
 
     @cached_property
     def forces(self) -> slice:
@@ -123,7 +130,7 @@ class Functions:
     def observed(self) -> tuple[str, ...]:
         """The quantities that sensors measure of the functions."""
         ground = (GROUND,) if self.inputs.ground else ()
-        return (*MOTION, *ground, *((FORCE,) if self.inputs.loads else ()))
+        return (*MOTION, *ground, *self.inputs.supports, *((FORCE,) if self.inputs.loads else ()))
 
     @property
     def size(self) -> int:
@@ -140,6 +147,7 @@ class Functions:
         """What is unknown beside the motion, in words."""
         parts = {
             "a hidden force": self.hidden,
+            "the motion of a support": self.supports,
             "the ground's acceleration": self.ground,
             "a force": self.loads,
             "an unmeasured force": self.forces,
@@ -152,6 +160,22 @@ class Functions:
         """One row for each of some functions."""
         return csr_matrix(eye(self.size, format="csr")[functions])
 
+    def stretching(self, x: Tensor) -> Tensor:
+        """(..., n + S) of functions (..., N): those that stretch the connections, coordinates and supports."""
+        own = x[..., : self.ndof]
+        return torch.cat((own, x[..., self.supports]), -1) if self.structure.supports else own
+
+    @cached_property
+    def stretched(self) -> csr_matrix:
+        """(C, N), how far the functions stretch every connection."""
+        return csr_matrix(self.structure.stretch.matrix @ self.picked(self.stretch_places))
+
+    @property
+    def stretch_places(self) -> np.ndarray:
+        """(n + S,), where coordinates and supports stand among the functions."""
+        places: np.ndarray = np.r_[0 : self.ndof, self.supports]
+        return places
+
     def on_dofs(self, jet: Jet) -> Tensor:
         """(..., dofs), N: the forces that are functions, 0 on all other DOFs."""
         force = jet.value.new_zeros((*jet.value.shape[:-1], self.structure.ndof))
@@ -162,6 +186,8 @@ class Functions:
         """What sensors of a quantity feel: derivatives' orders, and weights (channels, N) of the functions."""
         if quantity == GROUND:
             return ((0, self.picked(self.ground)),)
+        if quantity in SUPPORT:
+            return ((MOTION.index(SUPPORT[quantity]), self.picked(self.supports)),)
         structure = self.structure
         if quantity == FORCE:
             places = self.loaded, range(len(self.loaded))
@@ -193,6 +219,8 @@ class Functions:
         """What noise-free sensors of a quantity on every DOF show, (..., channels)."""
         if quantity == GROUND:
             return jet.value[..., self.ground]
+        if quantity in SUPPORT:
+            return jet[MOTION.index(SUPPORT[quantity])][..., self.supports]
         if quantity == FORCE:
             return self.on_dofs(jet)
         motion = jet[MOTION.index(quantity)]

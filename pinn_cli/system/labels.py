@@ -20,11 +20,13 @@ class Labels:
         dofs: Of the coordinates, n; empty: they go by their numbers, from 1.
         connections: Of all connections, in the order of the groups; empty: they go by their numbers.
         modes: Of the masses and of their springs, where the coordinates are modes and not the DOFs.
+        supports: Of the supports that move.
     """
 
     dofs: tuple[str, ...] = ()
     connections: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
+    supports: tuple[str, ...] = ()
 
     def dof(self, index: int) -> str:
         """What people call a coordinate, counted from 0: its name, or its number from 1."""

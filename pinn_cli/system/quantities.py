@@ -4,7 +4,10 @@ MOTION = ("displacement", "velocity", "acceleration")
 GROUND, FORCE = "ground_acceleration", "force"
 # Of a connection, the force within it.
 CONNECTION_FORCE = "connection_force"
+# Of a moving support, which is no DOF: what of the motion is measured.
+SUPPORT = {f"support_{quantity}": quantity for quantity in MOTION}
 UNITS = {**dict(zip(MOTION, ("m", "m/s", "m/s^2"), strict=True)), FORCE: "N", GROUND: "m/s^2", CONNECTION_FORCE: "N"}
+UNITS |= {of_support: UNITS[quantity] for of_support, quantity in SUPPORT.items()}
 # Of a sensor: what it shows of what it feels. The units of an offset and of a drift are over that of its quantity.
 CALIBRATION_UNITS = {"gain": "", "offset": "", "drift": "/s", "delay": "s", "tilt": "1/s^2", "high_pass": "Hz"}
 TILT, HIGH_PASS = "tilt", "high_pass"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, vstack
+from scipy.sparse import csr_matrix, hstack, vstack
 from scipy.sparse.linalg import norm as sparse_norm
 
 from pinn_cli.system.array_namespace import Array, namespace
@@ -67,6 +67,9 @@ class Structure:
             Records, sensors and forces belong to DOFs, everything here to coordinates.
         pairs: Of DOFs whose drift is to be told as well; None: none.
         reduction: What made the coordinates; None: they are no reduction with factors, or the model is not at hand.
+        by_supports: (C', S), how far supports that move stretch the first C' connections, which pull at their other
+            ends alone; None: none moves. A motion (..., n) is one of coordinates beside supports at rest; one
+            (..., n + S) has that of the supports behind the coordinates'.
 
     Raises:
         ValueError: The names or the shapes of the parameters do not fit.
@@ -79,6 +82,7 @@ class Structure:
     shapes: Shapes | None = None
     pairs: Pairs | None = None
     reduction: Reduction | None = None
+    by_supports: csr_matrix | None = None
 
     def __post_init__(self) -> None:
         sizes = {MASS: self.groups[0].incidence.shape[1], **{k: len(m) for k, m in self.members.items()}}
@@ -108,6 +112,19 @@ class Structure:
         if len(self.groups) == 1:
             return self.groups[0].incidence
         return Incidence.stacked(group.incidence for group in self.groups)
+
+    @property
+    def supports(self) -> int:
+        """Their number S, of those that move."""
+        return 0 if self.by_supports is None else self.by_supports.shape[1]
+
+    @cached_property
+    def stretch(self) -> Incidence:
+        """(C, n + S), how coordinates and supports stretch the connections."""
+        if self.by_supports is None:
+            return self.incidence
+        beyond = csr_matrix((self.incidence.shape[0] - self.by_supports.shape[0], self.supports))
+        return Incidence(hstack([self.incidence.matrix, vstack([self.by_supports, beyond])], format="csr"))
 
     @cached_property
     def carriers(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -198,8 +215,8 @@ class Structure:
         return out
 
     def elongation(self, x: Array) -> Array:
-        """B x, (..., C): of displacements, velocities or accelerations alike."""
-        return self.incidence.elongation(x)
+        """B x, (..., C): of displacements, velocities or accelerations alike, with the supports' or without."""
+        return (self.incidence if x.shape[-1] == self.coordinates else self.stretch).elongation(x)
 
     @cached_property
     def with_ground(self) -> np.ndarray:
@@ -227,19 +244,23 @@ class Structure:
 
     @cached_property
     def drifts(self) -> csr_matrix:
-        """(D, n), how the coordinates make them."""
-        own = self.incidence.matrix[self.added]
+        """(D, n + S), how the coordinates and supports make them."""
+        own = self.stretch.matrix[self.added]
         if self.pairs is None:
             return own
         weights = self.pairs.weights if self.shapes is None else csr_matrix(self.pairs.weights @ self.shapes.matrix)
-        return vstack([own, weights], format="csr")
+        return vstack([own, self._beside_supports(weights)], format="csr")
 
     @cached_property
     def drifts_of_dofs(self) -> csr_matrix:
-        """(D, dofs), how the DOFs make them."""
+        """(D, dofs + S), how the DOFs and supports make them."""
         shapes = self.shapes
-        own = self.incidence.matrix[self.added] if shapes is None or shapes.stretch is None else shapes.stretch
-        return own if self.pairs is None else vstack([own, self.pairs.weights], format="csr")
+        own = self.stretch.matrix[self.added] if shapes is None or shapes.stretch is None else shapes.stretch
+        return own if self.pairs is None else vstack([own, self._beside_supports(self.pairs.weights)], format="csr")
+
+    def _beside_supports(self, weights: csr_matrix) -> csr_matrix:
+        """(D, n) of pairs of DOFs as (D, n + S)."""
+        return hstack([weights, csr_matrix((weights.shape[0], self.supports))], format="csr")
 
     @cached_property
     def laws(self) -> tuple[Nonlinearity, ...]:

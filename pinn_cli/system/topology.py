@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import USABLE, entries, is_finite_number, is_usable_number
@@ -47,6 +49,10 @@ class _Connection:
         """Connections that have the same are of one law."""
         return self.law.name, type(self.law), self.settings, self.law.parameters
 
+    def of_coordinates(self, count: int) -> dict[int, float]:
+        """The weights of the first ones; behind them are supports."""
+        return {end: weight for end, weight in self.weights.items() if end < count}
+
 
 def build_structure(
     dofs: Sequence[str],
@@ -55,6 +61,7 @@ def build_structure(
     kind: str = "structure",
     drifts: Mapping[str, Sequence[str]] | None = None,
     damping: Mapping[str, Any] | None = None,
+    supports: Sequence[str] = (),
 ) -> Structure:
     """A structure of which everything is given.
 
@@ -66,11 +73,12 @@ def build_structure(
         kind: The name of the config group's choice.
         drifts: Name to a pair ``[a, b]`` of coordinates, whose drift is wanted beside those of the connections.
         damping: Of the whole, see :func:`pinn_cli.system.whole_damping.damped`; beside it c is 0 unless given.
+        supports: Names of supports that move, which connections may join as they join the ground.
 
     Raises:
         InputError: Naming ``system.<setting>``.
     """
-    return whole(build_partial_structure(dofs, mass, connections, kind, drifts, damping))
+    return whole(build_partial_structure(dofs, mass, connections, kind, drifts, damping, supports))
 
 
 def whole(structure: Structure) -> Structure:
@@ -94,15 +102,19 @@ def build_partial_structure(
     kind: str = "structure",
     drifts: Mapping[str, Sequence[str]] | None = None,
     damping: Mapping[str, Any] | None = None,
+    supports: Sequence[str] = (),
 ) -> Structure:
     """The same where a value may be missing, null or left out: it is NaN in the structure.
 
     Of an optional parameter (an order of a polynomial) null says that the connection has it.
     """
-    names = checked_names(dofs)
+    names, moving = checked_names(dofs), _checked_supports(supports, entries(dofs))
+    if moving and damping is not None:
+        hint = "it is of the motion beside one ground: give the connections dampers"
+        raise InputError("system.damping", dict(damping), "null with system.supports", hint)
     if damping is not None and isinstance(connections, Mapping):
         connections = {k: {"c": 0.0, **one} if isinstance(one, Mapping) else one for k, one in connections.items()}
-    structure = connected(names, _masses(mass, names), connections)
+    structure = connected(names, _masses(mass, names), connections, moving)
     tell_if_loose(structure)
     return damped(replace(structure, pairs=drift_pairs(drifts, names, structure)), damping)
 
@@ -131,14 +143,17 @@ def drift_pairs(drifts: Any, names: tuple[str, ...], structure: Structure) -> Pa
 
 
 def connected(
-    names: tuple[str, ...], masses: Sequence[float], connections: Mapping[str, Mapping[str, Any]]
+    names: tuple[str, ...],
+    masses: Sequence[float],
+    connections: Mapping[str, Mapping[str, Any]],
+    supports: tuple[str, ...] = (),
 ) -> Structure:
     """The same from names and masses that are checked, whether or not anything holds it.
 
     Raises:
         InputError: Naming ``system.connections`` and what is in it.
     """
-    read = [_connection(name, entry, names) for name, entry in _checked_connections(connections).items()]
+    read = [_connection(name, entry, names, supports) for name, entry in _checked_connections(connections).items()]
     groups: dict[tuple[object, ...], list[_Connection]] = {}
     for one in read:
         groups.setdefault(one.group, []).append(one)
@@ -146,14 +161,20 @@ def connected(
     parameters = {MASS: list(masses)}
     for kind_of in dict.fromkeys(kind for one in ordered for kind in one.parameters):
         parameters[kind_of] = [one.parameters[kind_of] for one in ordered if kind_of in one.parameters]
-    labels = Labels(names, tuple(one.name for one in ordered))
+    labels = Labels(names, tuple(one.name for one in ordered), supports=supports)
+    n, moved = len(names), np.zeros((len(ordered), len(supports)))
+    for row, one in zip(moved, ordered, strict=True):
+        for end, weight in one.weights.items():
+            if end >= n:
+                row[end - n] = weight
     structure = Structure(
         {name: torch.tensor(values, dtype=torch.float64) for name, values in parameters.items()},
         tuple(
-            ConnectionGroup(members[0].law, Incidence.between([one.weights for one in members], len(names)))
+            ConnectionGroup(members[0].law, Incidence.between([one.of_coordinates(n) for one in members], n))
             for members in groups.values()
         ),
         labels=labels,
+        by_supports=csr_matrix(moved) if supports else None,
     )
     check_parameters_differ(structure)
     return structure
@@ -174,6 +195,16 @@ def checked_names(dofs: Any) -> tuple[str, ...]:
             raise InputError("system.dofs", name, "another name", "the ground is the support, which has no coordinate")
         if name in names[:i]:
             raise InputError("system.dofs", name, "there once only")
+    return tuple(names)
+
+
+def _checked_supports(supports: Any, dofs: Sequence[Any]) -> tuple[str, ...]:
+    """Names of supports that move."""
+    names = entries(supports) if supports is not None else []
+    for i, name in enumerate(names):
+        check_name("system.supports", name)
+        if name == GROUND or name in dofs or name in names[:i]:
+            raise InputError("system.supports", name, "a name of its own", "ground and system.dofs have theirs")
     return tuple(names)
 
 
@@ -227,11 +258,13 @@ def _checked_connections(connections: Any) -> dict[str, Any]:
     return dict(connections)
 
 
-def _connection(name: str, entry: Any, names: tuple[str, ...]) -> _Connection:
+def _connection(name: str, entry: Any, names: tuple[str, ...], supports: tuple[str, ...] = ()) -> _Connection:
     setting = f"system.connections.{name}"
     if not isinstance(entry, Mapping):
         raise InputError(setting, entry, "a map such as {between: [ground, x1], law: linear, c: 10, k: 5e4}")
-    weights = _weights(setting, entry, names)
+    weights = _weights(setting, entry, (*names, *supports))
+    if min(weights) >= len(names):
+        raise InputError(setting, "supports alone", "one of system.dofs at one end", "nothing else can be moved by it")
     if entry.get("law") is None:
         raise InputError(f"{setting}.law", "nothing", "given", "linear is a spring and a damper")
     own = law_settings(entry["law"], f"{setting}.law")

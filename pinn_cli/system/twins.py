@@ -43,6 +43,8 @@ class Seen:
         acting: (n, F), the forces that every input exerts; of the ground's motion those for masses of one.
         by_mass: (F,) bool, the inputs that pull at every mass in proportion to it: the ground's.
         low, high: Between which it shows anything, Hz.
+        stretching: (C, F), how far every input stretches each connection by itself: the displacement of a support;
+            None: no support moves.
     """
 
     sensing: np.ndarray
@@ -50,6 +52,7 @@ class Seen:
     by_mass: np.ndarray
     low: float
     high: float
+    stretching: np.ndarray | None = None
 
 
 def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
@@ -94,6 +97,8 @@ class _Match:
     def __init__(self, structure: Structure, free: Sequence[Parameter], seen: Seen) -> None:
         parameters = structure.parameters_like(np.empty(0))
         self.seen, self.stretch = seen, structure.incidence.matrix.toarray()
+        own = np.zeros((len(self.stretch), seen.acting.shape[1]))
+        self.carried = own if seen.stretching is None else seen.stretching
         self.mass, self.stiffness = parameters[MASS].copy(), at_rest(structure)[0]
         self.masses = np.array([p.kind == MASS for p in free])
         self.index = np.array([p.index for p in free])
@@ -149,6 +154,7 @@ class _Match:
         squares, shapes = np.linalg.eigh(stretch.T @ (stiffness[:, None] * stretch))
         shapes = shapes / np.sqrt(mass)[:, None]
         acting = np.where(self.seen.by_mass, mass[:, None] * self.seen.acting, self.seen.acting)
+        acting = acting - self.stretch.T @ (stiffness[:, None] * self.carried)
         gain = 1.0 / (self.s[:, None] ** 2 + squares)  # (B, modes)
         sensed, driven = self.seen.sensing @ shapes, shapes.T @ acting
         response = np.einsum("sr,br,rf->bsf", sensed, gain, driven)
@@ -156,6 +162,7 @@ class _Match:
         felt = np.where(self.masses[:, None], shapes[np.where(self.masses, self.index, 0)], 0.0)
         felt[springs] = (self.stretch @ shapes)[self.index[springs]]
         left, right = np.einsum("sr,br,pr->bsp", sensed, gain, felt), np.einsum("pr,br,rf->bpf", felt, gain, driven)
+        right[:, springs] += self.carried[self.index[springs]]
         rate = np.where(self.masses, self.s[:, None] ** 2, 1.0) * values  # (B, p)
         slopes = -np.einsum("bsp,bpf,bp->bsfp", left, right, rate)
         for column in np.flatnonzero(self.masses):  # a heavier mass also feels more of the ground

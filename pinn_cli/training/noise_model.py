@@ -8,8 +8,8 @@ sampled.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -19,7 +19,7 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout, Segments
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
 from pinn_cli.system.quantities import FORCE
 
@@ -50,7 +50,8 @@ class NoiseModel:
             in the same band, and a point's own is so many times as large in variance.
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
             :meth:`pinn_cli.training.band.normal_equations.NormalEquations.losses`.
-        ground_mass: The least mass that the ground moves, kg: what its sensor's noise puts into an equation of motion.
+        pushes: Quantity of the ground or of supports to the least that a unit of its sensor's noise puts into an
+            equation of motion: of the ground the least mass that it moves, kg.
         earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
         further: Of further records that are solved together with this one; they share its ``spread``.
     """
@@ -64,7 +65,7 @@ class NoiseModel:
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
     taken_up: np.ndarray | None = None
-    ground_mass: float = math.nan
+    pushes: Mapping[str, float] = field(default_factory=dict)
     earlier_misfit: float = 1.0
     further: tuple[NoiseModel, ...] = ()
 
@@ -124,7 +125,7 @@ class NoiseModel:
         each = [
             level
             for own in self.by_record
-            for level in (*own.force, own.ground_mass * own.response.get(GROUND, [math.nan])[0])
+            for level in (*own.force, *(push * x for q, push in own.pushes.items() for x in own.response[q]))
             if math.isfinite(level)
         ]
         return float(min(each, default=0.0))

@@ -16,6 +16,7 @@ from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.record.spectrum import lowest_level, visible_floor
+from pinn_cli.record.supports import SupportErrors
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import MASS
@@ -69,7 +70,11 @@ class Predictor(TrainedNetwork):
         rows = [*(white * np.eye(structure.coordinates))] if white else []
         rows += _input_noise(problem, self.model) if self.scheme.measured_input else []
         sources = np.array(rows).reshape(-1, structure.coordinates)
-        members = Members(drawn_structures(structure, parameters, draws), state, sources, run.seed, replay)
+        levels = self.model.levels.sensors if self.scheme.measured_input else {}
+        members = Members(
+            drawn_structures(structure, parameters, draws), state, sources, run.seed, replay,
+            SupportErrors.of(record, levels),
+        )  # fmt: skip
         band = _Band(structure, record, response, members)
         summary = {"iterations": 0, "stop_reason": "predicted", "draws": len(draws)}
         return Estimate(
@@ -100,11 +105,12 @@ class _Band:
         largest = {q: np.zeros((count, record.ndof)) for q in RESPONSE_QUANTITIES}
         largest |= {"drift": np.zeros((count, drifts.shape[0])), "connection_force": np.zeros((count, len(added)))}
         with np.errstate(over="ignore", invalid="ignore"):
-            for part, motion, states in followed_members(members, structure, record):
-                e, de = structure.elongation(states[..., :n]), structure.elongation(states[..., n : 2 * n])
+            for part, motion, states, carried in followed_members(members, structure, record):
+                u, v = (np.concatenate((states[..., k * n : (k + 1) * n], carried[..., k, :]), -1) for k in range(2))
+                e, de = structure.elongation(u), structure.elongation(v)
                 z = states[..., 2 * n :] if len(structure.memory) else None
                 force = structure.connection_force(e, de, members.parameters, z)
-                every = motion | {"drift": states[..., :n] @ drifts.T, "connection_force": force[..., added]}
+                every = motion | {"drift": u @ drifts.T, "connection_force": force[..., added]}
                 for name, values in every.items():
                     np.maximum(largest[name], np.abs(values).max(axis=0), out=largest[name])
                     centre, into = self._of(name)
@@ -139,9 +145,7 @@ class _Band:
 
 def _connections(structure: Structure, response: Response) -> tuple[np.ndarray, np.ndarray]:
     """Drifts (N, D) of the mean structure, and forces (N, C') of its connections."""
-    motion = response.displacement, response.velocity
-    if response.coordinates is not None:
-        motion = response.coordinates[:, 0], response.coordinates[:, 1]
+    motion = response.stretching
     e, de = (structure.elongation(x) for x in motion)
     return motion[0] @ structure.drifts.T, structure.connection_force(e, de, None, response.hidden)[:, structure.added]
 

@@ -91,7 +91,7 @@ def mass_fault(structure: Structure, record: Record, excused: Sequence[str] = ()
         record: What was measured.
         excused: Names of channels that have a fault of their own.
     """
-    if not np.isfinite(record.force).all() or structure.shapes is not None:
+    if not np.isfinite(record.force).all() or structure.shapes is not None or record.supports:
         return None
     before = worst_misfit(predicted(structure, record), excused)
     dofs = np.repeat(np.arange(structure.ndof), len(COARSE))

@@ -13,7 +13,7 @@ import numpy as np
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, SUPPORT
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def first_sample_findings(record: Record, estimate: Estimate) -> list[Finding]:
     """Of the sensor that is furthest off; else of the force that the model leaves out."""
     count, misfit = max(3, math.ceil(BEGINNING * len(record.time))), estimate.misfit
     worst, told, left = 0.0, "", np.zeros(0)
-    for channel in channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND)):
+    for channel in channels(record, (*RESPONSE_QUANTITIES, FORCE, GROUND, *SUPPORT)):
         found = channel.of(estimate.response)
         gap = ~np.isfinite(found) if channel.there is None else ~channel.there
         off = np.where(gap, 0.0, channel.measured - found)

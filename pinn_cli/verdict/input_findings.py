@@ -95,7 +95,7 @@ def _resonances(problem: Problem, structure: Structure) -> list[Finding]:
 def _output_only(problem: Problem) -> list[Finding]:
     """Nothing that acts was measured: all that a record tells is relative."""
     record = problem.record
-    measured = record.sensors("force").any() or record.ground_acceleration is not None
+    measured = record.sensors("force").any() or record.ground_acceleration is not None or record.supports
     if measured or record.unforced.all():
         return []
     text = (

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
 from pinn_cli.record.response import Response
+from pinn_cli.record.supports import told_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,10 +40,11 @@ def linear_response(modes: Modes, record: Record) -> Response:
     shaking = np.zeros((1, len(modes.m)))
     if record.ground_acceleration is not None:
         shaking = rfft(record.ground_acceleration)[:, None] * modes.structure.with_ground
+    carried = carried_by(record, modes, s)
     with np.errstate(divide="ignore", invalid="ignore"):  # without stiffness there is no answer to a mean force
-        u = ((acting / modes.m - shaking) @ modes.inputs.T / (s[:, None] - modes.poles)) @ modes.vectors.T
+        u = (((acting + carried) / modes.m - shaking) @ modes.inputs.T / (s[:, None] - modes.poles)) @ modes.vectors.T
     v = s[:, None] * u
-    a = (force - v @ modes.C.T - u @ modes.K.T) / modes.m
+    a = (force + carried - v @ modes.C.T - u @ modes.K.T) / modes.m
     if record.frame == "relative" or of is not None:
         a = a - shaking
     u, v, a = (irfft(x, len(record.time), axis=0) for x in (u, v, a))
@@ -51,6 +53,23 @@ def linear_response(modes: Modes, record: Record) -> Response:
         if record.ground_acceleration is not None and record.frame == "absolute":
             a = a + record.ground_acceleration[:, None] * of.with_ground
     return Response(record.time, u, v, a, record.force, record.ground_acceleration)
+
+
+def carried_by(record: Record, modes: Modes, s: np.ndarray) -> np.ndarray:
+    """(F, n) spectra of the forces of supports that move, those of a linear structure, at s = i omega."""
+    structure = modes.structure
+    if structure.by_supports is None:
+        return np.zeros((1, len(modes.m)))
+    (stiffness, damping), n = (x.sum(axis=0) for x in structure.at_rest()), structure.coordinates
+    stretch = structure.stretch.matrix.toarray()
+    K, C = (-stretch[:, :n].T @ (values[:, None] * stretch[:, n:]) for values in (stiffness, damping))
+    out = np.zeros((len(s), n), complex)
+    for i, (quantity, order) in enumerate(told_by(record)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moved = rfft(record.supports[quantity][:, i]) / s**order
+        moved[0] = 0.0 if order else moved[0]  # no sensor tells where it is
+        out += moved[:, None] * (K[:, i] + s[:, None] * C[:, i])
+    return out
 
 
 def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.input_force import input_force
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
+from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.verdict.finding import Finding, failed_if
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ NOT_CONVERGED = "iteration limit"
 
 def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
-    seen = channels(problem.record, (*RESPONSE_QUANTITIES, GROUND))
+    seen = channels(problem.record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
     found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
     # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
     # followed.
@@ -96,6 +98,9 @@ def _discrepancy(problem: Problem, estimate: Estimate) -> list[Finding]:
     if record.ground_acceleration is not None:
         masses = problem.structure.parameters["m"].detach().cpu().numpy()
         variances += list((masses * problem.structure.with_ground) ** 2 * np.var(record.ground_acceleration))
+    if record.supports:
+        pushed = np.var(input_force(problem.structure, record), axis=0)
+        variances += list(pushed[pushed > 0.0])
     if not levels or not variances:
         return []
     rms = float(np.sqrt(np.mean(variances)))

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.interpolate import make_interp_spline
 
+from pinn_cli.record.resimulation import support_motion
 from pinn_cli.record.simulation import OverflowsError, simulate
 from pinn_cli.record.steps import substeps_needed, with_slow_followers
 from pinn_cli.system.modes import Modes, modes_of
@@ -89,8 +90,9 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
     force = force_between_samples(record, hold, samples)
     try:
         response = simulate(
-            structure, force, part.time, hold, substeps=substeps, initial=start, ground=ground, frame=record.frame
-        )
+            structure, force, part.time, hold, substeps=substeps, initial=start, ground=ground,
+            supports=support_motion(record), frame=record.frame,
+        )  # fmt: skip
     except OverflowsError:
         return None
     return Prediction(response, part, modes)

@@ -9,6 +9,7 @@ import numpy as np
 from pinn_cli.record.channels import Channel, channels, equal_runs
 from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import periodogram
+from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ def record_faults(record: Record) -> list[Finding]:
     tests = (_still, _clipped, _dropped_out, _off_zero)
     return [
         found
-        for channel in channels(record, (*RESPONSE_QUANTITIES, GROUND))
+        for channel in channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
         if (found := next((fault for test in tests if (fault := test(channel, record)) is not None), None)) is not None
     ]
 

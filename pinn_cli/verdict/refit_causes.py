@@ -42,7 +42,8 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
     free = [parameter for parameter in problem.uncertain if parameter.unknown and parameter.kind == "k"]
     if not free or not is_linear(problem.structure) or not np.isfinite(problem.record.force).all():
         return []
-    if problem.record.ground_acceleration is not None:  # spectra are compared with those of forces
+    # Spectra are compared with those of forces.
+    if problem.record.ground_acceleration is not None or problem.record.supports:
         return []
     return _Refits(problem.structure, problem.record, free, excused).causes()
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.response import GROUND
+from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.comparison import Comparison, comparisons
 from pinn_cli.verdict.finding import Finding, failed_if
@@ -84,16 +85,19 @@ def _propagated(
 
 
 def _disturbed(record: Record, estimate: Estimate, random: np.random.Generator) -> Record:
-    """The record with as much noise again on every measured force and on the ground's acceleration."""
+    """The record with as much noise again on every measured force, and on the motion of ground and supports."""
     force, ground = record.force.copy(), record.ground_acceleration
-    for sensor in channels(record, ["force", GROUND]):
+    supports = {quantity: values.copy() for quantity, values in record.supports.items()}
+    for sensor in channels(record, ["force", GROUND, *SUPPORT]):
         level = noise_found(estimate, sensor)
         noise = (level if np.isfinite(level) else 0.0) * random.normal(size=len(force))
         if sensor.quantity == GROUND:
             ground = sensor.measured + noise
+        elif sensor.quantity in SUPPORT:
+            supports[sensor.quantity][:, sensor.dof] += noise
         else:
             force[:, sensor.dof] += noise
-    return replace(record, force=force, ground_acceleration=ground)
+    return replace(record, force=force, ground_acceleration=ground, supports=supports)
 
 
 def random_structure(problem: Problem, estimate: Estimate, random: np.random.Generator) -> Structure:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_problems import small_chain
-from structures import braced, hysteretic, modal
+from structures import braced, carried, hysteretic, modal
 
 from pinn_cli.record.ensemble import Members, Replay, spread_of
 from pinn_cli.record.record import Record
@@ -19,6 +19,7 @@ from pinn_cli.training.estimate import ParameterEstimate
 from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
 
 SAMPLES = 301
+MOVED = 0.1 * np.sin(np.outer(np.linspace(0.0, 6.0, SAMPLES), [2.0, 3.0]))
 
 
 def record_of(structure, ground: bool = False, **settings) -> Record:
@@ -37,10 +38,11 @@ def record_of(structure, ground: bool = False, **settings) -> Record:
         (small_chain("linear"), {"intersample": "zero_order_hold"}),
         (braced(), {"ground": True, "frame": "relative"}),
         (hysteretic(), {"ground": True}),
+        (carried(), {"ground": True, "supports": {"support_displacement": MOVED}, "support_names": ("a", "b")}),
         (modal(), {"ground": True}),
         (modal(), {"ground": True, "frame": "relative"}),
     ],
-    ids=["chain", "held", "braced", "hysteretic", "modal", "modal_relative"],
+    ids=["chain", "held", "braced", "hysteretic", "carried", "modal", "modal_relative"],
 )
 def test_members_are_simulations(structure, settings):
     record, random = record_of(structure, **settings), np.random.default_rng(0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from structures import braced, hysteretic, modal
+from structures import braced, carried, hysteretic, modal
 
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs, Jet
@@ -18,6 +18,7 @@ CASES = {
     "ground": (braced, Inputs(True, edge=11.0)),
     "forces": (braced, Inputs(forces=(0, 2), correlation_time=0.3, rate=4.0)),
     "all": (hysteretic, GROUND_AND_FORCES),
+    "supports": (carried, replace(GROUND_AND_FORCES, supports=("support_displacement",))),
     "modes": (modal, Inputs()),
     "modes, ground and forces": (modal, ON_MODES),
 }

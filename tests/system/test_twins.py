@@ -35,6 +35,14 @@ def test_the_roof_of_a_shaken_frame_has_a_twin_with_the_same_frequencies():
     np.testing.assert_allclose(frequencies(k), frequencies([8e6, 7.2e6, 5.6e6]), rtol=1e-6)
 
 
+def test_on_a_support_that_moves_it_has_the_twin_that_it_has_on_moving_ground():
+    """The roof moves as the support does and as the frame does beside it: both are told by the same frequencies."""
+    still, low, high = np.zeros((3, 1)), seen(ROOF).low, seen(ROOF).high
+    carried = Seen(ROOF, still, np.array([False]), low, high, np.array([[-1.0], [0.0], [0.0]]))
+    ((on_support,), (on_ground,)) = (twins(FRAME, SPRINGS, one, 3) for one in (carried, seen(ROOF)))
+    np.testing.assert_allclose([on_support[p] for p in SPRINGS], [on_ground[p] for p in SPRINGS], rtol=1e-4)
+
+
 @pytest.mark.parametrize("looked_at", [seen(EVERY), seen(np.eye(3)[[0]], shaken=False)], ids=["all floors", "driven"])
 def test_what_sensors_tell_apart_has_no_twin(looked_at: Seen):
     assert twins(FRAME, SPRINGS, looked_at, 3) == []
@@ -50,7 +58,9 @@ def test_dampers_alone_have_no_twin():
 
 def test_slopes_are_those_of_the_responses():
     free = [Parameter("k", 0), Parameter("m", 1), Parameter("m", 0)]
-    both = Seen(EVERY[1:], np.column_stack((np.ones(3), EVERY[0])), np.array([True, False]), 0.5, 17.0)
+    inputs, by_mass = np.column_stack((np.ones(3), EVERY[0], np.zeros(3))), np.array([True, False, False])
+    carried = np.column_stack((np.zeros((3, 2)), [-1.0, 0.0, 0.4]))
+    both = Seen(EVERY[1:], inputs, by_mass, 0.5, 17.0, carried)
     match, at, h = _Match(FRAME, free, both), np.array([0.1, -0.2, 0.3]), 1e-6
     _, slopes = match._response(at)
     for column, step in enumerate(h * np.eye(3)):

@@ -36,6 +36,9 @@ SYMBOLS = {
     "acceleration": r"$\ddot{u}$",
     "force": r"$f$",
     "ground_acceleration": r"$\ddot{u}_g$",
+    "support_displacement": r"$s$",
+    "support_velocity": r"$\dot{s}$",
+    "support_acceleration": r"$\ddot{s}$",
 }
 
 _STYLE: dict[Any, Any] = {

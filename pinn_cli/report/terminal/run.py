@@ -16,6 +16,7 @@ from pinn_cli.report.parameters import identifiability_warnings
 from pinn_cli.report.terminal.columns import WIDTH, Column, number, percent, sensor_lines
 from pinn_cli.report.terminal.fitness import comparison_text, fitness_text, free_run_line, free_run_text
 from pinn_cli.report.terminal.parameters import parameters_text
+from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -136,8 +137,9 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
 
 
 def _sensors(table: pd.DataFrame) -> pd.Series:
-    """``acceleration 3`` or ``ground``, by row."""
-    named = table["quantity"] + " " + table["dof"].astype(str)
+    """``acceleration 3``, ``ground`` or ``support 1``, by row."""
+    quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
+    named = quantity + " " + table["dof"].astype(str)
     return named.where(table["quantity"] != GROUND, "ground")
 
 

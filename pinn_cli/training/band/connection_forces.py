@@ -31,7 +31,7 @@ def _of_groups(posterior: ReadoutPosterior, segments: Segments, part: slice) -> 
     jet = equations.jet(equations.observation, posterior.point, part)
     parameters = equations.parameters(posterior.point)
     slope, structure = dynamics.linearise(jet, parameters), dynamics.structure
-    u, v = (x[..., : dynamics.ndof] for x in (jet.value, jet.rate))
+    u, v = (dynamics.stretching(x) for x in (jet.value, jet.rate))
     z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)
     deviations = [_deviation(posterior, segments, slope, c) for c in structure.added.tolist()]
@@ -44,7 +44,7 @@ def _deviation(posterior: ReadoutPosterior, segments: Segments, slope: Linearisa
     dynamics = equations.dynamics
     local = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
     value, rate = segments.displacement.cpu(), segments.velocity.cpu()
-    stretch = dynamics.structure.incidence.matrix[connection]
+    stretch = dynamics.stretched[connection]
     stiffness, damping = (x[..., connection, None].cpu() for x in (slope.stiffness, slope.damping))
     rows = [float(weight) * (stiffness * value + damping * rate) for weight in stretch.data]
     functions = stretch.indices.tolist()

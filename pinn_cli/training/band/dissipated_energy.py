@@ -66,7 +66,7 @@ class _Energy:
         """Every connection has its own power, so one reverse pass through their sum gives every derivative."""
         dynamics, structure = equations.dynamics, equations.dynamics.structure
         segments, jet = equations.observation.part(part), equations.jet(equations.observation, point, part)
-        e, de = (structure.elongation(x[..., : dynamics.ndof]).detach().requires_grad_() for x in jet[:2])
+        e, de = (structure.elongation(dynamics.stretching(x)).detach().requires_grad_() for x in jet[:2])
         z = jet.value[..., dynamics.hidden].detach().requires_grad_() if len(structure.memory) else None
         given = {k: v.detach().clone().requires_grad_() for k, v in equations.parameters(point).items()}
         inner = {kind: given[kind] for kind in structure.carriers}
@@ -95,7 +95,7 @@ class _Energy:
         local = equations.layout.columns(segments.feature, coupled=False)  # (I, functions, B)
         moment = (segments.displacement.mT @ self.by_value + segments.velocity.mT @ self.by_rate).cpu().numpy()
         for column, connection in enumerate(structure.added.tolist()):
-            stretch = structure.incidence.matrix[connection]
+            stretch = dynamics.stretched[connection]
             for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
                 np.add.at(out[:, column], local[:, function], weight * moment[..., connection])
         if self.by_hidden is None:

@@ -240,7 +240,7 @@ def _with_terms(evidence: Evidence, trained: Trained) -> tuple[Problem, tuple[Pa
     structure, dynamics = problem.structure, equations.dynamics
     connections, n = structure.added, structure.coordinates
     motion = equations.flat_states(equations.observation, point)
-    e, de = (structure.elongation(x[:, :n]) for x in (motion.displacement, motion.velocity))
+    e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.displacement, motion.velocity))
     z = motion.displacement[:, dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(e, de, equations.parameters(point), z)
     e, de, force = (np.maximum(np.abs(x.cpu().numpy()[:, connections]), 1e-300) for x in (e, de, force))

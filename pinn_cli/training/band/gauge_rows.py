@@ -202,11 +202,11 @@ class GaugeRows:
         """The force of a connection, linearised."""
         dynamics, structure, c = self.dynamics, self.dynamics.structure, self.gauge.connection
         jet = Jet(*(moment.derivative(order) @ local for order in range(3)))
-        u, v = (x[..., : dynamics.ndof] for x in (jet.value, jet.rate))
+        u, v = (dynamics.stretching(x) for x in (jet.value, jet.rate))
         z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
         force = structure.connection_force(structure.elongation(u), structure.elongation(v), parameters, z)[..., c]
         slope = structure.linearise(u, v, parameters)
-        stretch = structure.incidence.matrix[c]
+        stretch = dynamics.stretched[c]
         parts: list[tuple[int, int, Tensor | float]] = []
         for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
             parts += [(function, 0, weight * slope.stiffness[..., c]), (function, 1, weight * slope.damping[..., c])]

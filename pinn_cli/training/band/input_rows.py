@@ -1,4 +1,4 @@
-"""Sensors of inputs that are functions to be found: a load cell, or the accelerometer on the ground.
+"""Sensors of inputs that are functions to be found: a load cell, the accelerometer on the ground, a support's sensor.
 
 Between its samples such an input does what a band-limited history does, and so does its sensor's error: neither has
 anything above the Nyquist frequency. Compared at the samples alone, features finer than these would be free to follow
@@ -9,6 +9,9 @@ input w is compared with the interpolated history y between the samples as well,
 
 Every point of the finer grid counts for its share of a sample, so that what is known of the input in its band is the
 same in however many intervals it is enforced; an error above the band is as improbable as the filter makes it.
+
+Features have two derivatives. Of a support whose velocity or acceleration is measured the first or both are spent, and
+the filter is of first order, or none: an error above the band is then as probable as one within.
 """
 
 from __future__ import annotations
@@ -72,10 +75,12 @@ class InputRows:
         self.time = torch.as_tensor(refined_times(record.time, refinement)).to(like)
         self.points = network.segments(self.time)
         corner = CORNER * math.pi / record.step
-        factors = (1.0, 2.0 * FLAT / corner, corner**-2)
-        ((_, felt),) = dynamics.sensing(quantity)
+        ((order, felt),) = dynamics.sensing(quantity)
+        factors = (1.0, 2.0 * FLAT / corner, corner**-2)[: 3 - order]
         # The noise is that of the samples in the band that the features follow: there |B|^2 is one on average.
-        self.gain = (1.0 + min(1.0, network.free_intervals * record.step) ** 4 / (5.0 * CORNER**4)) ** 0.5
+        reach = min(1.0, network.free_intervals * record.step) / CORNER
+        self.gain = (1.0, (1.0 + 2.0 * reach**2 / 3.0) ** 0.5, (1.0 + reach**4 / 5.0) ** 0.5)[2 - order]
+        self.order = order
         weights = [csr_matrix(factor / self.gain * felt) for factor in factors]
         self.felt = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
         history = np.where(there, np.nan_to_num(record.histories(quantity)), 0.0)
@@ -87,23 +92,26 @@ class InputRows:
         target = self._filtered(network, torch.as_tensor(values).to(like), factors)
         alone = self.gain * refinement**0.5 * (np.arange(len(told)) % refinement == 0)
         of_value, of_rates = (torch.as_tensor(x).to(like) for x in (np.where(told, 1.0, alone), told.astype(float)))
-        self.segments, self.told = self.points.weighted(of_value, of_rates), of_rates
+        self.told = of_rates
+        self.segments = self.points.weighted(*(of_value if k == order else of_rates for k in range(3)))
         plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
-        self.rows = SensorRows(self.segments, list(enumerate(weights)), there)
+        self.rows = SensorRows(self.segments, list(enumerate(weights, start=order)), there)
 
     def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
         """(P, channels), B applied: to as much as the features follow, the rest stays."""
         segments, features = first_output(network, self.points), output_features(network, self.points)
         weights = FeatureProjection(segments, features[0]).coefficients(values).to(values)[segments.feature]
-        rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], features[1:], strict=True))
+        if len(factors) == 1:
+            return values / self.gain
+        rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], features[1:], strict=False))
         assert isinstance(rates, Tensor)
         return (values + segments.scatter(rates)) / self.gain
 
     def filtered(self, states: States) -> Tensor:
         """(I, S, channels), what the sensors feel of a motion, through the filter."""
         jet = (states.displacement, states.velocity, states.acceleration)
-        return sum(jet[order] @ felt for order, felt in enumerate(self.felt))  # type: ignore[return-value]
+        return sum(x @ felt for x, felt in zip(jet[self.order :], self.felt, strict=True))  # type: ignore[return-value]
 
     def residual(self, states: States, part: slice) -> Tensor:
         """(I, S, channels), white where the input is what was measured, and 0 at padding; of some groups."""

@@ -131,14 +131,14 @@ def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionH
     """Drifts, sums of functions whose errors are not independent, and forces of :attr:`Structure.added`."""
     dynamics, segments = posterior.equations.dynamics, posterior.equations.observation
     structure = dynamics.structure
-    motion = response.displacement if response.coordinates is None else response.coordinates[:, 0]
+    motion, _ = response.stretching
     forces, energy = [np.zeros((len(motion), 0))] * 2, [np.zeros(0)] * 2
     if len(structure.added):
         forces, energy = list(connection_forces(posterior)), list(dissipated_energy(posterior))
     drifts = structure.drifts
     std = np.zeros((len(motion), 0))
     if drifts.shape[0]:
-        by_function = csr_matrix((drifts.data, drifts.indices, drifts.indptr), (drifts.shape[0], dynamics.size))
+        by_function = csr_matrix(drifts @ dynamics.picked(dynamics.stretch_places))
         std = posterior.combined(segments, [(0, by_function)]).numpy()
     return ConnectionHistories(motion @ drifts.T, std, *forces, *energy)
 
@@ -164,7 +164,15 @@ def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
         force.numpy(),
         sensed[GROUND][:, 0].numpy() if dynamics.inputs.ground else None,
         None if functions is None or response.hidden is None else functions[:, dynamics.hidden].numpy(),
+        supports=None if response.supports is None else _of_supports(posterior),
     )
+
+
+def _of_supports(posterior: ReadoutPosterior) -> np.ndarray:
+    """(N, 3, S), standard deviations of the supports' motion."""
+    dynamics = posterior.equations.dynamics
+    moved = posterior.functions(posterior.equations.observation)
+    return np.stack([std[:, dynamics.supports].numpy() for std in moved], axis=1)
 
 
 def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:

@@ -24,7 +24,7 @@ from pinn_cli.record.response import GROUND
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
-from pinn_cli.system.quantities import FORCE, OUTSIDE_THE_EQUATIONS
+from pinn_cli.system.quantities import FORCE, OUTSIDE_THE_EQUATIONS, SUPPORT
 from pinn_cli.training.band.beginning import Beginning
 from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
@@ -91,7 +91,7 @@ class Residuals(Bounded):
                 quantity, problem.record, there.cpu().numpy(), self.network, self.dynamics, self.refinement
             )
             for quantity, there in self.target.sensors.items()
-            if quantity in (GROUND, FORCE) and bool(there.any())
+            if quantity in (GROUND, FORCE, *SUPPORT) and bool(there.any())
         }
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)

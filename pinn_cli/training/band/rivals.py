@@ -90,6 +90,8 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     sensing: list[np.ndarray] = []
     acting: list[np.ndarray] = []
     by_mass: list[bool] = []
+    stretching: list[np.ndarray] = []
+    by_supports = structure.stretch.matrix[:, structure.coordinates :].toarray()
     for record in records:
         sensing += [one[dof] for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
         acting += [one[dof] for dof in np.flatnonzero(record.sensors(FORCE))]
@@ -104,10 +106,17 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
         if record.ground_acceleration is not None:
             acting.append(structure.with_ground)
             by_mass.append(True)
+        stretching += [np.zeros(len(by_supports))] * (len(acting) - len(stretching))
+        if record.supports:
+            acting += [np.zeros(structure.ndof)] * structure.supports
+            by_mass += [False] * structure.supports
+            stretching += list(by_supports.T)
     high = max(map(record_band, records))
     low = max(LOWEST * high, 1.0 / max(record.duration for record in records))
     shape = (-1, structure.ndof)
-    return Seen(np.reshape(sensing, shape), np.reshape(acting, shape).T, np.array(by_mass, dtype=bool), low, high)
+    carried = np.reshape(stretching, (-1, len(by_supports))).T
+    pushed, of_mass = np.reshape(acting, shape).T, np.array(by_mass, dtype=bool)
+    return Seen(np.reshape(sensing, shape), pushed, of_mass, low, high, carried)
 
 
 def _solved(evidence: Evidence | JointEvidence, trained: Trained, values: dict[Parameter, float]) -> Trained | None:

@@ -15,7 +15,7 @@ from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE, WIDEST_DELAY
 from pinn_cli.record.response import GROUND
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE
+from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, MOTION, SUPPORT
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel
@@ -117,7 +117,8 @@ class _Shown:
         """Corner frequency, Hz, to minus what a high-pass filter of first order takes (J,); none of uneven samples."""
         steps = np.diff(self.time)
         out: dict[float, np.ndarray] = {}
-        if self.quantity not in ("acceleration", "velocity", GROUND) or np.ptp(steps) > 0.02 * steps[0]:
+        differentiated = ("acceleration", "velocity", GROUND)
+        if SUPPORT.get(self.quantity, self.quantity) not in differentiated or np.ptp(steps) > 0.02 * steps[0]:
             return out
         corner, felt = PERIODS / (self.time[-1] - self.time[0]), self.gain * self.felt
         while True:
@@ -139,7 +140,7 @@ class _Shown:
 
 
 def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, parameters: int) -> Columns:
-    """Of every channel of motion or ground, and of all accelerometers together.
+    """Of every channel of motion, ground or support, and of all accelerometers together.
 
     Args:
         equations: Of the record.
@@ -149,7 +150,7 @@ def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, 
     """
     every = [
         *_columns_of_record(equations, point, noise),
-        *_ground(equations, point, noise),
+        *_inputs(equations, point, noise),
         *_gauges(equations, point, noise),
     ]
     found: list[tuple[Term, dict[int, np.ndarray]]] = []
@@ -160,7 +161,7 @@ def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, 
                 continue
             counted = column * one.counted
             found.append((Term(kind, one.name, unit, scale), {i: counted}))
-            if kind == HIGH_PASS and one.quantity != GROUND:
+            if kind == HIGH_PASS and one.quantity in MOTION:
                 together.setdefault((one.quantity, scale), {})[i] = counted
     for (quantity, corner), of_all in together.items():
         if len(of_all) > 1:
@@ -188,7 +189,7 @@ def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseMod
     displacement = dynamics.sensed("displacement", jet).cpu().numpy()
     features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
     for quantity, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
-        if quantity in (FORCE, GROUND, "observer"):
+        if quantity in (*equations.inputs, FORCE, "observer"):
             continue
         felt = dynamics.sensed(quantity, jet).cpu().numpy()
         residual = felt - equations.target.response[quantity].cpu().numpy()
@@ -214,30 +215,35 @@ def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseMod
             )
 
 
-def _ground(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
-    """The ground's sensor, where it is a column of the record: as it is compared between its samples."""
-    rows = equations.inputs.get(GROUND)
-    if rows is None:
-        return
-    points = rows.points
-    features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
-    at = equations.dynamics.ground.start
-    left = rows.residual(equations.states(rows.segments, point), slice(None))
-    yield _Shown(
-        "ground acceleration",
-        GROUND,
-        points,
-        features,
-        [(at, order, float(felt[at, 0])) for order, felt in enumerate(rows.felt)],
-        rows.filtered(equations.flat_states(points, point))[:, 0].cpu().numpy(),
-        None,
-        points.scatter(left)[:, 0].cpu().numpy(),
-        1.0,
-        float(noise.response[GROUND][0]) * rows.refinement**0.5,
-        rows.time.cpu().numpy(),
-        counted=rows.told.cpu().numpy(),
-        per_sample=rows.refinement,
-    )
+def _inputs(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+    """The sensors of ground and supports that are columns of the record: as they are compared between its samples."""
+    for quantity, rows in equations.inputs.items():
+        if quantity == FORCE:
+            continue
+        points, names = rows.points, equations.problem.record.support_names
+        features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
+        filtered = rows.filtered(equations.flat_states(points, point)).cpu().numpy()
+        left = points.scatter(rows.residual(equations.states(rows.segments, point), slice(None))).cpu().numpy()
+        for i in np.flatnonzero(rows.there.cpu().numpy()).tolist():
+            yield _Shown(
+                f"{SUPPORT[quantity]} of support {names[i]}" if quantity in SUPPORT else "ground acceleration",
+                quantity,
+                points,
+                features,
+                [
+                    (int(function), order, float(felt[function, i]))
+                    for order, felt in enumerate(rows.felt, start=rows.order)
+                    for function in np.flatnonzero(felt[:, i].cpu().numpy())
+                ],
+                filtered[:, i],
+                None,
+                left[:, i],
+                1.0,
+                float(noise.response[quantity][i]) * rows.refinement**0.5,
+                rows.time.cpu().numpy(),
+                counted=rows.told.cpu().numpy(),
+                per_sample=rows.refinement,
+            )
 
 
 def _gauges(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:

@@ -27,7 +27,8 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     except (OverflowsError, TooStiffError):
         return None
     coordinates = motion.displacement if motion.coordinates is None else motion.coordinates[:, 0]
-    functions = [coordinates, *(x for x in (motion.hidden, motion.ground_acceleration) if x is not None)]
+    supports = None if motion.supports is None else motion.supports[:, 0]
+    functions = [coordinates, *(x for x in (motion.hidden, supports, motion.ground_acceleration) if x is not None)]
     every = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
     segments, network = equations.observation, equations.network
     projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])

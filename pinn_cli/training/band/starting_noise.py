@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 
+from pinn_cli.record.amplitudes import support_amplitudes
 from pinn_cli.record.gauge import GAUGE
+from pinn_cli.record.record import Record
 from pinn_cli.system.parameters import MASS
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
@@ -34,7 +37,8 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
     driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
     if problem.record.ground_acceleration is not None:
         driving[dynamics.ground] = np.std(problem.record.ground_acceleration)
-    moved = problem.structure.parameters[MASS].detach().cpu().numpy() * problem.structure.with_ground
+    if dynamics.structure.supports:
+        driving[dynamics.supports] = support_amplitudes(problem.record)
     continuity = CONTINUITY_TOLERANCE * velocity
     return NoiseModel(
         response,
@@ -43,5 +47,25 @@ def starting_noise(evidence: Evidence) -> NoiseModel:
         continuity,
         points_per_sample=points,
         innovation=None if dynamics.is_plain else driving,
-        ground_mass=float(np.min(np.abs(moved[moved != 0.0]), initial=math.inf)),
+        pushes=_pushes(problem.structure, problem.record),
     )
+
+
+def _pushes(structure: Structure, record: Record) -> dict[str, float]:
+    """See :class:`NoiseModel`; a support's displacement pushes by a spring, its acceleration by a mass."""
+    masses = structure.parameters[MASS].detach().cpu().numpy()
+    out = {}
+    if record.ground_acceleration is not None:
+        out[GROUND] = _least(masses * structure.with_ground)
+    if structure.by_supports is not None:
+        moved = abs(structure.by_supports).sum(axis=1).A1 > 0.0
+        stiffness, mass = _least(structure.at_rest()[0].sum(axis=0)[: len(moved)][moved]), _least(masses)
+        for quantity in record.supports:
+            order = MOTION.index(SUPPORT[quantity])
+            out[quantity] = stiffness ** (1.0 - order / 2.0) * mass ** (order / 2.0)
+    return out
+
+
+def _least(values: np.ndarray) -> float:
+    """Size of the least that is not zero."""
+    return float(np.min(np.abs(values[values != 0.0]), initial=math.inf))

@@ -35,7 +35,13 @@ def is_spectral(problem: Problem) -> bool:
     """
     inputs, structure, record = problem.inputs, problem.structure, problem.record
     linear = all(isinstance(group.nonlinearity, Linear) for group in structure.groups)
-    alone = not inputs.ground and not inputs.loads and not len(structure.memory) and not record.gauges
+    alone = (
+        not inputs.ground
+        and not inputs.supports
+        and not inputs.loads
+        and not len(structure.memory)
+        and not record.gauges
+    )
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
     return bool(inputs.forces) and linear and alone and plain and not problem.further
 

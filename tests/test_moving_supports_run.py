@@ -1,0 +1,122 @@
+"""A structure between a table that moves and the ground, from the command to the files; the record by scipy alone."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from calls import PinnRun
+
+M, RATE, DURATION, WAVES = np.array([450.0, 300.0]), 50.0, 16.0, 60
+TRUE = {"mount": (9e4, 300.0), "hinge": (6e4, 200.0), "pipe": (2e4, 60.0)}
+MOUNT = "mount: {between: [table, frame], law: linear, c: 200, k: 1.3e5}"
+HINGE = "hinge: {between: [frame, arm], law: linear, c: 300, k: 4e4}"
+PIPE = "pipe: {between: [ground, arm], law: linear, c: 90, k: 1.5e4}"
+S = "s: {sensor: displacement, support: table}"
+NO_DAMPERS = [f"system.connections.{name}.c=null" for name in TRUE]
+SYSTEM = (
+    "system=structure", "system.dofs=[frame,arm]", "system.mass={frame: 450, arm: 300}", "system.supports=[table]",
+    f"system.connections={{{MOUNT}, {HINGE}, {PIPE}}}",
+)  # fmt: skip
+
+
+def recorded(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, displacement and acceleration of the table (N,), and (N, 3, 2) motion of the masses from rest."""
+    rng, n = np.random.default_rng(seed), len(M)
+    time, omega = np.arange(round(RATE * DURATION)) / RATE, 2.0 * np.pi * rng.uniform(0.4, 7.0, WAVES)
+    waves = 2e-3 * (10.0 / omega) * np.exp(2j * np.pi * rng.random(WAVES))
+    (k1, c1), (k2, c2), (k3, c3) = TRUE.values()
+    K, C = (np.array([[a + b, -b], [-b, b + c]]) / M[:, None] for a, b, c in ((k1, k2, k3), (c1, c2, c3)))
+    state = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]])
+    pushed = np.zeros((2 * n, WAVES), complex)
+    pushed[n] = (k1 + 1j * omega * c1) / M[0] * waves
+    flexible = (1j * omega[:, None, None] * np.eye(2 * n) - state, pushed.T[..., None])
+    steady = np.linalg.solve(*flexible)[..., 0]
+    turning = np.exp(1j * np.outer(time, omega))
+    poles, vectors = np.linalg.eig(state)
+    decays = np.exp(np.outer(time, poles)) * np.linalg.solve(vectors, -steady.sum(0).real)
+    motion = (turning @ steady).real + (decays @ vectors.T).real
+    table = [(turning @ (waves * (1j * omega) ** order)).real for order in range(3)]
+    acceleration = -motion[:, :n] @ K.T - motion[:, n:] @ C.T
+    acceleration[:, 0] += (k1 * table[0] + c1 * table[1]) / M[0]
+    return time, table[0], table[2], np.stack((motion[:, :n], motion[:, n:], acceleration), 1)
+
+
+def noisy(x: np.ndarray, seed: int, db: float = 40.0) -> np.ndarray:
+    return x + np.sqrt(np.mean(x**2)) * 10.0 ** (-db / 20.0) * np.random.default_rng(seed).normal(size=len(x))
+
+
+@pytest.mark.slow
+def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> None:
+    time, table, _, motion = recorded(1)
+    columns = {"t": time, "s": 1e3 * noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
+    pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
+    record = ("data=csv", "data.time=t", "figures=false", *SYSTEM)
+    channel = "s: {sensor: displacement, support: table, unit: mm}"
+    outcome = pinn_run(
+        *record, f"data.path={tmp_path / 'seen.csv'}", "scheme=state_parameter", "scheme.unknown=[k_*,c_*]",
+        f"data.channels={{{channel}, a: {{sensor: acceleration, dof: frame}}}}",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    run = json.loads((outcome.directory / "run.json").read_text())
+    assert run["verdict"] == "sound", run["reasons"]
+    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    for name, (k, c) in TRUE.items():
+        for kind, true in (("k", k), ("c", c)):
+            row = found.loc[f"{kind}_{name}"]
+            assert abs(row["estimate"] - true) < min(4.0 * row["std"], 0.05 * true), row
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        for order, quantity in enumerate(("displacement", "velocity", "acceleration")):
+            off = response[quantity].values - motion[:, order]
+            assert np.mean(np.abs(off) < 1.96 * response[f"{quantity}_std"].values) > 0.8, quantity
+        left = response["support_displacement"].values[:, 0] - table
+        assert np.sqrt(np.mean(left**2)) < np.sqrt(np.mean((1e-3 * columns["s"] - table) ** 2))
+        off = response["drift"].sel(connection="mount").values - (motion[:, 0, 0] - table)
+        assert np.mean(np.abs(off) < 1.96 * response["drift_std"].sel(connection="mount").values) > 0.8
+    time, table, _, motion = recorded(5)
+    pd.DataFrame({"t": time, "s": 1e3 * noisy(table, 6)}).to_csv(tmp_path / "new.csv", index=False)
+    outcome = pinn_run(
+        *record, f"data.path={tmp_path / 'new.csv'}", "scheme=predict", f"model={outcome.directory}",
+        f"data.channels={{{channel}}}",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    with xr.open_dataset(outcome.directory / "response.nc") as response:
+        for order, quantity in enumerate(("displacement", "velocity")):
+            off = response[quantity].values - motion[:, order]
+            assert np.sqrt(np.mean(off**2)) < 0.02 * np.sqrt(np.mean(motion[:, order] ** 2))
+            assert np.mean(np.abs(off) < 1.96 * response[f"{quantity}_std"].values) > 0.8, quantity
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["data.acceleration={arm: a}"], "system.supports=table: must be one with a channel of its motion"),
+        (["data.channels={s: {sensor: displacement, support: wall}}"], "data.channels.s.support=wall: must be one of"),
+        (["system.supports=[table,arm]", "data.force={}"], "system.supports=arm: must be a name of its own"),
+        (["system.damping={ratio: 0.02}"], "system.damping={'ratio': 0.02}: must be null with system.supports"),
+        (["baseline=kalman_smoother", f"data.channels={{{S}}}"], "baseline"),
+        (["scheme=state_parameter", *NO_DAMPERS, f"data.channels={{{S}}}"], "system.connections.mount.c"),
+    ],
+)
+def test_what_cannot_be_meant(pinn_run: PinnRun, tmp_path, overrides, message) -> None:
+    time = np.arange(64) / RATE
+    pd.DataFrame({"t": time, "s": np.sin(time), "a": np.cos(time)}).to_csv(tmp_path / "x.csv", index=False)
+    given = ["data.acceleration={arm: a}"] if "channels" in overrides[-1] else []
+    outcome = pinn_run("data=csv", f"data.path={tmp_path / 'x.csv'}", "data.time=t", *SYSTEM, *given, *overrides)
+    assert outcome.status == 2
+    assert message in outcome.err
+
+
+def test_inspect_shows_what_moves_and_proposes_its_channel(pinn_run: PinnRun, tmp_path) -> None:
+    time, table, _, motion = recorded(1)
+    columns = {"t": time, "s": noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
+    pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
+    channels = "data.channels={s: {sensor: displacement, support: table}, a: {sensor: acceleration, dof: frame}}"
+    given = ("data=csv", f"data.path={tmp_path / 'seen.csv'}", "data.time=t", *SYSTEM, channels, "figures=false")
+    outcome = pinn_run("inspect", *given)
+    assert outcome.status == 0, outcome.err
+    assert "displacement of support 1" in outcome.out
+    assert "data.channels={s: {sensor: displacement, support: 1}}" in " ".join(outcome.out.split())
