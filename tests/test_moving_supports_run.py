@@ -120,3 +120,20 @@ def test_inspect_shows_what_moves_and_proposes_its_channel(pinn_run: PinnRun, tm
     assert outcome.status == 0, outcome.err
     assert "displacement of support 1" in outcome.out
     assert "data.channels={s: {sensor: displacement, support: 1}}" in " ".join(outcome.out.split())
+
+
+@pytest.mark.slow
+def test_window_by_window_from_several_starts(pinn_run: PinnRun, tmp_path) -> None:
+    """What the user says is a start beside the one that the spectra tell: whichever wins hands over."""
+    time, table, _, motion = recorded(1)
+    columns = {"t": time, "s": noisy(table, 2), "a": noisy(motion[:, 2, 0], 3)}
+    pd.DataFrame(columns).to_csv(tmp_path / "seen.csv", index=False)
+    outcome = pinn_run(
+        "data=csv", f"data.path={tmp_path / 'seen.csv'}", "data.time=t", *SYSTEM, "figures=false", "data.window=9",
+        "data.overlap=2", f"data.channels={{{S}, a: {{sensor: acceleration, dof: frame}}}}", "scheme=state_parameter",
+        "scheme.unknown=[k_*,c_*]",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    found = pd.read_csv(outcome.directory / "parameters.csv").set_index("parameter")
+    for name, (k, _) in TRUE.items():
+        assert found.loc[f"k_{name}", "estimate"] == pytest.approx(k, rel=0.05)

@@ -84,7 +84,8 @@ class WindowSolver:
             if not _goes_on(problem):
                 problem = replace(problem, initial_state=None)
         _check_sensors(problem)
-        return replace(problem, hand_over=window.hand_over), measured
+        others = tuple(replace(other, hand_over=window.hand_over) for other in problem.alternatives)
+        return replace(problem, hand_over=window.hand_over, alternatives=others), measured
 
     def solve(self, window: Window, before: Model | None, store: WindowStore, stages: Stages) -> None:
         """Solve a window and leave all that is known of it in its folder.
