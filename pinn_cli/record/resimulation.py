@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from scipy.interpolate import BSpline, make_interp_spline
 
-from pinn_cli.record.between_samples import refined_history, refined_times
+from pinn_cli.record.between_samples import NOISIEST, REACH, refined_history, refined_times
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force
@@ -141,10 +141,14 @@ def _denser(time: np.ndarray, samples: np.ndarray) -> np.ndarray:
     through the samples. How far that one is off shows in the middle, beside what white noise makes of the two: each
     counts by its variance.
     """
+    noise = np.array([lowest_level(column, float(time[1] - time[0])) for column in samples.T])
     dense, spread = refined_history(samples, DENSER)
+    # At the ends what takes the samples to be exact makes a step of 40 times their noise.
+    part = float(min(np.max(noise / np.sqrt(np.mean(samples**2, axis=0))), NOISIEST))
+    ends = np.minimum(np.arange(len(dense)), np.arange(len(dense))[::-1]) < REACH // 2 * DENSER
+    dense[ends] = refined_history(samples, DENSER, part)[0][ends]
     off = make_interp_spline(time, samples, k=SPLINE_DEGREE)(refined_times(time, DENSER)) - dense
     quarter = len(dense) // 4
-    noise = np.array([lowest_level(column, float(time[1] - time[0])) for column in samples.T])
     of_spline = AT_ENDS**2 * np.maximum(np.var(off[quarter:-quarter], axis=0) - (OF_NOISE * noise) ** 2, 0.0) + noise**2
     of_kriging = np.outer(spread**2, np.mean(samples**2, axis=0))
     total = of_kriging + of_spline
