@@ -20,7 +20,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.signal import welch
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pinn_cli.model.misfit import Misfit
 from pinn_cli.record.input_force import input_force
@@ -69,10 +69,14 @@ def misfit_history(evidence: Evidence, trained: Trained) -> Misfit:
 def _at_motion(missing: np.ndarray, velocity: np.ndarray) -> float:
     """Share, root mean square, of a force (N, n) at the frequencies at which its coordinates move, (N, n)."""
     length = max(2, len(missing) // PARTS)
-    force, moved = (welch(x, nperseg=length, detrend=False, axis=0)[1] for x in (missing, velocity))
-    order = np.argsort(-moved, axis=0)
-    force, moved = (np.take_along_axis(power, order, axis=0) for power in (force, moved))
-    inside = np.cumsum(moved, axis=0) - moved < MOVING * moved.sum(axis=0)
+    parts = (
+        sliding_window_view(x, length, axis=0)[:: length // 2] * np.hanning(length + 1)[:-1]
+        for x in (missing, velocity)
+    )
+    force, moved = (np.mean(np.abs(np.fft.rfft(part)) ** 2, axis=0) for part in parts)  # (n, frequencies)
+    order = np.argsort(-moved, axis=1)
+    force, moved = (np.take_along_axis(power, order, axis=1) for power in (force, moved))
+    inside = np.cumsum(moved, axis=1) - moved < MOVING * moved.sum(axis=1, keepdims=True)
     return math.sqrt(float((force * inside).sum() / force.sum())) if force.any() else 0.0
 
 
