@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +59,12 @@ class BorderedSystem:
         tree, nothing = None if self.tree is None else self.tree.alone, csr_matrix((self.band.size, 0))
         readout = _eliminated(self.band, nothing, tree)
         return None if readout is None else -readout.solved(readout.half_solved(self.gradient)[0], np.zeros(0))
+
+    def readout_log_determinant(self) -> float:
+        """Logarithm of the determinant of A; NaN if it is not positive definite."""
+        tree, nothing = None if self.tree is None else self.tree.alone, csr_matrix((self.band.size, 0))
+        readout = _eliminated(self.band, nothing, tree)
+        return math.nan if readout is None else readout.log_determinant
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""

@@ -24,6 +24,9 @@ from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_o
 
 R = TypeVar("R")
 
+# Losses that are about the parameters alone.
+OF_PARAMETERS = ("prior", "gain", "marginal")
+
 
 class Evidence(DiscrepancySearch):
     """Laplace approximation of the marginal likelihood of a noise model (MacKay 1992), everything integrated out.
@@ -84,7 +87,9 @@ class Evidence(DiscrepancySearch):
         equations = self.equations
         losses = equations.losses(point, noise)
         forces = self.force_residuals(point, noise)
-        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain"))
+        rest = sum(
+            value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain", "marginal")
+        )
         sensors = self.log_variances(noise)
         # What is probable is a force, not the motion that it makes.
         moved = self._log_density_of_motion(point, forces.count)

@@ -22,6 +22,7 @@ from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.marginal_peak import at_marginal_peak
 from pinn_cli.training.band.near_levels import near_known_levels, softer_point
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.part_of_record import is_trustworthy, part_of_record, whole_from
@@ -90,6 +91,7 @@ def inferred(
     if isinstance(evidence, Evidence) and _is_window(evidence):
         trained, windows = of_all_windows(evidence, trained)
     widened = driven_in_band(evidence, evidence.widen_for_colour(trained))
+    widened = widened if told else at_marginal_peak(evidence, widened)
     return Inferred(evidence, widened, choice.rivals, windows, narrowed)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence, parameter_term
+from pinn_cli.training.band.evidence import OF_PARAMETERS, Evidence, parameter_term
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.noise_model import NoiseModel
 
@@ -43,11 +43,11 @@ def sensors_term(evidence: Evidence, trained: Trained) -> float:
     losses, forces = equations.losses(point, noise), evidence.force_residuals(point, noise)
     if forces.observer is not None:
         return math.nan
-    alone = equations.assemble(point, _of_motion(evidence, noise)).factor()
+    alone = equations.assemble(point, of_motion(evidence, noise)).factor()
     if alone is None:
         return math.nan
     physics = float((forces.seen / noise.physics_variance)[forces.enforced].sum())
-    rest = sum(value for name, value in losses.items() if name not in ("physics", "prior", "gain"))
+    rest = sum(value for name, value in losses.items() if name not in ("physics", *OF_PARAMETERS))
     change = trained.factor.readout_log_determinant - alone.readout_log_determinant
     return -0.5 * (physics + rest + evidence.log_variances(noise) + _count(evidence) * math.log(2.0 * math.pi) + change)
 
@@ -60,7 +60,7 @@ def _count(evidence: Evidence) -> int:
     return samples + sum(rows.samples for rows in equations.gauge_rows)
 
 
-def _of_motion(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
+def of_motion(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
     """Sensors that together say of the motion how large it is, and no more."""
     record = evidence.problem.record
     response = {}

@@ -38,7 +38,12 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
 
 class NormalEquations(Residuals):
-    """The weighted least-squares problem of one network, structure and record; arguments as of :class:`Residuals`."""
+    """The weighted least-squares problem of one network, structure and record; arguments as of :class:`Residuals`.
+
+    Attributes:
+        pull: (p,), a constant force on the parameters, see :mod:`pinn_cli.training.band.marginal_peak`; None: there is
+            none.
+    """
 
     keeps_factors = True
 
@@ -57,6 +62,7 @@ class NormalEquations(Residuals):
         ]
         self.states_known = states_known(network, problem, self.layout, self.target.observation_time, self.beginning)
         self.ridge: float | np.ndarray | None = None
+        self.pull: np.ndarray | None = None
         self._tree: FrontTree | None = None
 
     @cached_property
@@ -126,6 +132,8 @@ class NormalEquations(Residuals):
             left = ((f.weight, f.residual(point.unknowns, parameters)) for f in self.filter_rows)
             out["filter"] = float(sum(weight * residual.square().sum() for weight, residual in left))
         out["prior"] = float((point.parameters * self.prior_force(point.parameters, noise)).sum())
+        if self.pull is not None:
+            out["marginal"] = -2.0 * float(self.pull @ point.parameters.cpu().numpy())
         if self.states_known:
             out["initial"] = sum(rows.loss(point.unknowns, point.parameters) for rows in self.states_known)
         out["ridge"] = ridge_loss(self.ridge, point.unknowns)
@@ -233,6 +241,7 @@ class NormalEquations(Residuals):
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         corner = sums.corner[np.ix_(pick, pick)] + self.prior_precision(noise).cpu().numpy()
         slope = sums.slope[pick] + self.prior_force(point.parameters, noise).cpu().numpy()
+        slope = slope if self.pull is None else slope - self.pull
         # Fronts have a border's entries one by one; within a band it is dense as soon as it is half solved.
         by_fronts = self.layout.dissection is not None
         border = sums.border[:, pick] if by_fronts else sums.dense_border(pick)
