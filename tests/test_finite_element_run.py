@@ -12,10 +12,14 @@ import pytest
 import xarray as xr
 from beams import beam, beam_part, deflection, response
 from calls import PinnRun
+from omegaconf import OmegaConf
 from scipy.io import mmwrite
 
+from pinn_cli.cli.prepare import compose_config
+from pinn_cli.cli.source import read_structure
 from pinn_cli.record.simulation import simulate
 from pinn_cli.system.finite_elements import build_finite_elements
+from pinn_cli.system.modes import Modes
 
 MY_STRUCTURE = Path(__file__).parents[1] / "docs" / "how-to" / "my-structure.md"
 DOFS = {"tip": deflection(10), "a": deflection(5), "b": deflection(8), "p": deflection(3)}
@@ -147,6 +151,23 @@ def test_parts_far_off_in_a_record_of_the_whole_model(pinn_run: PinnRun):
     assert max(map(abs, z.values())) < 3.5, z
     assert (found["std"][["factor_root", "factor_end"]] < 1e-3).all()
     assert json.loads((outcome.directory / "run.json").read_text())["verdict"] == "sound", outcome.out
+
+
+def test_sensors_bend_as_those_of_the_whole_model(tmp_path, monkeypatch):
+    """What modes that are left out add to a sensor is what a static force there moves."""
+    monkeypatch.chdir(tmp_path)
+    M, K = beam(10)
+    np.savez("beam.npz", M=M.toarray(), K=K.toarray())
+    config = compose_config(["system=matrices", "data=csv"])
+    OmegaConf.set_struct(config, False)
+    channels = {"up": {"dof": "b", "sensor": "displacement", "column": "u"}}
+    config.system.merge_with({"path": "beam.npz", "dofs": DOFS, "modes": 2, "damping_ratio": 0.02})
+    config.data.merge_with({"force": {"tip": "f"}, "acceleration": {"a": "a"}, "channels": channels})
+    structure = read_structure(config, None)
+    at = [DOFS[name] - 1 for name in ("tip", "a", "b")]
+    shapes = structure.shapes.matrix[:3]
+    found = shapes @ np.linalg.solve(Modes.of(structure).K, shapes.T)
+    np.testing.assert_allclose(found, np.linalg.inv(K.toarray())[np.ix_(at, at)], rtol=1e-6)
 
 
 def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):

@@ -72,7 +72,7 @@ def read_structure(config: DictConfig, base: Path | None) -> Structure:
 
 
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
-    """A reduced model, with the static responses of the DOFs that carry a force."""
+    """A reduced model, with the static responses of the DOFs that carry a force or a sensor of a measured record."""
     from pinn_cli.system.finite_elements import build_finite_elements
     from pinn_cli.system.topology import whole
 
@@ -80,21 +80,19 @@ def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
         forces = config.excitation.get("dofs")
         loaded = list(forces) if OmegaConf.is_config(forces) else []
     else:
-        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _loaded(node)))
+        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _touched(node)))
     structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
     return whole(structure) if _is_simulated(config) else structure
 
 
-def _loaded(data: DictConfig) -> list[Any]:
-    """DOFs that carry a force in one measured record."""
-    from pinn_cli.system.quantities import FORCE
+def _touched(data: DictConfig) -> list[Any]:
+    """DOFs that carry a force or a sensor in one measured record."""
+    from pinn_cli.system.quantities import FORCE, MOTION
 
-    forces, channels = data.get("force"), data.get("channels")
-    loaded = list(forces) if OmegaConf.is_config(forces) else []
-    for channel in channels.values() if OmegaConf.is_dict(channels) else ():
-        if OmegaConf.is_dict(channel) and channel.get("sensor") == FORCE and channel.get("dof") is not None:
-            loaded.append(channel.dof)
-    return loaded
+    columns, channels = [data.get(quantity) for quantity in (FORCE, *MOTION)], data.get("channels")
+    described = [one for one in channels.values() if OmegaConf.is_dict(one)] if OmegaConf.is_dict(channels) else []
+    own = [channel.dof for channel in described if channel.get("dof") is not None]
+    return [*(dof for column in columns if OmegaConf.is_config(column) for dof in column), *own]
 
 
 def _is_simulated(config: DictConfig) -> bool:

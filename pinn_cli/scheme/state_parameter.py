@@ -110,7 +110,9 @@ class StateParameter(Scheme):
         dampers, whole = prescribed.parameters["c"], prescribed.coordinates <= MOST_RATIOS
         own = len(dampers) if prescribed.shapes is None else prescribed.groups[0].incidence.shape[0]
         given = prescribed.is_damped_as_whole or prescribed.supports > 0 or not bool(dampers[:own].isnan().all())
-        if given or records[0].simulated or any(p.kind == "c" for p in self._chosen(prescribed, records)):
+        if given or records[0].simulated:
+            return prescribed
+        if self.unknown is not None and any(p.kind == "c" for p in self._chosen(prescribed, records)):
             return prescribed
         undamped = prescribed.with_parameters(c=torch.cat([torch.zeros_like(dampers[:own]), dampers[own:]]))
         if not whole:

@@ -142,13 +142,14 @@ def build_finite_elements(
         factors: Name of a part of K to the file of its stiffness matrix, which a factor multiplies, 1; or to
             ``{file: ..., value: 0.8}`` with another. The dampers stay as they are.
         static_correction: The named DOFs whose static response is kept beside the modes; None: those of connections
-            and those that carry a force.
+            and those that are loaded.
         ground: The DOFs of the matrices that move with the ground by one: numbers, or ``first:last:step``, where
             ``1::2`` is every second one; None: nobody has said.
         drifts: Name to a pair ``[a, b]`` of named DOFs or the ground, whose drift is wanted.
         damping: Of the whole, connections and factors included, see :func:`pinn_cli.system.whole_damping.damped`.
         kind: The name of the config group's choice.
-        loaded: The named DOFs that carry a force, by name or by number from 1.
+        loaded: The named DOFs that carry a force or a sensor, by name or by number from 1: what modes that are left
+            out add to a sensor is what a static force there moves.
         base: The folder that relative paths start from; None: the current one.
 
     Raises:
