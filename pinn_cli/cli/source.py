@@ -80,18 +80,24 @@ def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
         forces = config.excitation.get("dofs")
         loaded = list(forces) if OmegaConf.is_config(forces) else []
     else:
-        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _touched(node)))
+        loaded = list(
+            dict.fromkeys(
+                dof for node in data_of_records(config.data) for dof in _touched(node, not config.system.get("factors"))
+            )
+        )
     structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
     return whole(structure) if _is_simulated(config) else structure
 
 
-def _touched(data: DictConfig) -> list[Any]:
-    """DOFs that carry a force or a sensor in one measured record."""
+def _touched(data: DictConfig, sensed: bool) -> list[Any]:
+    """DOFs that carry a force in one measured record, or also those with another sensor."""
     from pinn_cli.system.quantities import FORCE, MOTION
 
     columns, channels = [data.get(quantity) for quantity in (FORCE, *MOTION)], data.get("channels")
+    # With factors the model is reduced anew, sensors included, to coordinates as few as its first ones.
+    columns = columns if sensed else columns[:1]
     described = [one for one in channels.values() if OmegaConf.is_dict(one)] if OmegaConf.is_dict(channels) else []
-    own = [channel.dof for channel in described if channel.get("dof") is not None]
+    own = [c.dof for c in described if c.get("dof") is not None and (sensed or c.get("sensor") == FORCE)]
     return [*(dof for column in columns if OmegaConf.is_config(column) for dof in column), *own]
 
 
