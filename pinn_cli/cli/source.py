@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -74,30 +74,25 @@ def read_structure(config: DictConfig, base: Path | None) -> Structure:
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
     """A reduced model, with the static responses of the DOFs that carry a force or a sensor of a measured record."""
     from pinn_cli.system.finite_elements import build_finite_elements
+    from pinn_cli.system.quantities import FORCE, MOTION
     from pinn_cli.system.topology import whole
 
     if _is_simulated(config):
         forces = config.excitation.get("dofs")
         loaded = list(forces) if OmegaConf.is_config(forces) else []
     else:
-        loaded = list(
-            dict.fromkeys(
-                dof for node in data_of_records(config.data) for dof in _touched(node, not config.system.get("factors"))
-            )
-        )
+        # With factors the model is reduced anew, sensors included, to coordinates as few as its first ones.
+        quantities = (FORCE,) if config.system.get("factors") else (FORCE, *MOTION)
+        loaded = list(dict.fromkeys(dof for node in data_of_records(config.data) for dof in _dofs(node, quantities)))
     structure = construct(build_finite_elements, config.system, "system", base=base, loaded=loaded)
     return whole(structure) if _is_simulated(config) else structure
 
 
-def _touched(data: DictConfig, sensed: bool) -> list[Any]:
-    """DOFs that carry a force in one measured record, or also those with another sensor."""
-    from pinn_cli.system.quantities import FORCE, MOTION
-
-    columns, channels = [data.get(quantity) for quantity in (FORCE, *MOTION)], data.get("channels")
-    # With factors the model is reduced anew, sensors included, to coordinates as few as its first ones.
-    columns = columns if sensed else columns[:1]
+def _dofs(data: DictConfig, quantities: Collection[str]) -> list[Any]:
+    """DOFs on which one measured record has a sensor of some quantities."""
+    columns, channels = [data.get(quantity) for quantity in quantities], data.get("channels")
     described = [one for one in channels.values() if OmegaConf.is_dict(one)] if OmegaConf.is_dict(channels) else []
-    own = [c.dof for c in described if c.get("dof") is not None and (sensed or c.get("sensor") == FORCE)]
+    own = [one.dof for one in described if one.get("dof") is not None and one.get("sensor") in quantities]
     return [*(dof for column in columns if OmegaConf.is_config(column) for dof in column), *own]
 
 

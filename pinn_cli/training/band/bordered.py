@@ -56,15 +56,18 @@ class BorderedSystem:
 
     def readout_step(self) -> np.ndarray | None:
         """W (size,) of the solution with the parameters held; None if A is not positive definite."""
-        tree, nothing = None if self.tree is None else self.tree.alone, csr_matrix((self.band.size, 0))
-        readout = _eliminated(self.band, nothing, tree)
+        readout = self._readout_alone()
         return None if readout is None else -readout.solved(readout.half_solved(self.gradient)[0], np.zeros(0))
 
     def readout_log_determinant(self) -> float:
         """Logarithm of the determinant of A; NaN if it is not positive definite."""
-        tree, nothing = None if self.tree is None else self.tree.alone, csr_matrix((self.band.size, 0))
-        readout = _eliminated(self.band, nothing, tree)
+        readout = self._readout_alone()
         return math.nan if readout is None else readout.log_determinant
+
+    def _readout_alone(self) -> ReadoutFactor | None:
+        """A, factored without the border."""
+        tree = None if self.tree is None else self.tree.alone
+        return _eliminated(self.band, csr_matrix((self.band.size, 0)), tree)
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""

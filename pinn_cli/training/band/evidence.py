@@ -87,9 +87,7 @@ class Evidence(DiscrepancySearch):
         equations = self.equations
         losses = equations.losses(point, noise)
         forces = self.force_residuals(point, noise)
-        rest = sum(
-            value for name, value in losses.items() if name not in ("physics", "observer", "prior", "gain", "marginal")
-        )
+        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", *OF_PARAMETERS))
         sensors = self.log_variances(noise)
         # What is probable is a force, not the motion that it makes.
         moved = self._log_density_of_motion(point, forces.count)
@@ -99,11 +97,8 @@ class Evidence(DiscrepancySearch):
         """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
         equations = self.equations
         enforced, segments = equations.target.equation.cpu().numpy() > 0, equations.physics
-        sums = np.zeros((2, *equations.pattern.coupled.shape))
-        for part in equations.windows(segments):
-            rows, there = equations.rows(segments, point, part=part), segments.mask[part][..., None, None]
-            sums += [(x * there).sum((0, 1)).cpu().numpy() for x in (rows.stiffness, rows.damping)]
-        stiffness, damping = (equations.pattern.full(x / float(segments.mask.sum())) for x in sums)
+        pattern, tangent = equations.pattern, equations.mean_tangent(segments, point)
+        stiffness, damping = (pattern.full(pattern.by_coordinate(x).cpu().numpy()) for x in tangent)
         mass = equations.dynamics.mass(equations.parameters(point)).cpu().numpy()
         kept = np.ix_(enforced, enforced)
         network, averaged = equations.network, equations.averages is not None

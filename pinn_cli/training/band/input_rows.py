@@ -100,10 +100,10 @@ class InputRows:
 
     def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
         """(P, channels), B applied: to as much as the features follow, the rest stays."""
-        segments, features = first_output(network, self.points), output_features(network, self.points)
-        weights = FeatureProjection(segments, features[0]).coefficients(values).to(values)[segments.feature]
         if len(factors) == 1:
             return values / self.gain
+        segments, features = first_output(network, self.points), output_features(network, self.points)
+        weights = FeatureProjection(segments, features[0]).coefficients(values).to(values)[segments.feature]
         rates = sum(factor * (phi @ weights) for factor, phi in zip(factors[1:], features[1:], strict=False))
         assert isinstance(rates, Tensor)
         return (values + segments.scatter(rates)) / self.gain

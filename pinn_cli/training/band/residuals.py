@@ -283,6 +283,15 @@ class Residuals(Bounded):
         mass = self.dynamics.mass(parameters) if with_mass else None
         return EquationRows.of(self.pattern, slope, mass, acceleration, self.spread)
 
+    def mean_tangent(self, segments: Segments, point: Point) -> list[Tensor]:
+        """Stiffness and damping of the terms of the linearised equations, each (T,), on the average over the times."""
+        total: list[Tensor] = []
+        for part in self.windows(segments):
+            slope = self.dynamics.linearise(self.jet(segments, point, part), self.parameters(point))
+            sums = [(x * segments.mask[part, :, None]).sum((0, 1)) for x in (slope.stiffness, slope.damping)]
+            total = [before + now for before, now in zip(total, sums, strict=True)] if total else sums
+        return [x / segments.mask.sum() for x in total]
+
     def own_by_parameter(self, segments: Segments, point: Point, part: slice = EVERY) -> Tensor:
         """(I, S, places), what each parameter does to its own connections or mass, per prior standard deviation."""
         jet = self.jet(segments, point, part)

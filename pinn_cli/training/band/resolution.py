@@ -119,12 +119,8 @@ def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
     """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
     parameters, point = equations.parameters(trained.solution.point), trained.solution.point
     structure = equations.dynamics.structure
-    stretch, segments = structure.incidence.matrix.toarray(), equations.observation
-    total = np.zeros(len(stretch))
-    for part in equations.windows(segments):
-        slope = equations.dynamics.linearise(equations.jet(segments, point, part), parameters)
-        total += (slope.stiffness[..., : len(stretch)] * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
-    stiffness = total / segments.samples
+    stretch = structure.incidence.matrix.toarray()
+    stiffness = equations.mean_tangent(equations.observation, point)[0][: len(stretch)].cpu().numpy()
     root = np.sqrt(parameters["m"].cpu().numpy())
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
     frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
