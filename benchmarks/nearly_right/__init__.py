@@ -1,0 +1,1 @@
+"""Machines that are nearly what the fitted model says: `make bench-nearly-right`."""

@@ -1,0 +1,30 @@
+"""The judge of models that are nearly right: without an error the peer finds the truth, with one the truth misses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.nearly_right.machines import machine, measured
+from benchmarks.nearly_right.output_error import fitted, missed_percent
+
+
+@pytest.mark.parametrize("number", [1, 4])
+def test_a_record_of_the_model_itself_is_fitted_to_the_truth(number: int) -> None:
+    truth = measured("none", 0, number)
+    half, dt = truth.half, 1.0 / truth.machine.rate
+    periods = round(4.0 / truth.machine.frequencies[0] / dt)
+    found, _ = fitted(truth.model, truth.guess, truth.force[:half], truth.sensors[:half], dt, periods)
+    assert found == pytest.approx(truth.true, rel=0.02)  # the load cell's noise moves dampers by a per cent
+    unseen = truth.force[half:], truth.sensors[half:]
+    assert missed_percent(truth.model, found, *unseen, dt) < 0.02  # sensors of 40 dB: 0.01
+
+
+def test_the_peer_s_friction_steps_like_its_linear_chain_without_friction() -> None:
+    there = machine(4)
+    force = np.sin(np.arange(400) * 0.3) * 100.0
+    rubbing = type(there.model)(2, 2, there.sensors, speed=0.1)
+    p, still = there.linear[None], np.zeros((1, 4))
+    stepped = rubbing.states(np.append(p, [[0.0, 0.0]], axis=1), still, force, 1.0 / there.rate)
+    exact = there.model.states(p, still, force, 1.0 / there.rate)
+    assert stepped == pytest.approx(exact, abs=2e-3 * np.abs(exact).max())
