@@ -213,11 +213,11 @@ KINDS = {
     "stiffer_one_way": Kind(4, "quadratic|one way|one side", stiffer_one_way),
     "cable": Kind(1, "quadratic|cubic|one way|one side|slack", cable),
     "floor": Kind(5, "ground moves|floor|support|base", floor=0.1),
-    "lagging_load_cell": Kind(2, "lag|delay|late", lag=0.06),
+    "lagging_load_cell": Kind(2, r"\blag|delay|\blate\b", lag=0.06),
     "tilt": Kind(5, "tilt|gravity", tilt=0.25),
     "bouc_wen": Kind(4, "hyster|bouc|friction", bouc_wen, 2),
     "sliding_mass": Kind(0, "slid|friction|missing mass", sliding_mass, 1),
-    "temperature": Kind(2, "temperature|over time|drifts|changes", temperature),
+    "temperature": Kind(2, "temperature|over time|with time|drifts", temperature),
     "none": Kind(0, "^$"),
 }
 

@@ -55,7 +55,7 @@ def _residual(
         p = np.exp(logarithms)
         states = model.states(p, np.zeros((len(p), 2 * model.ndof)), force, dt)
         missed = (model.outputs(p, states, force) - sensors) / size
-        return np.clip(missed, -1e3, 1e3).reshape(len(p), -1)
+        return np.clip(np.nan_to_num(missed, nan=1e3), -1e3, 1e3).reshape(len(p), -1)
 
     return left
 
@@ -76,7 +76,7 @@ def missed_percent(model: Chain, p: np.ndarray, force: np.ndarray, sensors: np.n
     def left(starts: np.ndarray) -> np.ndarray:
         every = np.repeat(p[None], len(starts), axis=0)
         shown = model.outputs(every, model.states(every, starts * unit, force, dt), force)
-        return np.clip((shown - sensors) / size, -1e3, 1e3).reshape(len(starts), -1)
+        return np.clip(np.nan_to_num((shown - sensors) / size, nan=1e3), -1e3, 1e3).reshape(len(starts), -1)
 
     best = least_squares(lambda x: left(x[None])[0], np.zeros(2 * n), lambda x: _jacobian(left, x), max_nfev=20)
     return 100.0 * 2.0 * best.cost / len(force) / sensors.shape[1]
