@@ -14,7 +14,7 @@ ARGS ?=
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
-	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z0-9-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@printf '\nOverrides go into ARGS: make run ARGS="system.ndof=20 noise.snr_db=20"; `$(BIN)/pinn-run --help` lists them.\n'
 
 venv: $(INSTALLED) ## install the package and its tools into .venv, in the exact versions of constraints.txt
