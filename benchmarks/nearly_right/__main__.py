@@ -3,8 +3,9 @@
 Twelve kinds of small error, ten records of one machine each: the first half of a record is fitted, the second one is
 simulated with what was found, from the first state that suits it best. Printed for each kind:
 
-    missed      NMSE there, %, median of the records, ours and the output-error fit's; `ratio`: median of ours over its
-    m, c, k     errors of the parameters, %, median, ours and the fit's
+    missed      NMSE there, %, median of the records, ours and the output-error fit's
+    ratio       of ours to the fit's, median and worst
+    m, c, k     errors of the parameters, %, median, ours and the fit's; `+-`: half of our 90 % intervals, %
     overlap     share of pairs of records whose 90 % intervals overlap, %, of all m, c and k
     sound       records whose verdict is sound; `wrongly`: those of them that miss more than 5 %
     named       records whose reasons name what is missing
@@ -28,7 +29,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 
-from benchmarks.nearly_right.machines import KINDS, Truth
+from benchmarks.nearly_right.machines import KINDS, Measured
 from benchmarks.nearly_right.output_error import fitted, missed_percent
 from benchmarks.nearly_right.record import write
 
@@ -58,20 +59,18 @@ def rows(kind: str, record: int, overrides: Sequence[str]) -> pd.DataFrame:
     half, dt = truth.half, 1.0 / truth.machine.rate
     first = round(FIRST_PERIODS / truth.machine.frequencies[0] / dt)
     table["fit"], _ = fitted(truth.model, truth.guess, truth.force[:half], truth.sensors[:half], dt, first)
-    reasons = [str(reason) for reason in told["reasons"]]
     return table.assign(
         kind=kind,
         record=record,
         verdict=told["verdict"],
         missed=unseen(truth, table["estimate"].to_numpy()),
         fit_missed=unseen(truth, table["fit"].to_numpy()),
-        named=next((reason for reason in reasons if re.search(KINDS[kind].names, reason, re.IGNORECASE)), ""),
-        reasons=" | ".join(reasons),
+        reasons=" | ".join(told["reasons"]),
         seconds=told["seconds"].get("total", np.nan),
     )
 
 
-def unseen(truth: Truth, p: np.ndarray) -> float:
+def unseen(truth: Measured, p: np.ndarray) -> float:
     """NMSE, %, of parameters on the second half; NaN where one is missing."""
     half = truth.half
     if not np.all(np.isfinite(p)):
@@ -97,18 +96,19 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
         runs = part.groupby("record").first()
         line: dict[str, object] = {"kind": kind, "records": len(runs)}
         line |= {"missed": runs["missed"].median(), "fit": runs["fit_missed"].median()}
-        line["ratio"] = (runs["missed"] / runs["fit_missed"]).median()
+        ratio = runs["missed"] / runs["fit_missed"]
+        line |= {"ratio": ratio.median(), "worst": ratio.max()}
         for letter in "mck":
             of = part[part["parameter"].str.match(f"{letter}_")]
             line[letter] = (100.0 * (of["estimate"] / of["true"] - 1.0)).abs().median()
+            line[f"+- {letter}"] = (50.0 * (of["upper_90"] - of["lower_90"]) / of["estimate"]).median()
             line[f"fit's {letter}"] = (100.0 * (of["fit"] / of["true"] - 1.0)).abs().median()
         sound = runs["verdict"] == "sound"
         line |= {"overlap": overlap_percent(part), "sound": int(sound.sum())}
         line["wrongly"] = int((sound & ~(runs["missed"] <= SOUND_WITHIN)).sum())
-        line |= {
-            "failed": int((runs["verdict"] == "failed").sum()),
-            "named": int(runs["named"].fillna("").ne("").sum()),
-        }
+        line["failed"] = int((runs["verdict"] == "failed").sum())
+        named = runs["reasons"].fillna("").str.contains(KINDS[str(kind)].names, flags=re.IGNORECASE)
+        line["named"] = int(named.sum())
         line["seconds"] = runs["seconds"].median()
         lines.append(line)
     return pd.DataFrame(lines)

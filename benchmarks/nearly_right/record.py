@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from benchmarks.nearly_right.machines import KINDS, Truth, measured
+from benchmarks.nearly_right.machines import KINDS, Measured, measured
 
 
-def experiment(truth: Truth, path: Path) -> dict[str, object]:
+def experiment(truth: Measured, path: Path) -> dict[str, object]:
     """Settings of the run: a chain whose m, c and k are unknown, the first half of the record."""
     n, model = truth.model.ndof, truth.model
     kinds = ("m", "c", "k") if model.speed is None else ("m", "c", "k", "F_c")
@@ -43,7 +43,7 @@ def experiment(truth: Truth, path: Path) -> dict[str, object]:
     }
 
 
-def write(folder: Path, kind: str, record: int, number: int | None = None) -> Truth:
+def write(folder: Path, kind: str, record: int, number: int | None = None) -> Measured:
     """Make a record and leave it in the folder."""
     truth = measured(kind, record, number)
     (folder / "experiment").mkdir(parents=True, exist_ok=True)
