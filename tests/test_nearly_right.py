@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from benchmarks.nearly_right.__main__ import overlap_percent, rows
 from benchmarks.nearly_right.machines import machine, measured
 from benchmarks.nearly_right.output_error import fitted, missed_percent
 
@@ -28,3 +30,18 @@ def test_the_peer_s_friction_steps_like_its_linear_chain_without_friction() -> N
     stepped = rubbing.states(np.append(p, [[0.0, 0.0]], axis=1), still, force, 1.0 / there.rate)
     exact = there.model.states(p, still, force, 1.0 / there.rate)
     assert stepped == pytest.approx(exact, abs=2e-3 * np.abs(exact).max())
+
+
+def test_intervals_overlap_pair_by_pair_and_a_missing_one_counts_nothing() -> None:
+    lower, upper = [0.0, 0.5, 3.0, np.nan], [1.0, 2.0, 4.0, np.nan]
+    masses = pd.DataFrame({"parameter": "m_1", "lower_90": lower, "upper_90": upper})
+    friction = pd.DataFrame({"parameter": "F_c_1", "lower_90": lower, "upper_90": lower})
+    assert overlap_percent(pd.concat([masses, friction])) == pytest.approx(100.0 / 3.0)
+
+
+@pytest.mark.slow
+def test_without_an_error_the_program_is_sound_and_runs_as_freely_as_the_fit() -> None:
+    found = rows("none", 0, [])
+    assert set(found["verdict"]) == {"sound"}
+    assert found["missed"][0] < 1.1 * found["fit_missed"][0] + 1e-3
+    assert found["estimate"].to_numpy() == pytest.approx(found["true"].to_numpy(), rel=0.01)
