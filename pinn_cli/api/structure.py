@@ -55,7 +55,7 @@ class Structure(structure.Structure):
 
         Args:
             law: Of every connection: ``linear``, ``duffing``, ``van_der_pol``, ``power_damping``, ``polynomial``,
-                ``friction``, ``bouc_wen``, or one of an installed plug-in.
+                ``friction``, ``jenkins``, ``bouc_wen``, or one of an installed plug-in.
             ndof: Number of DOFs; None: as many as the longest list has entries.
             m: Masses, kg; a number for all, or a list from the fixed end.
             c: Damping, N s/m.
@@ -132,7 +132,7 @@ class Structure(structure.Structure):
             hold: What samples of a force do in between: ``exact``, band-limited; ``zero_order``, each holds until the
                 next.
             frame: Of the accelerations where the ground moves: ``absolute``, or ``relative`` to it.
-            method: ``rk4``, or ``dop853``, adaptive with tight tolerances.
+            method: ``rk4``; ``dop853``, adaptive with tight tolerances; or ``lsoda``, with implicit steps.
 
         Returns:
             Every quantity of every DOF: :meth:`pinn_cli.Record.keep` leaves some, and

@@ -10,6 +10,7 @@ from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.process_noise import most_probable_with_gains, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
+from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
@@ -56,6 +57,9 @@ class KalmanSmoother(Estimator):
         ):
             allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
             raise InputError("baseline", self.name, allowed, "the smoother's state is the motion of the DOFs alone")
+        if has_stiff_law(problem.structure):
+            hint = "the smoother takes explicit steps; a friction with a speed is possible"
+            raise InputError("baseline", self.name, "none with friction that sticks", hint)
         if problem.prior is not None:
             hint = "the smoother knows no correlated parameters"
             raise InputError("baseline", self.name, "none with model=...", hint)

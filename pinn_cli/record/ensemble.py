@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.implicit_steps import implicit_steps
 from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import force_spline, support_motion
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
-from pinn_cli.record.steps import follower_masses, substeps_needed, with_slow_followers
+from pinn_cli.record.steps import follower_masses, method_needed, with_slow_followers
 from pinn_cli.record.supports import SupportErrors
 from pinn_cli.system.structure import Structure
 
@@ -112,8 +114,7 @@ def followed_members(
     """
     masses, structure = follower_masses(structure, record.step), with_slow_followers(structure, record.step)
     members = replace(members, parameters={**members.parameters, "m": members.parameters["m"] * masses})
-    substeps, samples = substeps_needed(structure, record.step), len(record.time)
-    ensemble = _Ensemble(structure, members, record)
+    ensemble, samples = _Ensemble(structure, members, record), len(record.time)
     random = np.random.default_rng(members.seed)
     state, last, carried = members.start, _drawn(members, random, 0, 1), members.carried
     errors = np.zeros((1, len(state), 3, structure.supports))
@@ -121,7 +122,7 @@ def followed_members(
         stop = min(first + CHUNK, samples - 1) + 1
         noise = np.concatenate((last, _drawn(members, random, first + 1, stop)))
         errors = errors[-1:] if carried is None else carried.drawn(random, len(noise) - 1, errors[-1])
-        states, load = ensemble.followed(state, ensemble.beside(noise, errors), slice(first, stop), substeps)
+        states, load = ensemble.followed(state, ensemble.beside(noise, errors), slice(first, stop))
         ground = None if record.ground_acceleration is None else record.ground_acceleration[first:stop]
         yield slice(first, stop), ensemble.motion(states, load, ground), states, load[..., ensemble.n :]
         state, last = states[-1], noise[-1:]
@@ -156,9 +157,10 @@ class _Ensemble:
         self.held = record.intersample == "zero_order_hold"
         self.between = None if self.held else force_spline(record.time, self.load)
 
-    def followed(self, state: np.ndarray, own: np.ndarray, part: slice, substeps: int) -> tuple[np.ndarray, np.ndarray]:
+    def followed(self, state: np.ndarray, own: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """States and loads of all members at some samples, from what each has of a load for its own."""
         time = self.record.time[part]
+        method, substeps = method_needed(self.structure, self.record.step)
 
         def load(at: np.ndarray) -> np.ndarray:
             assert self.between is not None
@@ -168,7 +170,20 @@ class _Ensemble:
 
         sampled = self._beside(time, self.load[part])[:, None] + own
         hold = "zero_order" if self.held else "exact"
-        return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
+        if method == "rk4":
+            return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
+        # A stiff law has each member take its own steps.
+        each = []
+        for i in range(len(state)):
+            member = self._of_member(i)
+            acting, shown = (lambda at, i=i: load(at)[:, i : i + 1]), sampled[:, i : i + 1]
+            each.append(implicit_steps(member._slope, acting, time, shown, hold, state[i : i + 1], self.n))
+        return np.concatenate(each, axis=1), sampled
+
+    def _of_member(self, i: int) -> _Ensemble:
+        out = copy(self)
+        out.parameters = {kind: values[i : i + 1] for kind, values in self.parameters.items()}
+        return out
 
     def motion(self, states: np.ndarray, load: np.ndarray, ground: np.ndarray | None) -> dict[str, np.ndarray]:
         """Quantity to (M, H, dofs), in the record's frame, under the ground's acceleration (M,)."""

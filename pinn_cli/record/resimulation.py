@@ -16,7 +16,8 @@ from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.spectrum import lowest_level
-from pinn_cli.record.steps import has_equation_of_motion, substeps_needed, with_slow_followers
+from pinn_cli.record.steps import TooStiffError as TooStiffError
+from pinn_cli.record.steps import has_equation_of_motion, method_needed, with_slow_followers
 from pinn_cli.record.supports import told_by
 
 if TYPE_CHECKING:
@@ -27,14 +28,6 @@ if TYPE_CHECKING:
 # to 0.65 of it and by a tenth up to 0.9; in the first intervals and the last by some forty times as much. Of white
 # noise the two differ by a seventh: a quarter allows for chance.
 DENSER, SPLINE_DEGREE, AT_ENDS, OF_NOISE = 4, 5, 40.0, 0.25
-
-# A chain can be absurdly stiff, and its simulation would never end. Fifty steps of Runge-Kutta per sample put the
-# highest mode at three times the Nyquist frequency of the record.
-MOST_SUBSTEPS = 50
-
-
-class TooStiffError(ValueError):
-    """A chain that a record's sampling is much too slow for; the message says by how much."""
 
 
 def resimulate(
@@ -59,21 +52,19 @@ def resimulate(
 
     Raises:
         OverflowsError: The response does not stay finite.
-        TooStiffError: It would take more than `MOST_SUBSTEPS` steps per sample, or a mass is zero.
+        TooStiffError: Even implicit steps would be too many, or a mass is zero.
     """
     if not has_equation_of_motion(structure):
         raise TooStiffError("a mass of it is zero")
     structure = with_slow_followers(structure, record.step)
-    substeps = substeps_needed(structure, record.step)
-    if substeps > MOST_SUBSTEPS:
-        raise TooStiffError(f"it takes {substeps} steps per sample, and {MOST_SUBSTEPS} are allowed")
+    method, _ = method_needed(structure, record.step)
     hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
     time, force = record.time[first:], (record.force if force is None else force)[first:]
     moved = record.ground_acceleration if ground is None else ground
     shaking = None if moved is None else force_spline(time, moved[first:])
     acting, carried = _between_samples(time, force, hold), support_motion(record, first)
     return simulate(
-        structure, acting, time, hold, initial=initial, ground=shaking, supports=carried, frame=record.frame
+        structure, acting, time, hold, method, initial=initial, ground=shaking, supports=carried, frame=record.frame
     )
 
 

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.corners import Corners
+from pinn_cli.record.implicit_steps import implicit_steps
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import Force, runge_kutta
 from pinn_cli.record.runge_kutta_step import Slope
 from pinn_cli.record.state_equation import StateEquation
-from pinn_cli.record.steps import STEP_TIMES_RATE, substeps_needed
+from pinn_cli.record.steps import STEP_TIMES_RATE, TooStiffError, has_stiff_law, substeps_needed
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from pinn_cli.system.structure import Structure
 
 HOLDS = ("exact", "zero_order")
-METHODS = ("rk4", "dop853")
+METHODS = ("rk4", "dop853", "lsoda")
 
 # Steps of rk4 per sample, at least, where a law is not smooth: its force has harmonics of the structure's frequencies.
 LEAST_WITH_CORNERS = 10
@@ -67,8 +68,8 @@ class Simulation:
         duration: Of the record, s; the first sample is at 0, the last at ``duration``.
         samples: Of the record, both ends included.
         hold: ``exact``: the force is what it is between the samples. ``zero_order``: it keeps the last sample's value.
-        method: ``rk4``, the classical Runge-Kutta method, or ``dop853``, scipy's adaptive method of order eight with
-            tight tolerances.
+        method: ``rk4``, the classical Runge-Kutta method; ``dop853``, scipy's adaptive method of order eight with
+            tight tolerances; ``lsoda``, with implicit steps. Friction that sticks takes these for ``rk4``.
         substeps: Steps of rk4 per sample; None: as many as the chain's highest frequency needs. A step in which a law
             turns round, as friction and hysteresis do, is taken in parts.
 
@@ -97,12 +98,18 @@ class Simulation:
     ) -> Response:
         """The response of ``structure`` to ``force`` and to the motion of its ``ground``; see :func:`simulate`."""
         substeps = self.steps_per_sample(structure)
-        return simulate(structure, force, self.time, self.hold, self.method, substeps, ground=ground, frame=frame)
+        try:
+            return simulate(structure, force, self.time, self.hold, self.method, substeps, ground=ground, frame=frame)
+        except TooStiffError as error:
+            hint = f"the structure is too stiff for the record: {error}"
+            raise InputError("simulation.samples", self.samples, "more", hint) from None
 
     def steps_per_sample(self, structure: Structure) -> int:
-        """Steps of rk4 per sample: those that were chosen, or those that the structure needs."""
+        """Steps of rk4 per sample: those that were chosen, or those that the structure needs; 1 with implicit steps."""
         if self.substeps:
             return self.substeps
+        if self.method == "lsoda" or has_stiff_law(structure):
+            return 1
         needed = substeps_needed(structure, self.duration / (self.samples - 1), self.step_times_rate)
         return max(needed, LEAST_WITH_CORNERS) if self.hold == "exact" and Corners.of(structure) else needed
 
@@ -170,7 +177,9 @@ def simulate(
     load = _loads(acting, ground, supports) if shaken else acting
     sampled = load(time)
     with np.errstate(over="ignore", invalid="ignore"):
-        if method == "rk4":
+        if method == "lsoda" or (method == "rk4" and has_stiff_law(structure)):
+            states = implicit_steps(slope, load, time, sampled, hold, start, structure.coordinates)
+        elif method == "rk4":
             substeps = substeps or substeps_needed(structure, time[1] - time[0])
             states = runge_kutta(slope, load, time, sampled, hold, substeps, start, Corners.of(structure))
         else:

@@ -18,6 +18,24 @@ STEP_TIMES_RATE = 0.2
 STABLE_STEP_OVER_STEP = 5.0
 # Times the Nyquist frequency beyond which modes get mass, see :func:`with_slow_followers`: 25 steps per sample.
 FASTEST_FOLLOWER = 8.0
+# Steps of Runge-Kutta per sample from which on implicit steps are taken. Fifty put the highest mode at three times the
+# Nyquist frequency of the record.
+MOST_SUBSTEPS = 50
+
+
+class TooStiffError(ValueError):
+    """A structure that a record's sampling is much too slow for; the message says by how much."""
+
+
+def method_needed(structure: Structure, step: float) -> tuple[str, int]:
+    """How a structure is followed between samples: ``rk4`` with so many steps, or ``lsoda``."""
+    substeps = substeps_needed(structure, step)
+    return "lsoda" if substeps > MOST_SUBSTEPS or has_stiff_law(structure) else "rk4", substeps
+
+
+def has_stiff_law(structure: Structure) -> bool:
+    """Whether only implicit steps follow it, see :attr:`Nonlinearity.is_stiff`."""
+    return any(group.nonlinearity.is_stiff for group in structure.groups)
 
 
 def substeps_needed(structure: Structure, step: float, step_times_rate: float = STEP_TIMES_RATE) -> int:

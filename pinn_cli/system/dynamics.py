@@ -124,7 +124,8 @@ class Dynamics(Functions):
             one, none = torch.ones_like(z), torch.zeros_like(z)
             stiffness += [memory["z"], one, memory["e"]]
             damping += [one / self.inputs.rate, none, memory["de"]]
-            by_parameter |= {kind: memory[kind] for kind in self._remembered}
+            # A parameter of a memory is in no force: where laws share a kind, each connection has one of the two.
+            by_parameter |= {kind: by_parameter[kind] + memory[kind] for kind in self._remembered}
         if self.inputs.ground:
             pushed = (parameters[MASS] * self._influence(parameters[MASS]))[self._moved_by_ground]
             stiffness.append(pushed.expand(*u.shape[:-1], -1))
@@ -182,11 +183,13 @@ class Dynamics(Functions):
         return Incidence(vstack([connections, self.picked(self.hidden)], format="csr"))
 
     def branch(self, kind: str) -> np.ndarray:
-        """The branches of the connections that have a parameter of a kind."""
+        """Of each connection that has a parameter of a kind, the branch it acts in: of its force, or its hidden one."""
         carriers, _ = self.structure.carriers[kind]
         if kind not in self._remembered:
             return carriers
-        return self._connections + np.searchsorted(self.structure.memory, carriers)
+        memory = self.structure.memory
+        hidden = self._connections + np.searchsorted(memory, carriers)
+        return np.where(np.isin(carriers, memory), hidden, carriers)
 
     @property
     def _connections(self) -> int:

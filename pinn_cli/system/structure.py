@@ -457,6 +457,11 @@ class Structure:
             tensors[parameter.kind][parameter.index] = value
         return self.with_parameters(**tensors)
 
+    def turning_over(self, speed: float) -> Structure:
+        """The same with contacts that creep below a speed (m/s) where they stick; its parameters are shared."""
+        groups = tuple(replace(group, nonlinearity=group.nonlinearity.turning_over(speed)) for group in self.groups)
+        return replace(self, groups=groups)
+
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""
         groups = tuple(g if g.parts is not None else replace(g, nonlinearity=Linear()) for g in self.groups)

@@ -11,7 +11,7 @@ from scipy.interpolate import make_interp_spline
 
 from pinn_cli.record.resimulation import support_motion
 from pinn_cli.record.simulation import OverflowsError, simulate
-from pinn_cli.record.steps import substeps_needed, with_slow_followers
+from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.linear_response import decays_of_modes, felt_modes, linear_response
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
 MOST_STEPS = 40_000
+# Steps of Runge-Kutta that take as long as the implicit steps of a sample.
+OF_IMPLICIT = 10
 # A spline through samples this many times as dense follows a history up to the Nyquist frequency to 1e-3.
 DENSER, SPLINE_DEGREE = 4, 5
 # Dense samples behind a part of a history that its spline goes through as well: none further on reaches into the part
@@ -79,8 +81,8 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
         finite = np.isfinite(response.displacement).all() and modes.stable
         return Prediction(response, record, modes) if finite else None
     structure = with_slow_followers(structure, record.step)
-    substeps = substeps_needed(structure, record.step)
-    samples = min(len(record.time), MOST_STEPS // substeps)
+    method, substeps = method_needed(structure, record.step)
+    samples = min(len(record.time), MOST_STEPS // (substeps if method == "rk4" else OF_IMPLICIT))
     if samples < len(modes.poles) * 8:
         return None
     part = record.until(samples)
@@ -90,10 +92,10 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
     force = force_between_samples(record, hold, samples)
     try:
         response = simulate(
-            structure, force, part.time, hold, substeps=substeps, initial=start, ground=ground,
+            structure, force, part.time, hold, method, substeps, initial=start, ground=ground,
             supports=support_motion(record), frame=record.frame,
         )  # fmt: skip
-    except OverflowsError:
+    except (OverflowsError, TooStiffError):
         return None
     return Prediction(response, part, modes)
 

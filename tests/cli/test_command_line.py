@@ -112,7 +112,10 @@ def test_a_sweep_of_unusable_jobs_leaves_nothing(pinn_run: PinnRun, tmp_path: Pa
 
 
 COMPOSITION_ERRORS = {
-    "unknown option": (["system=dufing"], ["system=dufing:", "duffing, friction, linear", "did you mean duffing?"]),
+    "unknown option": (
+        ["system=dufing"],
+        ["system=dufing:", "duffing, friction, jenkins, linear", "did you mean duffing?"],
+    ),
     "unknown option in a sweep": (["-m", "system=linear,dufing"], ["system=dufing:", "did you mean duffing?"]),
     "unknown experiment": (
         ["experiment=paper/sr_6dof_snr5"],
@@ -196,7 +199,7 @@ def test_help_lists_groups_and_examples(pinn_run: PinnRun) -> None:
     text = pinn_run("--help").out
     for part in (
         "usage: pinn-run",
-        "system: bouc_wen, duffing, friction, linear",
+        "system: bouc_wen, duffing, friction, jenkins, linear",
         "experiment=paper/sr_6dof_perturbed",
         "--multirun",
         "--config-dir",

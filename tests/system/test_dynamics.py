@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from structures import braced, carried, hysteretic, modal
+from structures import braced, carried, contacts, hysteretic, modal
 
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs, Jet
@@ -15,6 +15,7 @@ GROUND_AND_FORCES = Inputs(True, True, (1,), correlation_time=0.3, damping_ratio
 ON_MODES = Inputs(True, True, (1,), correlation_time=0.3, rate=4.0, edge=11.0, loads=(0, 3))
 CASES = {
     "memory": (hysteretic, Inputs(rate=4.0)),
+    "contacts": (contacts, Inputs(rate=4.0)),
     "ground": (braced, Inputs(True, edge=11.0)),
     "forces": (braced, Inputs(forces=(0, 2), correlation_time=0.3, rate=4.0)),
     "all": (hysteretic, GROUND_AND_FORCES),

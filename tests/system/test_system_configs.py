@@ -11,14 +11,26 @@ from pinn_cli.system import build_chain
 CONF = Path(__file__).parents[2] / "conf"
 
 
-@pytest.mark.parametrize("name", ["duffing", "van_der_pol", "linear", "power_damping", "polynomial", "friction"])
+@pytest.mark.parametrize(
+    "name", ["duffing", "van_der_pol", "linear", "power_damping", "polynomial", "friction", "jenkins"]
+)
 def test_every_system_config_builds_its_chain(name):
     values = OmegaConf.load(CONF / "demonstration" / f"simulated_{name}.yaml")
     structure = construct(
         build_chain, OmegaConf.merge(OmegaConf.load(CONF / "system" / f"{name}.yaml"), values), "system"
     )
     assert structure.nonlinearity.name == name
-    paper = {"m": 10.0, "c": 1.0, "k": 15.0, "kappa": 100.0, "mu": 0.75, "k_2": 20.0, "k_3": 100.0, "F_c": 0.1}
+    paper = {
+        "m": 10.0,
+        "c": 1.0,
+        "k": 15.0,
+        "kappa": 100.0,
+        "mu": 0.75,
+        "k_2": 20.0,
+        "k_3": 100.0,
+        "F_c": 0.1,
+        "k_t": 30.0,
+    }
     for parameter, value in structure.parameters.items():
         assert value.tolist() == [paper[parameter]] * 6
 

@@ -170,7 +170,6 @@ def test_unusable_structures_are_refused_in_one_line(setting, names, changes):
         (".k", ">= 0", {**LINE, "k": -1.0}),
         (".k", "a number", {**LINE, "k": "stiff"}),
         (".F_c", ">= 0", {**LINE, "law": "friction", "speed": 0.1, "F_c": -1.0}),
-        (".speed", "given", {**LINE, "law": "friction", "F_c": 1.0}),
         (".speed", "> 0", {**LINE, "law": "friction", "F_c": 1.0, "speed": 0}),
         (".exponent", ">= 1", {**LINE, "law": "power_damping", "mu": 1.0, "exponent": 0.5}),
         (".k_3", "given", {**LINE, "law": "polynomial"}),

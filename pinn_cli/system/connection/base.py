@@ -28,6 +28,7 @@ class Nonlinearity(ABC):
         optional: Parameters that a connection may be without, beyond ``parameters``.
         reversal_speed: Speed of the elongation over which the force turns when the motion does, m/s, 0 where it has a
             corner there; None: the force is smooth. A simulation divides the steps in which that happens.
+        is_stiff: Whether a simulation takes implicit steps, however slow the motion is.
     """
 
     name: ClassVar[str]
@@ -38,6 +39,7 @@ class Nonlinearity(ABC):
     nonnegative: ClassVar[tuple[str, ...]] = ("c", "k")
     optional: ClassVar[tuple[str, ...]] = ()
     reversal_speed: float | None = None
+    is_stiff: bool = False
 
     @property
     def titles(self) -> Mapping[str, str]:
@@ -55,6 +57,10 @@ class Nonlinearity(ABC):
         Args:
             given: Names of the parameters that the user has written down.
         """
+        return self
+
+    def turning_over(self, speed: float) -> Nonlinearity:
+        """The law that an estimator solves: one that turns at once does so over a speed, m/s."""
         return self
 
     def stiffness_at_rest(self, parameters: Mapping[str, np.ndarray]) -> np.ndarray | float:
