@@ -29,6 +29,32 @@ THROUGH = ("derivative", "observer", "both")
 # Speed below which contacts that stick creep in the equations of an estimator, over the record's rms velocity. With ten
 # times as much, damping is 50 % off; with 1e-7 m/s, solutions ended far from the most probable one.
 STICKS_BELOW = 0.005
+# Knot intervals from a turn within which a spline rings.
+RINGS = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """When contacts stick or turn round, so that an estimator's features follow the motion badly.
+
+    Attributes:
+        time: (T,), s, ascending.
+        level: Error of the equations of motion about these, N, as they are enforced.
+        looser: How many times that of all other times it is.
+    """
+
+    time: np.ndarray
+    level: float
+    looser: float
+
+    def near(self, time: np.ndarray, spacing: float) -> np.ndarray:
+        """(I,) bool: which times are within a few intervals, of so many seconds, of one of them."""
+        if not len(self.time):
+            return np.zeros(len(time), dtype=bool)
+        after = np.searchsorted(self.time, time)
+        distances = [np.abs(time - self.time[np.clip(after - k, 0, len(self.time) - 1)]) for k in (0, 1)]
+        close: np.ndarray = np.minimum(*distances) < RINGS * spacing
+        return close
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +75,7 @@ class Problem:
         prior: What earlier records say of the uncertain parameters together; None: each is believed by itself.
         initial_state: Where the motion of an earlier record ended, if this one goes on from there: its first sample is
             that record's last. The parameters of ``with_parameters`` are the first of ``uncertain``.
+        turns: Where the equations of motion hold less well for a spline; None: they hold everywhere alike.
         hand_over: When a later record goes on, s: what is known from the samples up to that time is told as well.
     """
 
@@ -63,6 +90,7 @@ class Problem:
     prior: JointPrior | None = None
     initial_state: EndState | None = None
     hand_over: float | None = None
+    turns: Turns | None = None
 
     @classmethod
     def of_records(

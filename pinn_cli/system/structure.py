@@ -459,8 +459,11 @@ class Structure:
 
     def turning_over(self, speed: float) -> Structure:
         """The same with contacts that creep below a speed (m/s) where they stick; its parameters are shared."""
-        groups = tuple(replace(group, nonlinearity=group.nonlinearity.turning_over(speed)) for group in self.groups)
-        return replace(self, groups=groups)
+        laws = [group.nonlinearity.turning_over(speed) for group in self.groups]
+        if all(law is group.nonlinearity for law, group in zip(laws, self.groups, strict=True)):
+            return self
+        groups = (replace(group, nonlinearity=law) for law, group in zip(laws, self.groups, strict=True))
+        return replace(self, groups=tuple(groups))
 
     def linearised(self) -> Structure:
         """The same without its nonlinearities: m, c, k stay, kappa or mu go (the paper's 'linear' model error)."""

@@ -134,6 +134,7 @@ def test_a_problem_has_no_way_to_the_truth():
         "prior",
         "initial_state",
         "hand_over",
+        "turns",
     }
     record = hints(Problem)["record"]
     for kind in (record, EndState):

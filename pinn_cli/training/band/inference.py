@@ -31,6 +31,7 @@ from pinn_cli.training.band.resolution import carried_over, knots_wanted
 from pinn_cli.training.band.rivals import Choice, weighed
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.band.turns import at_turns, has_turns
 from pinn_cli.training.band.windows_discrepancy import of_all_windows
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
@@ -50,6 +51,8 @@ REFINEMENTS, WORTHWHILE = 2, 1.1
 # relative change of damping's matrix below which they are the same: beside what else is uncertain of damping that is
 # nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
 MODE_ROUNDS, SAME_MODES, SAME_FACTORS = 3, 2e-3, 5e-3
+# Rounds that tell turns of contacts from the rest at most, and the discrepancy over the last one at which they end.
+TURN_ROUNDS, SAME_LEVEL = 6, 0.7
 # Finer features whose sensors come out so many times as noisy have not found the solution.
 SUSPECT = 2.0
 
@@ -74,6 +77,8 @@ def inferred(
         found = _in_their_band(found, problem, designs, settings, device, history)
         found = coloured(found, settings, device, history)
     found = _in_present_modes(found, designs, settings, device, history)
+    if has_turns(found.evidence.problem):
+        found = _apart_from_turns(found, designs, settings, device, history)
     narrowed = 1.0
     # Finer features would reach further beyond the band, where forces that nobody measured are free.
     for _ in range(0 if has_forces(problem) else REFINEMENTS):
@@ -288,6 +293,20 @@ def _in_present_modes(
     return found
 
 
+def _apart_from_turns(
+    found: Inferred, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
+) -> Inferred:
+    """The solution with a level of its own where contacts turn: what is left elsewhere then falls, round by round."""
+    for _ in range(TURN_ROUNDS):
+        again = _refined(found, designs, settings, device, history)
+        if again is None:
+            break
+        before, found = found, again
+        if found.trained.noise.discrepancy > SAME_LEVEL * before.trained.noise.discrepancy:
+            break
+    return found
+
+
 def _present(found: Inferred) -> Problem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     equations, point = found.by_record[0]
@@ -303,7 +322,7 @@ def _refined(
     found: Inferred, designs: Sequence[NetworkDesign], settings: InferenceSettings, device: str, history: History
 ) -> Inferred | None:
     """The same solution in finer features; None where they cannot be solved."""
-    problem = replace(_present(found), alternatives=())
+    problem = at_turns(found, replace(_present(found), alternatives=()))
     networks = [_built(design, own) for design, own in zip(designs, problem.by_record, strict=True)]
     evidence = settings.all_solved_by(problem, networks, device, history)
     levels, points = [], []
@@ -319,7 +338,8 @@ def _refined(
     if problem.structure.nonlinearity_name != "linear" or evidence.equations.uncertain:
         point = softer_point(evidence, noise, point)
     again = evidence.train(noise, point)
-    if again is None or not again.solution.converged:
+    # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
+    if again is None or not (again.solution.converged or problem.turns is not None):
         return None
     again = settled(evidence, again, settings.pooled)
     return None if _is_noisier(again.noise, found.trained.noise) else Inferred(evidence, again)

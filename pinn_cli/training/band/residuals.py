@@ -86,6 +86,10 @@ class Residuals(Bounded):
         self.physics = network.segments(self.target.physics_time)
         self.averages = Subdomains(self.physics) if _by_interval(network) else None
         self.physics = self.physics if self.averages is None else self.averages.segments
+        if self.averages is not None and problem.turns is not None:
+            assert isinstance(network, SplineNetwork)
+            near = problem.turns.near(self.averages.times(self.target.physics_time), network.spacing)
+            self.averages = self.averages.loosened(torch.as_tensor(near), problem.turns.looser)
         self.inputs = {
             quantity: InputRows(
                 quantity, problem.record, there.cpu().numpy(), self.network, self.dynamics, self.refinement

@@ -13,6 +13,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -57,6 +58,17 @@ class Subdomains:
         out = copy(self)
         out.interval, out.weight, out.points = (x[groups] for x in (self.interval, self.weight, self.points))
         out.segments = self.segments.part(groups)
+        return out
+
+    def times(self, time: Tensor) -> np.ndarray:
+        """(I,), the mean time of every average, s, of the times (N,) of its points."""
+        total: Tensor = self.segments.gather(time).sum(1) / self.points.clamp(min=1)
+        return total.cpu().numpy()
+
+    def loosened(self, where: Tensor, factor: float) -> Subdomains:
+        """The same with averages (I,) bool whose error is so many times that of the others: they count for less."""
+        out = copy(self)
+        out.weight = torch.where(where[:, None], self.weight / factor, self.weight)
         return out
 
     @property

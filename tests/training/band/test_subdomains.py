@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.scheme.problem import RINGS, Turns
 from pinn_cli.training.band.subdomains import INITIAL_CONDITIONS, MOST_PIECES, Subdomains
 
 DEGREE = 6
@@ -121,3 +122,17 @@ def test_the_dynamic_stiffness_is_off_by_the_power_of_the_degree():
     for degree, per_period in ((4, 4.0), (4, 6.0), (6, 4.0), (6, 6.0)):
         ratio = 1.0 / (per_period - 1.0)
         assert dynamic_stiffness_error(degree, per_period) == pytest.approx(ratio**degree, rel=0.7)
+
+
+def test_averages_about_turns_count_for_less_and_the_others_as_ever():
+    found, time = averages(), 0.05 * (torch.arange(240, dtype=torch.float64) + 0.5)
+    turns = Turns(np.array([3.01, 6.0, 6.4]), level=2.0, looser=10.0)
+    near = turns.near(found.times(time), 0.3)
+    distance = np.abs(found.times(time)[:, None] - turns.time).min(axis=1)
+    np.testing.assert_array_equal(near, distance < RINGS * 0.3)
+    assert 0.2 < near.mean() < 0.6
+    values = found.segments.gather(torch.randn((240, 2), generator=torch.Generator().manual_seed(1)).double())
+    loosened = found.loosened(torch.as_tensor(near), turns.looser)
+    torch.testing.assert_close(loosened(values)[near], found(values)[near] / 10.0)
+    assert torch.equal(loosened(values)[~near], found(values)[~near])
+    assert not Turns(np.zeros(0), 1.0, 1.0).near(np.arange(5.0), 0.3).any()
