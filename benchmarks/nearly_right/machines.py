@@ -208,16 +208,16 @@ class Kind:
 
 
 KINDS = {
-    "stick_slip": Kind(1, "stick|stribeck", stick_slip, 1, friction=True),
+    "stick_slip": Kind(1, "stick|stribeck|hyster", stick_slip, 1, friction=True),
     "quadratic_damping": Kind(3, "quadratic damp|velocity.squared|square of (?:the )?velocity", quadratic_damping),
     "backlash": Kind(0, "backlash|play of|dead zone", backlash),
     "second_mode": Kind(3, "a mode at|mode more|another mode|not in the model", second_mode, 2, holds={"m_1": 0.015}),
     "stiffer_one_way": Kind(4, "quadratic|one way|one side", stiffer_one_way),
     "cable": Kind(1, "quadratic|cubic|one way|one side|slack", cable),
-    "floor": Kind(5, "ground moves|floor|support|base", floor=0.1),
+    "floor": Kind(5, r"ground moves|floor|support|\bbase\b", floor=0.1),
     "lagging_load_cell": Kind(2, r"\blag|delay|\blate\b", lag=0.06),
     "tilt": Kind(5, "tilt|gravity", tilt=0.25),
-    "bouc_wen": Kind(4, "hyster|bouc|friction", bouc_wen, 2, holds={"k_1": 0.1}),
+    "bouc_wen": Kind(4, "hyster|bouc", bouc_wen, 2, holds={"k_1": 0.1}),
     "sliding_mass": Kind(0, "slid|friction|missing mass", sliding_mass, 1, holds={"m_1": 0.06}),
     "temperature": Kind(2, "temperature|over time|with time|drifts", temperature),
     "none": Kind(0, "^$"),
