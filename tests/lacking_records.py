@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.signal import bilinear, lfilter
+from scipy.signal import bilinear, lfilter, lsim
 
 from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.record import Record
@@ -33,7 +33,8 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
     Args:
         ground: Which of both.
         seed: Of its phases; content from 0.2 to 8 Hz.
-        terms: ``cubic`` N/m^3, ``quadratic`` N (s/m)^2 or ``friction`` N, of a connection counted from 0.
+        terms: ``cubic`` N/m^3, ``quadratic`` N (s/m)^2, ``friction`` N, ``one_sided`` N/m or ``gap`` m, of a connection
+            counted from 0.
     """
     rng = np.random.default_rng(seed)
     half = np.arange(2 * STEPS * round(RATE * DURATION) + 1) / (2.0 * STEPS * RATE)
@@ -41,14 +42,15 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
     phase = rng.uniform(0.0, 2.0 * np.pi, len(frequency))
     acting = np.cos(2.0 * np.pi * np.outer(half, frequency) + phase).sum(1) / len(frequency) ** 0.5
     acting *= np.minimum(1.0, half) * (1.4 if ground else 1.2e4)
-    of = {kind: np.zeros(3) for kind in ("cubic", "quadratic", "friction")}
+    of = {kind: np.zeros(3) for kind in ("cubic", "quadratic", "friction", "one_sided", "gap")}
     for kind, connection, value in terms:
         of[kind][connection] = value
 
     def rate(state: np.ndarray, load: float) -> np.ndarray:
         e, de = (np.diff(x, prepend=0.0) for x in state)
         force = K * e + C * de + of["cubic"] * e**3 + of["quadratic"] * abs(de) * de
-        force = force + of["friction"] * np.tanh(de / 1e-3)
+        force = force + of["friction"] * np.tanh(de / 1e-3) + of["one_sided"] * np.maximum(e, 0.0)
+        force = force - K * np.clip(e, -of["gap"], of["gap"])
         pull = np.append(force[1:], 0.0) - force
         pull = pull - M * load if ground else pull + np.array([0.0, 0.0, load])
         return np.array((state[1], pull / M))
@@ -69,6 +71,28 @@ def moved(ground: bool, seed: int, terms: tuple[tuple[str, int, float], ...]) ->
         force[:, 2] = sampled
     time = half[: -1 : 2 * STEPS]
     return Response(time, u, v, a + sampled[:, None] * ground, force, sampled if ground else None)
+
+
+def with_oscillator(frequency: float, seed: int, snr_db: float = 60.0) -> tuple[Record, np.ndarray]:
+    """Force and displacement of 12 kg on a spring of 7500 N/m which carry 0.36 kg more, swinging so, Hz, if held.
+
+    Returns:
+        The record (15 s at 200 Hz), and the two natural frequencies, Hz.
+    """
+    rng, time = np.random.default_rng(seed), np.arange(3000) / 200.0
+    lines = np.linspace(0.8, 10.0, 90)
+    load = 5.0 * np.cos(2.0 * np.pi * np.outer(time, lines) + rng.uniform(0.0, 2.0 * np.pi, 90)).sum(1)
+    load *= np.minimum(1.0, time)
+    spring = 0.36 * (2.0 * np.pi * frequency) ** 2
+    mass, k = np.diag([12.0, 0.36]), np.array([[7500.0 + spring, -spring], [-spring, spring]])
+    c = np.array([[12.3, -0.3], [-0.3, 0.3]])
+    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(mass, k), -np.linalg.solve(mass, c)]])
+    _, _, state = lsim((a, np.array([[0.0], [0.0], [1.0 / 12.0], [0.0]]), np.eye(4), np.zeros((4, 1))), load, time)
+    noisy = (x + 10.0 ** (-snr_db / 20.0) * x.std() * rng.standard_normal(len(x)) for x in (state[:, 0], load))
+    shown, force = (x[:, None] for x in noisy)
+    absent = np.full_like(shown, np.nan)
+    record = Record(time, shown, absent, absent, force, unforced=np.array([False]))
+    return record, np.sqrt(np.linalg.eigvals(np.linalg.solve(mass, k)).real) / (2.0 * np.pi)
 
 
 def high_passed(y: np.ndarray, corner: float, order: int) -> np.ndarray:

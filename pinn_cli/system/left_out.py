@@ -1,59 +1,72 @@
-"""A structure with terms beside its connections that a model may have left out."""
+"""Forces that the model of a connection may have left out, of the motion that it makes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from pinn_cli.system.connection.friction import Friction
-from pinn_cli.system.connection.polynomial import Polynomial
-from pinn_cli.system.connection.power_damping import PowerDamping
-from pinn_cli.system.connection_groups import ConnectionGroup
-from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.parameters import Parameter
-from pinn_cli.system.structure import Structure
-
-# Speed over which such a friction changes its sign, in rms speeds of its connection.
+# Speed over which friction changes its sign, in rms speeds of its connection.
 CREEP = 0.05
-# Kind of such a term to its unit and to what people call it.
-TERMS = {
-    "k_3": ("N/m^3", "cubic term"),
-    "mu": ("N (s/m)^2", "quadratic damping"),
-    "F_c": ("N", "friction"),
-}
+# Kinds of such forces, as people call them.
+CUBIC, QUADRATIC, FRICTION = "cubic term", "quadratic damping", "friction"
+ONE_SIDED, BACKLASH, HYSTERESIS, DRIFT = "one-sided spring", "backlash", "hysteresis", "drift"
+# An oscillator that is attached to a DOF.
+MODE = "mode"
 
 
-def with_left_out(
-    structure: Structure, connections: Sequence[int], speed: np.ndarray
-) -> tuple[Structure, list[Parameter]]:
-    """The structure with a cubic spring, a quadratic damper and friction beside some connections, all of them zero.
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """A force that a connection may have beside those of its model.
+
+    Attributes:
+        kind: What it is.
+        unit: Of its size.
+        force: Of elongation, rate and shape to (N,), N, of size one.
+        shapes: What the force does not grow with, as it is tried: gaps, or elongations at which it slips, over the rms
+            elongation; of most there is none.
+    """
+
+    kind: str
+    unit: str
+    force: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+    shapes: tuple[float, ...] = (np.nan,)
+
+
+LEFT_OUT = (
+    LeftOut(CUBIC, "N/m^3", lambda e, de, _: e**3),
+    LeftOut(QUADRATIC, "N (s/m)^2", lambda e, de, _: abs(de) * de),
+    LeftOut(FRICTION, "N", lambda e, de, _: np.tanh(de / (CREEP * max(float(np.sqrt(np.mean(de**2))), 1e-300)))),
+    LeftOut(ONE_SIDED, "N/m", lambda e, de, _: np.maximum(e, 0.0)),
+    LeftOut(BACKLASH, "N", lambda e, de, gap: -np.clip(e / gap, -1.0, 1.0), (0.03, 0.2)),
+    LeftOut(HYSTERESIS, "N", lambda e, de, at: _slipping(e / at), (0.3, 1.0)),
+    LeftOut(DRIFT, "N/m", lambda e, de, _: e * np.linspace(-0.5, 0.5, len(e))),
+)
+
+
+def _slipping(e: np.ndarray) -> np.ndarray:
+    """Force of a spring of stiffness one that slips at one (Jenkins), which begins without force."""
+    out, force = np.empty(len(e)), 0.0
+    for i, step in enumerate(np.diff(e, prepend=e[0]).tolist()):
+        force = min(1.0, max(-1.0, force + step))
+        out[i] = force
+    return out
+
+
+def resonance(acceleration: np.ndarray, step: float, frequency: float, damping: float) -> np.ndarray:
+    """Force, N, that takes an oscillator of one kg along with a DOF which moves so, at rest at first.
 
     Args:
-        structure: The model.
-        connections: Which, C of them, counted from 0; none of a part of a finite-element model.
-        speed: (C,), rms of the rate of their elongations, m/s.
-
-    Returns:
-        It, and the terms: C cubic ones, C quadratic ones, C frictions.
+        acceleration: (N,) or (N, n), of the DOF, m/s^2.
+        step: Between samples, s.
+        frequency: Of the oscillator where the DOF is held, Hz.
+        damping: Its ratio.
     """
-    rows = [Incidence(structure.incidence.matrix[c]) for c in connections]
-    laws = [(Polynomial([3]), rows), (PowerDamping(2.0), rows)]
-    laws += [(Friction(CREEP * v), [row]) for row, v in zip(rows, speed.tolist(), strict=True)]
-    groups = tuple(ConnectionGroup(law, Incidence.stacked(own)) for law, own in laws)
-    # Parts of a finite-element model come last.
-    before = sum(group.parts is None for group in structure.groups)
-    parameters, terms = dict(structure.parameters), []
-    for kind in ("c", "k", *TERMS):
-        own = parameters.get(kind, parameters["k"][:0])
-        parameters[kind] = torch.cat((own, own.new_zeros(len(rows) * (1 if kind in TERMS else len(TERMS)))))
-        if kind in TERMS:
-            unit, title = TERMS[kind]
-            terms += [
-                Parameter(kind, len(own) + i, 0.0, unit=unit, title=title, label=structure.labels.connection(c))
-                for i, c in enumerate(connections)
-            ]
-    every = (*structure.groups[:before], *groups, *structure.groups[before:])
-    return replace(structure, parameters=parameters, groups=every), terms
+    length = 2 * len(acceleration)
+    ratio = np.fft.rfftfreq(length, step) / frequency
+    gain = (1.0 + 2j * damping * ratio) / (1.0 - ratio**2 + 2j * damping * ratio)
+    gain = gain.reshape(-1, *[1] * (acceleration.ndim - 1))
+    driven = np.fft.irfft(gain * np.fft.rfft(acceleration, length, axis=0), length, axis=0)
+    force: np.ndarray = driven[: len(acceleration)]
+    return force

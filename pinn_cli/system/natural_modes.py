@@ -169,3 +169,26 @@ def _by_kind(structure: Structure, kind: str) -> np.ndarray:
     connections, which = structure.carriers[kind]
     slope: np.ndarray = (above - below)[:, connections] / (2.0 * step.numpy()[which])
     return slope
+
+
+def frequency_with_oscillator(structure: Structure, dof: int, mass: float, alone: float) -> float:
+    """Natural frequency, Hz, of the mode in which an oscillator moves most that is attached to a DOF.
+
+    Args:
+        structure: Without it; its coordinates are its DOFs.
+        dof: Counted from 0.
+        mass: Of the oscillator, kg; where it has none that is positive, its own frequency is told.
+        alone: Its frequency while the DOF is held, Hz.
+    """
+    m = structure.parameters_like(np.empty(0))[MASS]
+    stiffness, n = at_rest(structure)[0], len(m)
+    if mass <= 0.0 or (m <= 0.0).any() or not np.isfinite(stiffness).all():
+        return alone
+    spring, every = mass * (2.0 * np.pi * alone) ** 2, np.sqrt(np.append(m, mass))
+    k = np.zeros((n + 1, n + 1))
+    own = structure.incidence.matrix.toarray()
+    k[:n, :n] = own.T @ (stiffness[:, None] * own)
+    ends = [dof, n]
+    k[np.ix_(ends, ends)] += spring * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    squares, shapes = np.linalg.eigh(k / np.outer(every, every))
+    return float(np.sqrt(max(squares[np.argmax(np.abs(shapes[n]))], 0.0))) / (2.0 * np.pi)

@@ -170,6 +170,10 @@ class Doubt:
         moves: Standard deviations by which what is reported moves if all doubts that are told are freed, of what moves
             most.
         moved: What that is: a parameter, or the displacement of a DOF.
+        shape: What its force does not grow with: a gap, an elongation at which it slips (m), a frequency (Hz); NaN:
+            nothing.
+        share: Part of what the model leaves out, at the frequencies at which the structure moves, that it explains
+            beside those before it.
     """
 
     kind: str
@@ -180,6 +184,8 @@ class Doubt:
     log_odds: float
     moves: float
     moved: str
+    shape: float = math.nan
+    share: float = math.nan
 
 
 @dataclass(frozen=True)

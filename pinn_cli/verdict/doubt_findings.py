@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.system.left_out import TERMS
+from pinn_cli.system.left_out import BACKLASH, CUBIC, DRIFT, FRICTION, HYSTERESIS, MODE, ONE_SIDED, QUADRATIC
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:
@@ -19,6 +19,31 @@ MATTERS = 1.0
 OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
 
 
+# Share of what is left that is worth a word.
+LEAST_SHARE = 0.05
+# What a connection lacks, with its size and its shape.
+LACKS = {
+    CUBIC: "a cubic term of {number}",
+    QUADRATIC: "a quadratic damping of {number}",
+    FRICTION: "friction of {number}",
+    ONE_SIDED: "a one-sided spring of {number} (it is stiffer one way)",
+    BACKLASH: "a backlash: {number} are missing beyond a gap of about +-{shape:.2g} m",
+    HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
+    DRIFT: "a drift: its stiffness changes by {number} from the first to the last sample",
+}
+# The overrides that add it.
+_GIVE = "give {{of}} law: {law} with {parameters} unknown (system={law}, or in system.connections)"
+LAWS = {
+    CUBIC: _GIVE.format(law="duffing", parameters="kappa"),
+    QUADRATIC: _GIVE.format(law="power_damping", parameters="mu"),
+    FRICTION: _GIVE.format(law="friction", parameters="F_c"),
+    ONE_SIDED: _GIVE.format(law="polynomial", parameters="k_2 and k_3"),
+    BACKLASH: _GIVE.format(law="polynomial", parameters="k_3 and k_5") + ", or take the play out of it",
+    HYSTERESIS: _GIVE.format(law="jenkins", parameters="k_t and F_c") + ", or bouc_wen",
+    DRIFT: "solve the record in parts (data.start, data.stop), or look at what changes: temperature, loosening",
+}
+
+
 def doubt_findings(estimate: Estimate) -> list[Finding]:
     """One of each doubt that makes the record far more probable; those that move nothing are told of a sound run.
 
@@ -26,7 +51,7 @@ def doubt_findings(estimate: Estimate) -> list[Finding]:
     """
     damping = _other_damping(estimate)
     least = estimate.damping_doubt.log_odds if damping and estimate.damping_doubt is not None else 0.0
-    return damping + [_finding(doubt) for doubt in estimate.doubts if doubt.log_odds > least]
+    return [_finding(doubt) for doubt in estimate.doubts if doubt.log_odds > least] + damping
 
 
 def _other_damping(estimate: Estimate) -> list[Finding]:
@@ -52,19 +77,25 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
 
 def _finding(doubt: Doubt) -> Finding:
     what, remedy = _said(doubt)
-    moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations with it"
-    text = f"{what}: the record is exp({doubt.log_odds:.0f}) times as probable with it, and {moved}; {remedy}"
+    share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
+    odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
+    moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"
+    text = f"{what}{share}: {odds}, and {moved}; {remedy}"
     return Finding(doubt.kind, doubt.of, text, "questionable" if doubt.moves > MATTERS else "sound")
 
 
 def _said(doubt: Doubt) -> tuple[str, str]:
     """What was found, and what to do."""
     number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
-    if doubt.kind in {title for _, title in TERMS.values()}:
-        return f"the model of {doubt.of} lacks a {doubt.kind} of {number}".replace("a friction", "friction"), (
-            "give the connection a law with it (docs/how-to/my-structure.md)"
+    if doubt.kind in LAWS:
+        return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
+            LAWS[doubt.kind].format(of=doubt.of)
         )
     said = {
+        MODE: (
+            f"a mode at {doubt.shape:.3g} Hz is not in the model: as if {abs(doubt.value):.2g} kg swung on {doubt.of}",
+            "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
+        ),
         "m": (f"the mass of {doubt.of} is another one, by {doubt.value:+.3g} +- {doubt.std:.2g} kg", "check it"),
         "gain": (
             f"the {doubt.of} shows {1.0 + doubt.value:.4g} +- {doubt.std:.2g} times what the model does",

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 # Doubts that the causes of this folder size better where they are large.
 TOLD_BY_CAUSES = (MASS, "gain", "delay")
+# Share of what a model leaves out from which on a doubt is the cause of whatever else is wrong.
+MOST_EXPLAINED = 0.5
 # Share of the Nyquist frequency up to which the report's free run follows the force well between its samples.
 WELL_SAMPLED = 0.5
 
@@ -84,6 +86,8 @@ def judge(
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
     # Wrong damping is the cause of a free run that does not.
     follows = follows or (bool(lacks) and lacks[0].kind == "damping" and not causes)
+    # So is what explains most of what the model leaves out.
+    follows = follows or (bool(estimate.doubts) and estimate.doubts[0].share > MOST_EXPLAINED and not causes)
     if follows and lacks and lacks[0].kind not in TOLD_BY_CAUSES:
         causes = lacks
     elif any(finding.word != "sound" for finding in findings) and not causes and not (follows and lacks):

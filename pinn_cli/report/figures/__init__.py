@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pinn_cli.report.connection_forces import ConnectionForces
+from pinn_cli.report.discrepancy import Discrepancy
 from pinn_cli.report.drift import Drifts
 from pinn_cli.report.figures.correlation import correlation_figure
+from pinn_cli.report.figures.discrepancy import discrepancy_figure
 from pinn_cli.report.figures.drift import drift_figure
 from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.force_predictive import force_predictive_figure
@@ -119,6 +121,9 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     ]
     if drifts.names:
         found.append(("drift", 2 * rows, partial(drift_figure, drifts, run.truth_label)))
+    discrepancy = Discrepancy.of(results)
+    if discrepancy is not None:
+        found.append(("discrepancy", 4, partial(discrepancy_figure, discrepancy)))
     forces = ConnectionForces.of(results.prescribed, estimate, truth)
     if forces is not None and forces.memory.size:
         found.append(("hysteresis", rows, partial(hysteresis_figure, forces, run.truth_label)))

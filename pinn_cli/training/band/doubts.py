@@ -1,15 +1,15 @@
-"""What the model may lack: how much more probable the record would be with one number more (Rao's score test).
+"""What the model may lack: how much more probable the record would be with one number more.
 
-A doubt is a parameter that the model does not have: a term of a connection, a mass that is held, or what a sensor shows
-beside what it is said to feel. Its rows at the solution are a column d. With the score s = -d' r and the information x,
-of both of which the motion and the parameters of the model have taken their part, its most probable value is s / x, in
-prior standard deviations, and the record is exp(s^2 / 2 (1 + x)) / (1 + x)^(1/2) times as probable with it. The most
-probable one is freed, and the others are asked again.
+A doubt is a parameter that the model does not have: a force of a connection, a mass that is held, an oscillator on a
+DOF, or what a sensor shows beside what it is said to feel. Its rows at the solution are a column. Columns and
+residuals, with the motion projected out, are compared band by band, each of which has a level of its own
+(`left_spectra`). The doubt with which the record is most probable is freed, and the others are asked again.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,16 +17,28 @@ import torch
 
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import Response
-from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import with_left_out
-from pinn_cli.system.parameters import MASS, Parameter
-from pinn_cli.training.band.bordered import Eliminated
+from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
+from pinn_cli.system.natural_modes import frequency_with_oscillator
+from pinn_cli.system.parameters import MASS
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.force_doubts import ForceTerm, connection_force, force_border, force_terms
+from pinn_cli.training.band.left_spectra import Fit, LeftSpectra, left_spectra
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.sensor_doubts import GAIN, HIGH_PASS, Columns, Term, sensor_columns
+from pinn_cli.training.band.readout_factor import ReadoutFactor
+from pinn_cli.training.band.sensor_doubts import (
+    DELAY,
+    GAIN,
+    HIGH_PASS,
+    SensorTerm,
+    Shown,
+    Term,
+    channels_shown,
+    sensor_border,
+    sensor_terms,
+)
 from pinn_cli.training.estimate import Doubt
 from pinn_cli.training.noise_model import NoiseModel
 
@@ -37,12 +49,14 @@ LEAST = 1e-4
 # Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
 # hundred records.
 DECISIVE = 10.0
-# Of a doubt's information, the least part that parameters leave of one that differs from them.
-TOLD_APART = 1e-7
+# Kinds that have one sign, and the share of its logarithm that what comes early has to lose against what comes late.
+ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
 # Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
 # and doubts that are told of one record.
 BESIDE = 0.1
 MOST_TOLD = 3
+# How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
+SPANS = (0.75, 0.25, 0.08)
 # Numbers of all columns together that are held at once, 0.8 GB; a larger record is not asked.
 MOST_NUMBERS = 1e8
 
@@ -60,123 +74,106 @@ def doubts(evidence: Evidence, trained: Trained, std: Response) -> tuple[Doubt, 
     # Where nobody measured a force, it is free to be what the model lacks.
     if equations.known is not None or problem.inputs.forces or not len(problem.structure.added):
         return ()
-    asked = _Asked.of(evidence, trained)
-    return () if asked is None else asked.found(equations, point, std)
+    solution = _Solution.of(evidence, trained)
+    forces, sensors = force_terms(equations, point), sensor_terms(solution.channels) if solution else []
+    if solution is None or equations.layout.size * (len(forces) + len(sensors)) > MOST_NUMBERS:
+        return ()
+    told, gains = _told(solution, forces, sensors)
+    if not told:
+        return ()
+    asked = solution.asked(told)
+    fits = asked.fits(len(told))
+    moved = solution.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
+    found = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
+    return tuple(solution.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, told, strict=True))
+
+
+def _told(
+    solution: _Solution, forces: Sequence[ForceTerm], sensors: Sequence[SensorTerm]
+) -> tuple[list[ForceTerm | SensorTerm], list[float]]:
+    """What makes the record far more probable, one beside the other, and by how much, as logarithms."""
+    told: list[ForceTerm | SensorTerm] = []
+    gains: list[float] = []
+    while len(told) < MOST_TOLD:
+        best, gain = solution.asked([*told, *forces, *sensors]).best(len(told))
+        if not gain > max([DECISIVE, *(BESIDE * first for first in gains[:1])]):
+            break
+        for span in SPANS:
+            finer = best.finer(span) if isinstance(best, ForceTerm) else []
+            if finer:
+                best, gain = solution.asked([*told, *finer]).best(len(told))
+        told.append(best)
+        gains.append(gain)
+    return told, gains
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """All doubts of a record, with the readout weights eliminated.
+class _Solution:
+    """A record's solution, with the readout weights eliminated.
 
     Attributes:
-        terms: D of them.
-        columns: Of them.
-        eliminated: The model's own equations.
-        precision: (p + D, p + D), of parameters and doubts.
-        score: (p + D,).
-        free: Places of the parameters that no bound holds.
+        equations: Of the record.
+        point: Where they are solved.
+        noise: Its weights.
+        channels: Of the record.
+        gradient: (size, 1), of the readout weights.
+        readout: Factored.
     """
 
-    terms: tuple[Term, ...]
-    columns: Columns
-    eliminated: Eliminated
-    precision: np.ndarray
-    score: np.ndarray
-    free: list[int]
+    equations: NormalEquations
+    point: Point
+    noise: NoiseModel
+    channels: list[Shown]
+    gradient: np.ndarray
+    readout: ReadoutFactor
 
     @classmethod
-    def of(cls, evidence: Evidence, trained: Trained) -> _Asked | None:
-        """None where there is too much to hold, or the equations cannot be solved."""
+    def of(cls, evidence: Evidence, trained: Trained) -> _Solution | None:
+        """None where the equations cannot be solved."""
         equations, point = evidence.equations, trained.solution.point
-        problem, terms, force = _with_terms(evidence, trained)
-        noise = _softened(evidence, trained.noise, force)
-        p = len(point.parameters)
-        columns = _joined(
-            _connection_columns(equations, point, noise, problem, terms), sensor_columns(equations, point, noise, p)
-        )
+        noise = _softened(evidence, trained.noise, _rms_force(equations, point))
         system = equations.assemble(point, noise)
-        eliminated = None if columns.border.size > MOST_NUMBERS else system.eliminated()
+        eliminated = system.eliminated()
         if eliminated is None:
             return None
-        half, taken = eliminated.readout.half_solved(np.column_stack((columns.border, system.gradient)))
-        own, gradient = half[:, :-1], half[:, -1]
-        across = columns.parameters - taken[:, :-1]
-        precision = np.block([[eliminated.complement, across], [across.T, columns.corner - own.T @ own]])
-        score = np.concatenate((taken[:, -1] - system.corner_gradient, own.T @ gradient - columns.slope))
-        free = np.flatnonzero(point.parameters.cpu().numpy() > equations.lower).tolist()
-        return cls(columns.terms, columns, eliminated, precision, score, free)
+        channels = channels_shown(equations, point, noise)
+        return cls(equations, point, noise, channels, system.gradient[:, None], eliminated.readout)
 
-    @property
-    def parameters(self) -> int:
-        """Of the model."""
-        return len(self.score) - len(self.terms)
-
-    def found(self, equations: NormalEquations, point: Point, std: Response) -> tuple[Doubt, ...]:
-        """See :func:`doubts`."""
-        told: list[int] = []
-        gains: list[float] = []
-        while len(told) < MOST_TOLD:
-            gain = self._gains(told)
-            best = int(np.argmax(gain))
-            if not gain[best] > max([DECISIVE, *(BESIDE * first for first in gains[:1])]):
-                break
-            told.append(best)
-            gains.append(float(gain[best]))
-        moved, name = self._moved(equations, point, std, told) if told else (0.0, "")
-        return tuple(self._doubt(term, gain, told, (moved, name)) for term, gain in zip(told, gains, strict=True))
-
-    def _gains(self, told: list[int]) -> np.ndarray:
-        """(D,), logarithm of how many times as probable the record is with each doubt beside those that are told."""
-        p, count = self.parameters, len(self.terms)
-        score, information = self._without(self.free + [p + i for i in told], np.arange(p, p + count))
-        x = np.diag(information)
-        told_apart = x > TOLD_APART * np.diag(self.precision)[p:]
-        x = np.maximum(x, 0.0)
-        gain = 0.5 * score**2 / (1.0 + x) - 0.5 * np.log1p(x)
-        # A sensor that passes more than the others do is one whose others pass less.
-        wrong = np.array([term.kind == HIGH_PASS for term in self.terms]) & (score < 0.0)
-        # A change that leaves no mass, or nothing of a sensor, is beyond what a linear test can tell.
-        wrong |= np.isin([term.kind for term in self.terms], (MASS, GAIN)) & (score <= -(1.0 + x))
-        gain[wrong | ~told_apart | np.isin(np.arange(count), told)] = -np.inf
-        return gain
-
-    def _without(self, freed: list[int], asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Score and information of some doubts once others, and the parameters, have taken their part."""
-        solved = self._solved(freed, np.column_stack((self.score, self.precision[:, asked]))[freed])
-        across = self.precision[asked][:, freed]
-        return self.score[asked] - across @ solved[:, 0], (
-            self.precision[np.ix_(asked, asked)] - across @ solved[:, 1:]
+    def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
+        """Further parameters; forces come first."""
+        forces = [one for one in terms if isinstance(one, ForceTerm)]
+        sensors = [one for one in terms if isinstance(one, SensorTerm)]
+        equations, p = self.equations, len(self.point.parameters)
+        border = np.hstack(
+            (
+                self.gradient,
+                force_border(equations, self.point, self.noise, forces),
+                sensor_border(equations, self.channels, sensors),
+            )
         )
+        own = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
+        moved = -np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:]))
+        spectra = left_spectra(equations, self.point, self.noise, self.channels, (forces, sensors), moved)
+        free = np.flatnonzero(self.point.parameters.cpu().numpy() > equations.lower).tolist()
+        places = {id(one): i for i, one in enumerate([*forces, *sensors], start=p)}
+        return _Asked(terms, [places[id(one)] for one in terms], spectra, moved[:, 1:], free)
 
-    def _solved(self, freed: list[int], right: np.ndarray) -> np.ndarray:
-        """By their precision, with the doubts' own prior."""
-        matrix = self.precision[np.ix_(freed, freed)] + np.diag([float(i >= self.parameters) for i in freed])
-        return np.linalg.solve(matrix, right)
+    def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
+        """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
+        if doubt.kind != MODE or not isinstance(term, ForceTerm):
+            return doubt
+        by = torch.as_tensor(step[: len(self.point.parameters)]).to(self.point.parameters)
+        values = self.equations.parameters(Point(self.point.unknowns, self.point.parameters + by))
+        structure = self.equations.dynamics.structure
+        present = replace(structure, parameters={kind: values[kind].cpu() for kind in structure.parameters})
+        whole = frequency_with_oscillator(present, int(np.argmax(term.felt)), doubt.value, doubt.shape)
+        return replace(doubt, shape=whole)
 
-    def _doubt(self, term: int, gain: float, told: list[int], moved: tuple[float, str]) -> Doubt:
-        p, own = self.parameters, self.terms[term]
-        others = self.free + [p + i for i in told if i != term]
-        (score,), ((x,),) = self._without(others, np.array([p + term]))
-        value, std = own.scale * score / (1.0 + x), own.scale / (1.0 + x) ** 0.5
-        return Doubt(own.kind, own.of, float(value), float(std), own.unit, gain, *moved)
-
-    def _moved(self, equations: NormalEquations, point: Point, std: Response, told: list[int]) -> tuple[float, str]:
-        """Standard deviations by which what is reported moves if these doubts are freed, of what moves most."""
-        p, count = self.parameters, len(self.terms)
-        freed = self.free + [p + i for i in told]
-        before, after = np.zeros((2, p + count))
-        before[self.free] = self._solved(self.free, self.score[self.free])
-        after[freed] = self._solved(freed, self.score[freed])
-        by = (after - before)[:p]
-        covariance = np.linalg.inv(self.precision[np.ix_(self.free, self.free)])
-        moved = {
-            equations.uncertain[i].name: abs(by[i]) / deviation**0.5
-            for i, deviation in zip(self.free, np.diag(covariance), strict=True)
-        }
-        readout = self.eliminated.readout
-        right, _ = readout.half_solved(self.columns.border @ after[p:])
-        step = -readout.solved(right, by)
-        along = Point(torch.as_tensor(step).to(point.unknowns), point.parameters)
+    def moved_most(self, asked: _Asked, by: np.ndarray, before: Fit, std: Response) -> tuple[float, str]:
+        """Standard deviations by which what is reported moves with a step of the columns, of what moves most."""
+        equations, like = self.equations, self.point.unknowns
+        moved = {equations.uncertain[i].name: abs(by[i]) * before.information[i] ** 0.5 for i in asked.free}
+        along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
         change = equations.flat_states(equations.observation, along)
         displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).cpu().numpy()
         for dof, (one, band) in enumerate(zip(displacement.T, std.displacement.T, strict=True)):
@@ -184,6 +181,66 @@ class _Asked:
             moved[name] = float(np.sqrt(np.mean(one**2) / np.mean(band**2)))
         furthest = max(moved, key=lambda name: moved[name])
         return float(moved[furthest]), furthest
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """Terms that a model may lack.
+
+    Attributes:
+        terms: D of them.
+        places: Of each, among the columns.
+        spectra: Of the parameters of the model, and of the terms.
+        moved: (size, columns), how the motion adapts to each.
+        free: Places of the parameters that no bound holds.
+    """
+
+    terms: Sequence[ForceTerm | SensorTerm]
+    places: list[int]
+    spectra: LeftSpectra
+    moved: np.ndarray
+    free: list[int]
+
+    def fits(self, told: int) -> list[Fit]:
+        """Without any term, and with one more of the first ones at a time."""
+        fits = [self.spectra.fit(self.free, self.spectra.left)]
+        for count in range(1, told + 1):
+            fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
+        return fits
+
+    def best(self, told: int) -> tuple[ForceTerm | SensorTerm, float]:
+        """The term that makes the record most probable beside the first ones, and its gain."""
+        before, named = self.fits(told)[-1], {(one.term.kind, one.term.of) for one in self.terms[:told]}
+        tried = Counter(one.term.kind for one in self.terms[told:])
+        gains = [
+            -np.inf if (one.term.kind, one.term.of) in named else self._gain(told, place, one.term, before)
+            for one, place in zip(self.terms[told:], self.places[told:], strict=True)
+        ]
+        # Of many that are tried, some are probable by chance.
+        gains = [gain - np.log(tried[one.term.kind]) for gain, one in zip(gains, self.terms[told:], strict=True)]
+        best = int(np.argmax(gains))
+        return self.terms[told + best], float(gains[best])
+
+    def _gain(self, told: int, place: int, term: Term, before: Fit) -> float:
+        """Logarithm of how many times as probable the record is with a term more."""
+        fit = self.spectra.fit([*self.free, *self.places[:told], place], before.energy)
+        x = fit.step[place]
+        # A sensor that passes more than the others do is one whose others pass less. What rubs or slips resists.
+        wrong = term.kind in ONE_SIGN and x < 0.0
+        # A change that leaves no mass, or nothing of a sensor, is beyond what a linear test can tell.
+        wrong |= term.kind in (MASS, GAIN) and x <= -1.0
+        gain = before.minus_log - fit.minus_log - 0.5 * np.log(max(fit.information[place], 1.0))
+        # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
+        early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
+        return -np.inf if wrong else float(gain - early)
+
+    def doubt(self, number: int, gain: float, fits: list[Fit], moved: tuple[float, str]) -> Doubt:
+        """Of one of the terms; the last fit has all of them."""
+        own, place, last = self.terms[number].term, self.places[number], fits[-1]
+        value, std = own.scale * last.step[place], own.scale / last.information[place] ** 0.5
+        left = [float(fit.energy[self.spectra.moving].sum()) for fit in fits]
+        share = (left[number] - left[number + 1]) / left[0]
+        return Doubt(own.kind, own.of, float(value), float(std), own.unit, gain, *moved, own.shape, share)
 
 
 def _softened(evidence: Evidence, noise: NoiseModel, force: float) -> NoiseModel:
@@ -204,58 +261,7 @@ def _softened(evidence: Evidence, noise: NoiseModel, force: float) -> NoiseModel
     return replace(softer, response=response)
 
 
-def _joined(one: Columns, other: Columns) -> Columns:
-    """Of terms that have no row in common."""
-    size = len(one.terms)
-    corner = np.zeros((size + len(other.terms),) * 2)
-    corner[:size, :size], corner[size:, size:] = one.corner, other.corner
-    border, parameters = (np.hstack((getattr(one, x), getattr(other, x))) for x in ("border", "parameters"))
-    slope = np.concatenate((one.slope, other.slope))
-    return Columns((*one.terms, *other.terms), border, parameters, corner, slope)
-
-
-def _connection_columns(
-    equations: NormalEquations, point: Point, noise: NoiseModel, problem: Problem, terms: tuple[Parameter, ...]
-) -> Columns:
-    """Of terms of connections and of parameters that are held, from the normal equations of a problem that has them."""
-    own = point.parameters[: len(equations.problem.uncertain)]
-    extended = NormalEquations(equations.network, problem, own.device.type)
-    extended.ridge = equations.ridge
-    system = extended.assemble(Point(point.unknowns, torch.cat((own, own.new_zeros(len(terms))))), noise)
-    p, border = len(own), system.border[:, len(own) :]
-    parameters = np.zeros((len(point.parameters), len(terms)))
-    parameters[:p] = system.corner[:p, p:]
-    return Columns(
-        tuple(Term(t.title or t.kind, t.owner, t.unit, t.prior_std) for t in terms),
-        border if isinstance(border, np.ndarray) else border.toarray(),
-        parameters,
-        system.corner[p:, p:] - np.eye(len(terms)),
-        system.corner_gradient[p:],
-    )
-
-
-def _with_terms(evidence: Evidence, trained: Trained) -> tuple[Problem, tuple[Parameter, ...], float]:
-    """The problem with terms that its connections may lack and masses that are held; those, and the rms force, N."""
-    equations, problem, point = evidence.equations, evidence.problem, trained.solution.point
-    structure, dynamics = problem.structure, equations.dynamics
-    connections, n = structure.added, structure.coordinates
-    motion = equations.flat_states(equations.observation, point)
-    e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.displacement, motion.velocity))
-    z = motion.displacement[:, dynamics.hidden] if len(structure.memory) else None
-    force = structure.connection_force(e, de, equations.parameters(point), z)
-    e, de, force = (np.maximum(np.abs(x.cpu().numpy()[:, connections]), 1e-300) for x in (e, de, force))
-    doubted, terms = with_left_out(structure, connections.tolist(), _rms(de))
-    size = np.concatenate([_rms(force) / _rms(e**3), _rms(force) / _rms(de**2), _rms(force)])
-    terms = [replace(t, prior_std=float(s)) for t, s in zip(terms, size, strict=True)]
-    if structure.shapes is None:
-        held = [structure.parameter(MASS, i) for i in range(n)]
-        terms += [replace(m, prior_std=m.prescribed, title="") for m in held if m not in problem.uncertain]
-    freed = tuple(replace(t, unknown=True) for t in terms)
-    alone = replace(problem, alternatives=(), further=(), prior=None, initial_state=None, hand_over=None)
-    more = replace(alone, structure=doubted, uncertain=(*problem.uncertain, *freed))
-    return more, freed, float(np.sqrt(np.mean(force**2)))
-
-
-def _rms(x: np.ndarray) -> np.ndarray:
-    rms: np.ndarray = np.sqrt(np.mean(x**2, axis=0))
-    return rms
+def _rms_force(equations: NormalEquations, point: Point) -> float:
+    """Of the connections, N."""
+    motion = Jet(*equations.flat_states(equations.physics, point)[:3])
+    return float(np.sqrt(np.mean(connection_force(equations, point, motion)[2] ** 2)))

@@ -134,6 +134,10 @@ class BandLayout:
         placed = unknowns.reshape(by_feature) if self.feature_first else unknowns.reshape(by_feature[::-1]).T
         return placed if self._natural else placed[:, torch.as_tensor(self.pattern.rank, device=unknowns.device)]
 
+    def of_many(self, unknowns: Tensor) -> Tensor:
+        """Vectors of unknowns (size, W) as readout weights (count, ndof, W)."""
+        return torch.stack([self.weights(one) for one in unknowns.T], -1)
+
     @property
     def _natural(self) -> bool:
         return bool((self.pattern.order == np.arange(self.ndof)).all())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,35 +36,19 @@ class Term:
         of: Whose it is, for people: ``connection 2``, ``acceleration of DOF 3``.
         unit: Of its value.
         scale: Value at one prior standard deviation.
+        shape: What its column depends on beside: a gap or an elongation at which it yields, m, a frequency, Hz; NaN:
+            nothing.
     """
 
     kind: str
     of: str
     unit: str
     scale: float
+    shape: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
-    """Rows of D terms, in prior standard deviations.
-
-    Attributes:
-        terms: Which.
-        border: (size, D), their products with the rows of the readout weights.
-        parameters: (p, D), likewise of the parameters of the model.
-        corner: (D, D), likewise with each other.
-        slope: (D,), likewise with the residuals.
-    """
-
-    terms: tuple[Term, ...]
-    border: np.ndarray
-    parameters: np.ndarray
-    corner: np.ndarray
-    slope: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _Shown:
+class Shown:
     """One channel at a solution.
 
     Attributes:
@@ -89,7 +73,7 @@ class _Shown:
     quantity: str
     segments: Segments
     features: Mapping[int, Tensor]
-    parts: list[tuple[int, int, float]]
+    parts: list[tuple[int, int, Tensor | float]]
     felt: np.ndarray
     displacement: np.ndarray | None
     residual: np.ndarray
@@ -134,55 +118,73 @@ class _Shown:
         values = self.segments.gather(torch.as_tensor(column).to(self.segments.mask))
         feature = self.segments.feature.cpu().numpy()
         for function, order, weight in self.parts:
-            pulled = self.gain * weight * (self.features[order].mT @ values[..., None])[..., 0].cpu().numpy()
-            np.add.at(out, equations.layout.positions(feature, np.full_like(feature, function)), pulled)
+            pulled = self.gain * weight * (self.features[order].mT @ values[..., None])[..., 0]
+            np.add.at(out, equations.layout.positions(feature, np.full_like(feature, function)), pulled.cpu().numpy())
         return out
 
+    def moved(self, equations: NormalEquations, weights: Tensor) -> np.ndarray:
+        """(J, W), change of what it shows with changes of the readout weights (size, W)."""
+        local = equations.layout.of_many(weights)[self.segments.feature]  # (I, B, functions, W)
+        total = sum(
+            (weight[..., None] if isinstance(weight, Tensor) else weight) * (self.features[order] @ local[:, :, f])
+            for f, order, weight in self.parts
+        )
+        assert isinstance(total, Tensor)
+        return self.gain * self.segments.scatter(total).cpu().numpy()
 
-def sensor_columns(equations: NormalEquations, point: Point, noise: NoiseModel, parameters: int) -> Columns:
-    """Of every channel of motion, ground or support, and of all accelerometers together.
 
-    Args:
-        equations: Of the record.
-        point: Their solution.
-        noise: Its weights.
-        parameters: How many the model has.
+@dataclass(frozen=True, eq=False)
+class SensorTerm:
+    """What channels may show beside what they are said to feel.
+
+    Attributes:
+        term: What.
+        shown: Place of a channel to its column (J,), at one prior standard deviation.
     """
-    every = [
+
+    term: Term
+    shown: dict[int, np.ndarray]
+
+
+def channels_shown(equations: NormalEquations, point: Point, noise: NoiseModel) -> list[Shown]:
+    """Every channel of a record at a solution, those of measured inputs that are functions to be found as well."""
+    return [
         *_columns_of_record(equations, point, noise),
         *_inputs(equations, point, noise),
         *_gauges(equations, point, noise),
     ]
-    found: list[tuple[Term, dict[int, np.ndarray]]] = []
+
+
+def sensor_terms(channels: Sequence[Shown]) -> list[SensorTerm]:
+    """Of every channel of motion, ground or support, and of all accelerometers together."""
+    found: list[SensorTerm] = []
     together: dict[tuple[str, float], dict[int, np.ndarray]] = {}
-    for i, one in enumerate(every):
+    for i, one in enumerate(channels):
+        if one.quantity in (FORCE, CONNECTION_FORCE):
+            continue
         for kind, unit, scale, column in one.columns():
             if kind in one.uncertain:
                 continue
             counted = column * one.counted
-            found.append((Term(kind, one.name, unit, scale), {i: counted}))
+            found.append(SensorTerm(Term(kind, one.name, unit, scale), {i: counted}))
             if kind == HIGH_PASS and one.quantity in MOTION:
                 together.setdefault((one.quantity, scale), {})[i] = counted
     for (quantity, corner), of_all in together.items():
         if len(of_all) > 1:
-            found.append((Term(HIGH_PASS, f"{quantity} of all sensors", "Hz", corner), of_all))
-    border, held = np.zeros((equations.layout.size, len(found))), np.zeros((parameters, len(found)))
-    corner_, slope = np.zeros((len(found), len(found))), np.zeros(len(found))
-    for d, (_, own) in enumerate(found):
-        for i, column in own.items():
-            one, weight = every[i], every[i].sigma ** -2
-            border[:, d] += weight * one.border(equations, column)
-            slope[d] += weight * float(column @ one.residual)
-            for place, by in one.parameters.items():
-                held[place, d] += weight * float(column @ by)
-            for other, (_, its) in enumerate(found[: d + 1]):
-                if i in its:
-                    corner_[d, other] += weight * float(column @ its[i])
-    corner_ = np.tril(corner_) + np.tril(corner_, -1).T
-    return Columns(tuple(term for term, _ in found), border, held, corner_, slope)
+            found.append(SensorTerm(Term(HIGH_PASS, f"{quantity} of all sensors", "Hz", corner), of_all))
+    return found
 
 
-def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+def sensor_border(equations: NormalEquations, channels: Sequence[Shown], terms: Sequence[SensorTerm]) -> np.ndarray:
+    """(size, D), products of what channels may show with the rows of the readout weights."""
+    border = np.zeros((equations.layout.size, len(terms)))
+    for d, own in enumerate(terms):
+        for i, column in own.shown.items():
+            border[:, d] += channels[i].sigma ** -2 * channels[i].border(equations, column)
+    return border
+
+
+def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[Shown]:
     """The sensors that are columns of the record."""
     dynamics, record, segments = equations.dynamics, equations.problem.record, equations.observation
     jet = Jet(*equations.flat_states(segments, point)[:3])
@@ -195,12 +197,12 @@ def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseMod
         residual = felt - equations.target.response[quantity].cpu().numpy()
         sensing = dynamics.sensing(quantity)
         for dof in np.flatnonzero(mask.cpu().numpy()).tolist():
-            parts = [
+            parts: list[tuple[int, int, Tensor | float]] = [
                 (int(function), order, float(weight))
                 for order, weights in sensing
                 for function, weight in zip(weights[dof].indices, weights[dof].data, strict=True)
             ]
-            yield _Shown(
+            yield Shown(
                 f"{quantity} of DOF {record.dof_name(dof)}",
                 quantity,
                 segments,
@@ -215,18 +217,16 @@ def _columns_of_record(equations: NormalEquations, point: Point, noise: NoiseMod
             )
 
 
-def _inputs(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+def _inputs(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[Shown]:
     """The sensors of ground and supports that are columns of the record: as they are compared between its samples."""
     for quantity, rows in equations.inputs.items():
-        if quantity == FORCE:
-            continue
         points, names = rows.points, equations.problem.record.support_names
         features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
         filtered = rows.filtered(equations.flat_states(points, point)).cpu().numpy()
         left = points.scatter(rows.residual(equations.states(rows.segments, point), slice(None))).cpu().numpy()
         for i in np.flatnonzero(rows.there.cpu().numpy()).tolist():
-            yield _Shown(
-                f"{SUPPORT[quantity]} of support {names[i]}" if quantity in SUPPORT else "ground acceleration",
+            yield Shown(
+                f"{SUPPORT[quantity]} of support {names[i]}" if quantity in SUPPORT else quantity.replace("_", " "),
                 quantity,
                 points,
                 features,
@@ -246,13 +246,11 @@ def _inputs(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iter
             )
 
 
-def _gauges(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[_Shown]:
+def _gauges(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iterator[Shown]:
     """The sensors that have samples and a calibration of their own."""
     parameters, place = equations.parameters(point), {int(c): i for i, c in enumerate(equations.vector.column)}
     spread = equations.vector.placed(equations.scale)
     for rows, sigma in zip(equations.gauge_rows, noise.response.get(GAUGE, ()), strict=True):
-        if rows.gauge.quantity in (FORCE, CONNECTION_FORCE):
-            continue
         moment = rows.moment(float(rows.value("delay", parameters)))
         felt, gain = rows.felt(moment, point.unknowns, parameters), rows.value("gain", parameters)
         segments, record = moment.segments, equations.problem.record
@@ -260,12 +258,12 @@ def _gauges(equations: NormalEquations, point: Point, noise: NoiseModel) -> Iter
         dof = rows.gauge.dof
         own = f"{rows.gauge.quantity} of DOF {record.dof_name(dof or 0)}"
         name = "ground acceleration" if rows.gauge.quantity == GROUND else own
-        yield _Shown(
+        yield Shown(
             name if dof is not None else f"sensor {rows.gauge.name}",
             rows.gauge.quantity,
             segments,
             {order: moment.derivative(order) for order in range(3)},
-            [(function, order, float(weight)) for function, order, weight in felt.parts],
+            felt.parts,
             segments.scatter(felt.value).cpu().numpy(),
             segments.scatter(rows.turned(moment, point.unknowns)).cpu().numpy() if rows.turning else None,
             segments.scatter(rows.residual(point.unknowns, parameters)).cpu().numpy(),

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from lacking_records import high_passed, moved, posed, recorded
+from lacking_records import RATE, K, high_passed, moved, posed, recorded, with_oscillator
+from scipy.interpolate import make_interp_spline
 from small_problems import measured as small_record
 from small_problems import small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.building import build_chain
+from pinn_cli.system.connection import Linear
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import Doubt, Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 
-TERMS = {"friction": 300.0, "cubic term": 1.5e8, "quadratic damping": 2e4}
-KINDS = {"friction": "friction", "cubic term": "cubic", "quadratic damping": "quadratic"}
+TERMS = {"friction": 300.0, "cubic term": 1.5e8, "quadratic damping": 2e4, "one-sided spring": 1e5}
+KINDS = {
+    "friction": "friction",
+    "cubic term": "cubic",
+    "quadratic damping": "quadratic",
+    "one-sided spring": "one_sided",
+    "backlash": "gap",
+}
 
 
 def solved(problem: Problem) -> Estimate:
@@ -58,6 +68,39 @@ def test_every_term_of_every_connection(ground: bool, connection: int, term: str
         first = lacking(ground, connection, term, seed)[0]
         assert (first.kind, first.of) == (term, f"connection {connection + 1}")
         assert first.value == pytest.approx(TERMS[term], rel=0.2)
+
+
+@pytest.mark.parametrize("connection", [0, 2])
+def test_play_in_a_connection_is_told_from_a_cubic_spring(connection: int):
+    truth = moved(False, 1, (("gap", connection, 1e-4),))
+    first = solved(posed(recorded(truth))).doubts[0]
+    assert (first.kind, first.of) == ("backlash", f"connection {connection + 1}")
+    assert first.value == pytest.approx(1e-4 * K[connection], rel=0.15)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_mode_that_is_not_in_the_model_is_named_by_its_frequency(seed: int):
+    """One displacement sensor, which the estimate copies: the discrepancy is several times the force that acts."""
+    record, natural = with_oscillator(5.0 + seed, seed)
+    chain = build_chain(1, Linear(), m=12.0, c=12.0, k=7000.0)
+    unknown = tuple(
+        Parameter(kind, 0, value, 10.0 * value, unknown=True, positive=True)
+        for kind, value in (("c", 12.0), ("k", 7e3))
+    )
+    first = solved(Problem(chain, record, unknown)).doubts[0]
+    assert (first.kind, first.of) == ("mode", "DOF 1")
+    assert first.shape == pytest.approx(max(natural), rel=0.04)
+    assert first.share > 0.8
+
+
+def test_a_late_load_cell_is_named_and_not_an_early_sensor():
+    truth = moved(False, 1, ())
+    record, late = recorded(truth), 0.4 / RATE
+    force = record.force.copy()
+    force[:, 2] = make_interp_spline(truth.time, truth.force[:, 2], 7)(truth.time - late)
+    doubt, *_ = solved(posed(replace(record, force=force))).doubts
+    assert (doubt.kind, doubt.of) == ("delay", "force on DOF 3")
+    assert doubt.value == pytest.approx(late, rel=0.05)
 
 
 def test_a_tilting_accelerometer_is_named():

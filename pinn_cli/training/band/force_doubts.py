@@ -1,0 +1,234 @@
+"""Forces that a model may lack: columns, in the equations of motion, of connections, masses, load cells, oscillators.
+
+Each is a history at the collocation points, of the estimated motion and of unit size, and how the coordinates feel it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.record.gauge import WIDEST_DELAY
+from pinn_cli.record.spectrum import record_band, signal_band
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.left_out import LEFT_OUT, MODE, LeftOut, resonance
+from pinn_cli.system.parameters import MASS
+from pinn_cli.system.quantities import FORCE, MOTION
+from pinn_cli.training.band.equation_rows import EquationRows
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.sensor_doubts import DELAY, Term
+from pinn_cli.training.noise_model import NoiseModel
+
+# Oscillators that are attached are tried at frequencies in this ratio at first, or in a larger one, and damped so that
+# they reach each other; then nearer, with these damping ratios. Periods in the record of the lowest, and how many are
+# tried in all.
+RATIO, DAMPED, PERIODS, MOST_OSCILLATORS = 1.08, (0.005, 0.015, 0.04), 8.0, 160
+# Shapes of a term that are tried at once.
+FINER = 7
+
+
+@dataclass(frozen=True, eq=False)
+class ForceTerm:
+    """A force that the motion may take beside those of the model.
+
+    Attributes:
+        term: What.
+        felt: (functions,), how much of it every equation of motion has.
+        history: (P,), N at one prior standard deviation, at the collocation points.
+        reshaped: The same of another shape, in one or several ways; None: it has none.
+        ratio: Of the shapes that are tried.
+        below: What they stay below.
+    """
+
+    term: Term
+    felt: np.ndarray
+    history: np.ndarray
+    reshaped: Callable[[float], Iterable[ForceTerm]] | None = None
+    ratio: float = 1.0
+    below: float = np.inf
+
+    def finer(self, span: float) -> list[ForceTerm]:
+        """The same of shapes that are nearer, from the one below to the one above where ``span`` is one."""
+        if self.reshaped is None:
+            return []
+        shapes = self.term.shape * self.ratio ** (span * np.linspace(-1.0, 1.0, FINER))
+        return [one for shape in shapes[shapes < self.below] for one in self.reshaped(float(shape))]
+
+
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """Makes the forces of one record.
+
+    Attributes:
+        equations: Of the record.
+        motion: Its solution, at the collocation points.
+        time: (P,), s.
+    """
+
+    equations: NormalEquations
+    motion: Jet
+    time: np.ndarray
+
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        """(P, n), of the coordinates, m/s^2."""
+        found: np.ndarray = self.equations.dynamics.inertial_acceleration(self.motion).cpu().numpy()
+        return found
+
+    def term(self, term: Term, pull: np.ndarray, unit: np.ndarray, size: float) -> ForceTerm:
+        """With a prior standard deviation that makes its force so large, rms; ``pull`` is (coordinates,)."""
+        scale = max(size, 1e-300) / max(_rms(unit), 1e-300)
+        felt = self.equations.dynamics.padded(torch.as_tensor(pull)).numpy()
+        return ForceTerm(replace(term, scale=scale), felt, scale * unit)
+
+    def of_connections(self, point: Point) -> Iterator[ForceTerm]:
+        """What a connection may have beside its law."""
+        structure = self.equations.dynamics.structure
+        pulls = structure.incidence.matrix[structure.added].toarray()
+        histories = (x.T for x in connection_force(self.equations, point, self.motion))
+        for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
+            of, own = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
+            for kind in LEFT_OUT:
+                yield from (self.of_connection(shape * _rms(e), kind, of, own) for shape in kind.shapes)
+
+    def of_connection(
+        self, shape: float, kind: LeftOut, of: str, own: tuple[np.ndarray, np.ndarray, np.ndarray, float]
+    ) -> ForceTerm:
+        """One of them."""
+        pull, e, de, size = own
+        plain = self.term(Term(kind.kind, of, kind.unit, 1.0, shape), pull, kind.force(e, de, shape), size)
+        if len(kind.shapes) == 1:
+            return plain
+
+        def again(shape: float) -> Iterator[ForceTerm]:
+            yield self.of_connection(shape, kind, of, own)
+
+        return replace(plain, reshaped=again, ratio=kind.shapes[1] / kind.shapes[0])
+
+    def of_masses(self) -> Iterator[ForceTerm]:
+        """Masses that are held."""
+        problem = self.equations.problem
+        for i, pull in enumerate(np.eye(problem.structure.coordinates)):
+            held, acceleration = problem.structure.parameter(MASS, i), self.acceleration[:, i]
+            if held not in problem.uncertain:
+                size = held.prescribed * _rms(acceleration)
+                yield self.term(Term(MASS, held.owner, held.unit, 1.0), pull, acceleration, size)
+
+    def of_loads(self) -> Iterator[ForceTerm]:
+        """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
+        record = self.equations.problem.record
+        for dof in np.flatnonzero(record.sensors(FORCE)).tolist():
+            shown = self.equations.target.force[:, dof].cpu().numpy()
+            rate = _rate(shown, self.step, signal_band(record.force[:, dof], record.step))
+            late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0)
+            yield self.term(late, np.eye(record.ndof)[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
+
+    def of_oscillators(self) -> Iterator[ForceTerm]:
+        """One mode more, on a DOF with a sensor or under a force."""
+        record, inputs = self.equations.problem.record, self.equations.problem.record.sensors(FORCE)
+        dofs = np.flatnonzero(np.any([inputs, *(record.sensors(q) for q in MOTION)], axis=0)).tolist()
+        lowest, highest = PERIODS / record.duration, self.highest
+        each, reach = MOST_OSCILLATORS // max(len(dofs), 1), np.log(max(highest / lowest, 1.0))
+        if not each:
+            return
+        ratio = max(RATIO, float(np.exp(reach / each)))
+        # At the edge of the band an oscillator is what a mass is.
+        for frequency in highest / ratio ** np.arange(1, 1 + int(reach / np.log(ratio) * (1.0 - 1e-9))):
+            yield from (self.of_oscillator(float(frequency), dof, ratio, (ratio - 1.0) / 2.0) for dof in dofs)
+
+    def of_oscillator(self, frequency: float, dof: int, ratio: float, damping: float) -> ForceTerm:
+        """One of them, of frequencies that are tried in a ratio."""
+        moved, record = self.acceleration[:, dof], self.equations.problem.record
+        mode = Term(MODE, f"DOF {record.dof_name(dof)}", "kg", 1.0, frequency)
+        driven = resonance(moved, self.step, frequency, damping)
+        mass = float(self.equations.prescribed[MASS][dof])
+        plain = self.term(mode, np.eye(record.ndof)[dof], driven, mass * _rms(moved))
+
+        def again(finer: float) -> Iterator[ForceTerm]:
+            yield from (self.of_oscillator(finer, dof, ratio, at) for at in DAMPED)
+
+        return replace(plain, reshaped=again, ratio=ratio, below=self.highest / ratio**0.5)
+
+    @cached_property
+    def highest(self) -> float:
+        """Of the record's content, Hz."""
+        return record_band(self.equations.problem.record)
+
+    @property
+    def step(self) -> float:
+        """Between collocation points, s."""
+        return float(self.time[1] - self.time[0])
+
+
+def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
+    """Of connections, masses that are held, load cells and attached oscillators; of modes those of connections."""
+    motion = Jet(*equations.flat_states(equations.physics, point)[:3])
+    made = _Forces(equations, motion, equations.target.physics_time.cpu().numpy())
+    found = list(made.of_connections(point))
+    if equations.dynamics.structure.shapes is None:
+        found += [*made.of_masses(), *made.of_oscillators()]
+        found += [] if equations.problem.inputs.loads else made.of_loads()
+    return found
+
+
+def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> tuple[np.ndarray, ...]:
+    """Elongation, its rate, and force of the connections that somebody wrote down, each (P, C)."""
+    dynamics, structure = equations.dynamics, equations.dynamics.structure
+    e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.value, motion.rate))
+    z = motion.value[:, dynamics.hidden] if len(structure.memory) else None
+    force = structure.connection_force(e, de, equations.parameters(point), z)
+    return tuple(x.cpu().numpy()[:, structure.added] for x in (e, de, force))
+
+
+def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, terms: Sequence[ForceTerm]) -> np.ndarray:
+    """(size, D), products of forces with the rows of the readout weights."""
+    count, like = len(terms), equations.target.force
+    border = like.new_zeros((equations.layout.size, count))
+    if not count:
+        return border.cpu().numpy()
+    felt = torch.as_tensor(np.array([term.felt for term in terms]).T).to(like)
+    histories = torch.as_tensor(np.array([term.history for term in terms]).T).to(like)
+    weight = equations.weights(noise)["physics"]
+    for part in equations.windows(equations.physics):
+        segments, rows = equations.physics.part(part), equations.rows(equations.physics, point, part=part)
+        own = segments.gather(histories)
+        own = own if equations.averages is None else equations.averages.part(part)(own)
+        weighed = weight if weight.ndim == 1 else weight[part]
+        place = torch.as_tensor(equations.layout.columns(segments.feature), device=like.device)
+        for function in torch.nonzero(felt.any(1) & equations.target.equation.bool()).flatten().tolist():
+            pulled = own * felt[function] * weighed[..., function, None]  # (I, S or 1, D)
+            _add(border, place[:, function], _jacobian(equations, rows, part, function).mT @ pulled)
+    return border.cpu().numpy()
+
+
+def _jacobian(equations: NormalEquations, rows: EquationRows, part: slice, function: int) -> Tensor:
+    """(I, S or 1, D B), of one equation by the weights that it touches."""
+    segments = equations.physics.part(part)
+    jacobian = rows.jacobian(segments, slice(function, function + 1))[:, 0]
+    return jacobian if equations.averages is None else equations.averages.part(part)(jacobian)
+
+
+def _add(border: Tensor, place: Tensor, blocks: Tensor) -> None:
+    """Blocks (I, C, D) where they belong in (size, D); place is (I, C), -1 where there is nothing."""
+    place, blocks = place.reshape(-1), blocks.flatten(0, 1)
+    border.index_add_(0, place[place >= 0], blocks[place >= 0])
+
+
+def _rate(history: np.ndarray, step: float, highest: float) -> np.ndarray:
+    """(P,), derivative by time of what a history (P,) has up to a frequency, Hz."""
+    from scipy.fft import dct, idct
+
+    cosines = dct(history, type=2, norm="ortho")
+    cosines[int(2.0 * highest * len(history) * step) + 1 :] = 0.0
+    rate: np.ndarray = np.gradient(idct(cosines, type=2, norm="ortho"), step)
+    return rate
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
