@@ -19,6 +19,10 @@ from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
 CHUNK = 256
+# Straight parts of a load between two samples, where members take their own steps.
+STRAIGHT = 8
+# Of these each takes as long as a whole ensemble in common steps: so many tell a deviation to a seventh.
+OWN_STEPS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +82,11 @@ class Members:
     seed: int
     replay: Replay | None = None
     carried: SupportErrors | None = None
+
+
+def affordable_members(structure: Structure, record: Record, count: int) -> int:
+    """So many as are asked for; fewer where each takes its own steps."""
+    return count if method_needed(structure, record.step)[0] == "rk4" else min(count, OWN_STEPS)
 
 
 def spread_of(members: Members, structure: Structure, record: Record, about: Response) -> Response:
@@ -172,12 +181,14 @@ class _Ensemble:
         hold = "zero_order" if self.held else "exact"
         if method == "rk4":
             return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
-        # A stiff law has each member take its own steps.
-        each = []
+        # A stiff law has each member take its own steps, many of them.
+        grid = np.linspace(time[0], time[-1], STRAIGHT * (len(time) - 1) + 1)
+        table, each = sampled if self.held else load(grid), []
         for i in range(len(state)):
-            member = self._of_member(i)
-            acting, shown = (lambda at, i=i: load(at)[:, i : i + 1]), sampled[:, i : i + 1]
-            each.append(implicit_steps(member._slope, acting, time, shown, hold, state[i : i + 1], self.n))
+            own = table[:, i : i + 1]
+            acting = lambda at, own=own: _between(own, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
+            slope, shown = self._of_member(i)._slope, sampled[:, i : i + 1]
+            each.append(implicit_steps(slope, acting, time, shown, hold, state[i : i + 1], self.n))
         return np.concatenate(each, axis=1), sampled
 
     def _of_member(self, i: int) -> _Ensemble:

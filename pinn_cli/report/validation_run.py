@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.ensemble import Members, affordable_members, spread_of
 from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS
 from pinn_cli.record.simulation import OverflowsError
@@ -212,10 +212,11 @@ def _members(
         draws: See :meth:`ValidationRun.of`.
         seed: Likewise.
     """
+    count = affordable_members(structure, records[1], DRAWS)
     if draws is None:
-        draws = parameter_draws(estimate.parameters, estimate.correlation, DRAWS, seed)
+        draws = parameter_draws(estimate.parameters, estimate.correlation, count, seed)
     else:
-        draws = draws[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).round().astype(int)]
+        draws = draws[np.linspace(0, len(draws) - 1, min(count, len(draws))).round().astype(int)]
     if draws is None:
         return None
     start = _at_rest(structure) if begins is None else estimate.response.state(begins)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.model.model import Model
-from pinn_cli.record.ensemble import Members, Replay, followed_members
+from pinn_cli.record.ensemble import Members, Replay, affordable_members, followed_members
 from pinn_cli.record.input_force import input_force
 from pinn_cli.record.record import Record
 from pinn_cli.record.resimulation import TooStiffError, resimulate
@@ -64,7 +64,7 @@ class Predictor(TrainedNetwork):
         except OverflowsError as error:
             raise DivergenceError(f"the identified structure overflows at {error.time:.4g} s") from error
         parameters, correlation = _estimates(problem), None if problem.prior is None else problem.prior.correlation
-        draws = self._draws(parameters, correlation, run.seed)
+        draws = self._draws(problem, parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
         white, replay = _left_out(problem, self.model, response, len(draws), run.seed)
         rows = [*(white * np.eye(structure.coordinates))] if white else []
@@ -83,9 +83,11 @@ class Predictor(TrainedNetwork):
             peaks=tuple(band.peaks()),
         )  # fmt: skip
 
-    def _draws(self, parameters: list[ParameterEstimate], correlation: np.ndarray | None, seed: int) -> np.ndarray:
+    def _draws(
+        self, problem: Problem, parameters: list[ParameterEstimate], correlation: np.ndarray | None, seed: int
+    ) -> np.ndarray:
         """(draws, p), of a sampled posterior where there is one."""
-        own, count = self.model.draws, self.scheme.draws
+        own, count = self.model.draws, affordable_members(problem.structure, problem.record, self.scheme.draws)
         if own is not None and len(own):
             return own[np.linspace(0, len(own) - 1, min(count, len(own))).round().astype(int)]
         drawn = parameter_draws(parameters, correlation, count, seed)
