@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep
+from wings import wing, wing_record, write_wing
 
 from pinn_cli.model.file import write_model
 from pinn_cli.model.knowledge import Levels, ParameterKnowledge
@@ -75,7 +76,8 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def write_configuration(folder: Path) -> None:
-    """my_configs/experiment/my_rig.yaml of own-record.md."""
+    """my_configs/experiment/my_rig.yaml of own-record.md, and the record of modes-in-a-band.md."""
+    write_wing(wing_record(wing(5, 2, (5.19, 7.3, 9.2)), 5, 12.0), folder / "wing.csv")
     (experiment,) = (block for block in blocks(OWN_RECORD, "yaml") if "case: my_rig" in block)
     (folder / "my_configs" / "experiment").mkdir(parents=True)
     (folder / "my_configs" / "experiment" / "my_rig.yaml").write_text(experiment)

@@ -25,6 +25,7 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
+from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.windows import check_windows
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.record.growing_windows import GrowingWindows
@@ -71,8 +72,7 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
         composed = compose("config", overrides=first_job(arguments))
     config = RunConfig.read(composed, rig)
-    record = config.observe(config.source.measure(config.model_error.structures(config.structure)[0]).record)
-    problem = config.scheme.problem(config.model_error.structures(config.structure)[1], record)
+    problem = prepare_problem(config).problem
     if config.scheme.predicts:  # nothing is trained
         assert config.estimator.solve(problem, RunContext()).peaks
         return

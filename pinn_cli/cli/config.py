@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from pinn_cli.cli.dof_names import numbered
 from pinn_cli.cli.reuse import check_use, chosen_model, structure_beside
-from pinn_cli.cli.source import Source, read_source, read_structure
+from pinn_cli.cli.source import Source, modes_sought, read_source, read_structure
 from pinn_cli.runs.identity import Identity
 from pinn_cli.runs.process import prepare_process
 from pinn_cli.runs.resume import ALLOWED, NEVER
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pinn_cli.report.export.base import Export
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
+    from pinn_cli.system.modal import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
     from pinn_cli.tracking.base import Tracking
@@ -91,6 +92,7 @@ class RunConfig:
         exports: Formats in which the response is written beside ``response.nc``.
         strict: Whether a verdict other than sound ends the run with exit status 4.
         model: The finished run whose structure and parameters are taken; None: there is none.
+        modes: Those that the record is asked for; None: the structure has its own.
     """
 
     case: str
@@ -114,6 +116,7 @@ class RunConfig:
     strict: bool
     exports: tuple[Export, ...]
     model: Model | None = None
+    modes: ModesSought | None = None
 
     @classmethod
     def read(cls, config: DictConfig, base: Path | None = None, follows: bool = False) -> RunConfig:
@@ -147,7 +150,7 @@ class RunConfig:
         estimation["tracking"] = build(config.tracking, "tracking", base=base)
         again: dict[str, Any] = {"identity": identity, "resume": resume, "checkpoint_every_s": checkpoint_every_s}
         again |= {"figures": _figures(config), "strict": _strict(config)}
-        again |= {"exports": _exports(config), "model": model}
+        again |= {"exports": _exports(config), "model": model, "modes": modes_sought(config)}
         return cls(case, seed, device, threads, structure, model_error, source, **estimation, **again)
 
     def observe(self, record: Record) -> Record:

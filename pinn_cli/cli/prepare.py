@@ -55,6 +55,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     Raises:
         InputError: A setting or a file that no run can use.
     """
+    from pinn_cli.scheme.modal.modal_problem import modal_problem
     from pinn_cli.scheme.reach import tell_if_unreached
 
     stages = stages or Stages()
@@ -67,8 +68,12 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
         validate = config.source.validate
         validation = None if validate is None else validate(true, records)
     with stages("problem"):
-        prescribed = config.scheme.damped(prescribed, records)
-        problem = config.scheme.joint_problem(prescribed, records)
+        if config.modes is None:
+            prescribed = config.scheme.damped(prescribed, records)
+            problem = config.scheme.joint_problem(prescribed, records)
+        else:
+            problem = modal_problem(config.modes, prescribed, records)
+            prescribed = problem.structure
         tell_if_unreached(problem)
     truths = tuple(each.truth for each in measurements)
     return PreparedProblem(true, prescribed, records[0], truths[0], problem, truths, validation)

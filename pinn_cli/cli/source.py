@@ -19,12 +19,16 @@ if TYPE_CHECKING:
     from pinn_cli.record.record import Measurements, Record
     from pinn_cli.record.validation_data import ValidationData, ValidationRecord
     from pinn_cli.record.windows import RecordWindows
+    from pinn_cli.system.modal import ModesSought
     from pinn_cli.system.model_error import ModelError
     from pinn_cli.system.structure import Structure
 
 SIMULATED = "pinn_cli.record.simulated.Simulated"
 # The scheme whose records have no response.
 PREDICT = "pinn_cli.scheme.predict.Predict"
+# That of modes, and the structure whose modes a record tells.
+NO_VALIDATION = "pinn_cli.validation.none.NoValidation"
+STATE_PARAMETER, MODAL = "pinn_cli.scheme.state_parameter.StateParameter", "modal"
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,50 @@ def read_structure(config: DictConfig, base: Path | None) -> Structure:
 
     if config.system.get("kind") == "matrices":
         return _finite_elements(config, base)
+    if config.system.get("kind") == MODAL:
+        return _modal(config)
     named = config.system.get("kind") == "structure"
     whole, incomplete = (build_structure, build_partial_structure) if named else (build_chain, build_partial_chain)
     return construct(whole if _is_simulated(config) else incomplete, config.system, "system")
+
+
+def _modal(config: DictConfig) -> Structure:
+    """Of modes that the record has yet to tell, at the points that it names."""
+    from pinn_cli.system.modal import build_modal
+    from pinn_cli.system.quantities import FORCE, MOTION
+
+    if _is_simulated(config):
+        raise InputError("system", MODAL, "another one with data=simulated", "a record tells the modes")
+    nodes = data_of_records(config.data)
+    return construct(
+        build_modal, config.system, "system", measured=[dof for n in nodes for dof in _dofs(n, (FORCE, *MOTION))]
+    )
+
+
+def modes_sought(config: DictConfig) -> ModesSought | None:
+    """Which modes a record is asked for; None: the structure says it all.
+
+    Raises:
+        InputError: They are not asked for as unknown parameters of one record.
+    """
+    if config.system.get("kind") != MODAL:
+        for node in data_of_records(config.data) if config.data.get("band") is not None else []:
+            hint = "the noise of other estimators is white, and a filter leaves none beside its band: data.decimate"
+            raise InputError("data.band", list(node.band), "null but with system=modal", hint)
+        return None
+    from pinn_cli.system.modal import ModesSought
+
+    if config.scheme.get("_target_") != STATE_PARAMETER:
+        raise InputError("scheme", config.scheme.get("_target_"), "state_parameter with system=modal")
+    for setting in ("data.window", "scheme.unknown", "model"):
+        if OmegaConf.select(config, setting) is not None:
+            given = OmegaConf.select(config, setting)
+            raise InputError(setting, given, "null with system=modal", "one record tells all modes in its band")
+    if config.validation.get("_target_") != NO_VALIDATION:
+        raise InputError(
+            "validation", config.validation.get("_target_"), "none with system=modal", "see data.validation"
+        )
+    return ModesSought.of(config.system.get("modes"))
 
 
 def _finite_elements(config: DictConfig, base: Path | None) -> Structure:
@@ -198,6 +243,9 @@ def _windows_of(config: DictConfig, data: Any, connections: list[str], follows: 
     if data.decimate > 1:
         hint = "its filter would have an edge in every window"
         raise InputError("data.decimate", data.decimate, "1 with data.window", hint)
+    if data.band is not None:
+        hint = "its filter would have an edge in every window"
+        raise InputError("data.band", list(data.band), "null with data.window", hint)
     if follows:
         return GrowingWindows(data, connections, *lengths, construct(Patience, config.follow, "follow"))
     return MeasuredWindows(data, connections, *lengths)

@@ -43,7 +43,7 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
     if structure.influence is not None:
         arrays["influence"] = np.asarray(structure.influence, dtype=float)
     if structure.shapes is not None:
-        words["residual"] = structure.shapes.residual
+        words["residual"], words["below"] = structure.shapes.residual, structure.shapes.below
         arrays["shapes"] = structure.shapes.matrix
         if structure.shapes.exact_at is not None:
             arrays["shapes_exact_at"] = structure.shapes.exact_at
@@ -75,7 +75,7 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     if "shapes" in arrays:
         stretch = _matrix("shapes_stretch", arrays) if "shapes_stretch_shape" in arrays else None
         own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
-        shapes = Shapes(*own, exact_at=arrays.get("shapes_exact_at"))
+        shapes = Shapes(*own, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
     pairs = Pairs(tuple(words["pairs"]), _matrix("pairs", arrays)) if "pairs" in words else None
     by_supports = _matrix("by_supports", arrays) if "by_supports_shape" in arrays else None
     return Structure(parameters, groups, labels, arrays.get("influence"), shapes, pairs, by_supports=by_supports)

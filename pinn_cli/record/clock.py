@@ -76,6 +76,10 @@ class Clock:
                 raise
             return self.time[first:last], False
 
+    def step(self, first: int, last: int) -> float:
+        """The usual one among rows first..last (``last`` excluded), s."""
+        return float(np.median(np.diff(self.time[first:last])))
+
     def uniform(self, first: int, last: int) -> np.ndarray:
         """Times of rows first..last (``last`` excluded), put onto the regular axis between their ends, s.
 

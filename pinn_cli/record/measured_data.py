@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.record.arriving import Arriving
+from pinn_cli.record.band import BandPass, checked_band
 from pinn_cli.record.clock import TIME_UNITS, Clock
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
@@ -55,6 +56,8 @@ class MeasuredData:
             are inputs, and stay.
         start, stop: Of the window, s, both included; None: the file's ends.
         decimate: Keep every so manieth sample of the window, after an anti-alias filter.
+        band: Lower and upper edge, Hz: all channels alike are filtered to it, and as many samples kept as it takes;
+            None: they stay as they were measured.
         intersample: How what acts behaves between the samples, one of :data:`BETWEEN_SAMPLES`; None: band-limited,
             unless its samples lie on straight lines.
         base: The directory the user started the command in; None: the current one.
@@ -91,6 +94,7 @@ class MeasuredData:
     channels: Any = None
     validation: Any = None
     responds: bool = True
+    band: Any = None
 
     def __post_init__(self) -> None:
         paths = [self.path] if isinstance(self.path, str) else entries(self.path)
@@ -109,6 +113,10 @@ class MeasuredData:
         if self.decimate > 1 and self.intersample == "zero_order_hold":
             hint = "a filtered force is no longer held; take data.intersample=band_limited"
             raise InputError("data.decimate", self.decimate, "1 with data.intersample=zero_order_hold", hint)
+        object.__setattr__(self, "band", checked_band(self.band))
+        if self.band is not None and (self.decimate > 1 or self.intersample == "zero_order_hold"):
+            given = "data.intersample=zero_order_hold" if self.decimate == 1 else f"data.decimate={self.decimate}"
+            raise InputError("data.band", list(self.band), f"null beside {given}", "its filter says both")
         self._check_ground()
         self._check_sensors()
         self._check_columns_differ()
@@ -155,6 +163,7 @@ class MeasuredData:
             frame=self.frame,
             gauges=not_held_out(found.gauges, self.holdout),
             responds=self.responds,
+            band=found.band,
             supports=supports,
             support_names=tuple(str(i + 1) for i in range(moving)),
         )
@@ -204,7 +213,10 @@ class MeasuredData:
     def _read(self, connections: Sequence[str], clock: Clock) -> Sampled:
         """The channels of the window after decimation."""
         window = self._window(clock.time)
-        return sampled(self._every_channel, clock, window, self.decimate, connections, self.intersample)
+        thinned: int | BandPass = self.decimate
+        if self.band is not None:
+            thinned = BandPass.of(self.band, len(clock.time), clock.step(*window))
+        return sampled(self._every_channel, clock, window, thinned, connections, self.intersample)
 
     @property
     def _files(self) -> MeasuredFiles:

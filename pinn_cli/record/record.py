@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from pinn_cli.record.band import BandPass
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
@@ -57,6 +58,7 @@ class Record:
         supports: Name in :data:`pinn_cli.system.quantities.SUPPORT` to (N, S), what was measured of the motion of the
             structure's S supports; a column of NaN where it was not.
         support_names: What the user calls them.
+        band: The filter that all channels went through; None: they are as measured.
         supports_begin: (2, S), displacement and velocity of the supports at the first sample, which no accelerometer
             tells; None: rest.
 
@@ -84,6 +86,7 @@ class Record:
     supports: Mapping[str, np.ndarray] = field(default_factory=dict)
     support_names: tuple[str, ...] = ()
     supports_begin: np.ndarray | None = None
+    band: BandPass | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.band import BandPass
 from pinn_cli.record.clock import TIME_TOLERANCE, Clock
 from pinn_cli.record.data_channels import DataChannel
 from pinn_cli.record.decimation import decimate
@@ -33,6 +34,7 @@ class Sampled:
         gauges: Channels with samples of their own.
         intersample: How the columns of what acts behave between their samples.
         assumed: Whether nobody said so, and nothing shows it.
+        band: What all channels are filtered by.
     """
 
     time: np.ndarray
@@ -40,13 +42,14 @@ class Sampled:
     gauges: tuple[Gauge, ...]
     intersample: Intersample = "band_limited"
     assumed: bool = False
+    band: BandPass | None = None
 
 
 def sampled(
     channels: Sequence[DataChannel],
     clock: Clock,
     window: tuple[int, int],
-    factor: int,
+    thinned: int | BandPass,
     connections: Sequence[str] = (),
     intersample: str | None = None,
 ) -> Sampled:
@@ -58,7 +61,8 @@ def sampled(
         channels: Of the file.
         clock: When its samples were taken.
         window: First row, and the row after the last.
-        factor: Every so manieth sample is kept, after an anti-alias filter.
+        thinned: Every so manieth sample is kept, after an anti-alias filter; or what leaves a band alone, which takes
+            samples beyond the window where the file has them.
         connections: Names of the structure's connections.
         intersample: See :class:`pinn_cli.record.measured_data.MeasuredData`.
 
@@ -66,6 +70,7 @@ def sampled(
         InputError: A cell that is no number, a channel with too few, a sensor that shows one value throughout; gaps
             where samples are to be filtered.
     """
+    window = window if isinstance(thinned, int) else _reached(thinned, window, len(clock.time))
     first, last = window
     hints = clock.table.hints
     channels = [c.in_unit(hints[c.column].unit if c.column in hints else "") for c in channels]
@@ -76,16 +81,41 @@ def sampled(
     whole = [even and not np.isnan(column).any() for column in values]
     lines = _on_lines(channels, values, intersample, whole)
     values = [held_by_lines(column) if held else column for held, column in zip(lines, values, strict=True)]
-    if factor > 1:
-        if not all(whole):
-            hint = "an anti-alias filter needs every sample"
-            raise InputError("data.decimate", factor, "1 where samples are missing or uneven", hint)
-        values = list(decimate(np.stack(values, axis=1), factor).T)
-        time = time[::factor]
+    if thinned != 1:
+        time, values = _thinned(thinned, time, values, all(whole))
     found = _placed(channels, time, values, even, connections)
+    found = replace(found, band=thinned if isinstance(thinned, BandPass) else None)
     if intersample == "zero_order_hold":
         return replace(found, intersample="zero_order_hold")
     return replace(found, assumed=intersample is None and not any(lines))
+
+
+def _reached(band: BandPass, window: tuple[int, int], rows: int) -> tuple[int, int]:
+    """Rows that a filter takes for those of a window, as far as the file has them."""
+    first, last = max(0, window[0] - band.half), min(rows, window[1] + band.half)
+    left = -(-(last - first - 2 * band.half) // band.factor)
+    if left < MINIMUM_SAMPLES:
+        allowed = f"a record of which its filter leaves {MINIMUM_SAMPLES} samples"
+        hint = f"of {window[1] - window[0]} samples it leaves {max(left, 0)}"
+        raise InputError("data.band", f"a filter of {len(band.taps)} samples", allowed, hint)
+    return first, last
+
+
+def _thinned(
+    by: int | BandPass, time: np.ndarray, values: Sequence[np.ndarray], whole: bool
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Times and channels with fewer samples."""
+    setting, given = ("data.decimate", by) if isinstance(by, int) else ("data.band", "a band")
+    if not whole:
+        allowed = f"{1 if isinstance(by, int) else 'null'} where samples are missing or uneven"
+        raise InputError(
+            setting, given, allowed, ("an anti-alias" if isinstance(by, int) else "its") + " filter needs every sample"
+        )
+    columns = np.stack(values, axis=1)
+    if isinstance(by, int):
+        return time[::by], list(decimate(columns, by).T)
+    found = by.filtered(columns)
+    return time[by.half :: by.factor][: len(found)], list(found.T)
 
 
 def _on_lines(

@@ -16,6 +16,7 @@ from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.joint_prior import JointPrior
+from pinn_cli.scheme.told import ToldParameters
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
@@ -76,6 +77,7 @@ class Problem:
         initial_state: Where the motion of an earlier record ended, if this one goes on from there: its first sample is
             that record's last. The parameters of ``with_parameters`` are the first of ``uncertain``.
         turns: Where the equations of motion hold less well for a spline; None: they hold everywhere alike.
+        told: What is known of all uncertain parameters before the motion is estimated; None: the motion tells them.
         hand_over: When a later record goes on, s: what is known from the samples up to that time is told as well.
     """
 
@@ -91,6 +93,7 @@ class Problem:
     initial_state: EndState | None = None
     hand_over: float | None = None
     turns: Turns | None = None
+    told: ToldParameters | None = None
 
     @classmethod
     def of_records(

@@ -65,8 +65,8 @@ class NaturalModes:
         with np.errstate(divide="ignore", invalid="ignore"):
             aperiodic = np.einsum("ir,ij,jr->r", still, C, still)[left] / (2.0 * np.sqrt(squares[left]))
         every = np.concatenate((np.abs(poles) ** 2, squares[left]))
-        residual = 0 if structure.shapes is None else structure.shapes.residual
-        order = np.argsort(every, kind="stable")[: n - residual]
+        below, above = (0, 0) if structure.shapes is None else (structure.shapes.below, structure.shapes.residual)
+        order = np.argsort(every, kind="stable")[below : n - above]
         ratios = np.concatenate((-poles.real / np.abs(poles), np.where(squares[left] > 0, aperiodic, np.nan)))
         shapes = np.hstack((vectors, still[:, left])) / np.sqrt(m)[:, None]
         shapes = shapes / np.linalg.norm(shapes, axis=0)

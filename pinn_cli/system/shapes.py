@@ -20,7 +20,8 @@ class Shapes:
         matrix: (dofs, n), how far every DOF moves with every coordinate.
         with_ground: (dofs,), how far every DOF moves with the ground; None: nobody has said.
         stretch: (C', dofs), how the DOFs stretch connections that were added to the modes, C' behind the modes' own.
-        residual: How many of the coordinates, the last ones, are static responses and no modes.
+        residual: How many of the coordinates, the last ones, are static responses and no modes, or modes above a band.
+        below: How many modes, the lowest, lie below the band of a record and stand for all that do.
         exact_at: (P,), factors of parts of a finite-element model for which the coordinates hold its modes; None: they
             are near for all.
     """
@@ -29,6 +30,7 @@ class Shapes:
     with_ground: np.ndarray | None = None
     stretch: csr_matrix | None = None
     residual: int = 0
+    below: int = 0
     exact_at: np.ndarray | None = None
 
     def of_dofs(self, q: Array) -> Array:

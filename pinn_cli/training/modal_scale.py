@@ -8,6 +8,7 @@ from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import MASS
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Standard deviations of a mode's motion, over what a force that acts on all modes alike would make it.
@@ -27,11 +28,12 @@ def modal_deviation(problem: Problem) -> np.ndarray | None:
         return None
     n = structure.coordinates
     p = structure.parameters_like(np.empty(0))
-    omega = np.sqrt(np.maximum(p["k"][:n], 0.0))
-    damping = np.maximum(p["c"][:n], 2.0 * LEAST_DAMPING * omega)
+    m = p[MASS]
+    omega = np.sqrt(np.maximum(p["k"][:n] / m, 0.0))
+    damping = np.maximum(p["c"][:n] / m, 2.0 * LEAST_DAMPING * omega)
     band = 2.0 * np.pi * record_band(record)
     w = np.geomspace(min(2.0 * np.pi / record.duration, 0.5 * band), band, FREQUENCIES)
-    power = 1.0 / ((omega[:, None] ** 2 - w**2) ** 2 + (damping[:, None] * w) ** 2)
+    power = m[:, None] ** -2.0 / ((omega[:, None] ** 2 - w**2) ** 2 + (damping[:, None] * w) ** 2)
     velocity, acceleration = (np.trapezoid(power * w**order, w) / band for order in (2, 4))
     of_dofs = structure.shapes.matrix**2 @ acceleration
     seen = any(record.sensors(quantity).any() for quantity in RESPONSE_QUANTITIES)

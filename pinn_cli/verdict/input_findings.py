@@ -16,7 +16,9 @@ from pinn_cli.verdict.finding import Finding, failed_if
 from pinn_cli.verdict.prediction import is_linear
 
 if TYPE_CHECKING:
+    from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
+    from pinn_cli.scheme.told import ToldParameters
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
@@ -28,6 +30,8 @@ UNTOLD = 0.5
 CLEAR_DB, ELSEWHERE, SHOWN = 10.0, 0.1, 6
 # Part of the power of the sensors' spectra, in a part of the band, that a model may miss beyond chance.
 MISSED = 0.3
+# Part of the power of the sensors in a part of the band that modes with a measured force may leave beyond noise.
+LEFT = 0.05
 
 
 def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -> list[Finding]:
@@ -38,6 +42,8 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
         estimate: Of the motion.
         structure: With the estimated parameters.
     """
+    if problem.told is not None:
+        return _driven(problem.record) + _modes(problem.told)
     of_parameters = _spectra(estimate) + _resonances(problem, structure) + _under_forces(problem, estimate)
     return _output_only(problem) + of_parameters + _untold(problem, estimate) + _energy(structure)
 
@@ -56,6 +62,34 @@ def _untold(problem: Problem, estimate: Estimate) -> list[Finding]:
         f"unmeasured forces leave the displacement of {names} open: its standard deviation is up to {worst:.0f} % of it"
     )
     return [Finding("untold", names, f"{text}; put sensors there, or measure the forces")]
+
+
+def _driven(record: Record) -> list[Finding]:
+    """A driven point whose motion no sensor shows."""
+    dofs = np.flatnonzero(record.sensors("force") & ~record.observed)
+    if not len(dofs):
+        return []
+    text = (
+        f"no sensor is where the force acts, at {record.dof_names(dofs)}: what is shown of its motion is not to scale,"
+        " and every modal mass belongs to the sensor that moves most in its mode"
+    )
+    return [Finding("driven", record.dof_names(dofs), text, "sound")]
+
+
+def _modes(told: ToldParameters) -> list[Finding]:
+    """What the spectra of a band show beside the modes that were found."""
+    if told.missing is not None:
+        text = f"a mode at {told.missing:.4g} Hz is in the band and not in the model"
+        return [Finding("missing_mode", "system.modes", f"{text}; ask for more (system.modes)")]
+    if told.misfit <= LEFT:
+        return []
+    text = (
+        f"in a part of the band the modes leave {100.0 * told.misfit:.0f} % of the sensors' power, more than noise does"
+    )
+    remedy = (
+        "frequencies may be right, damping and masses not; check the force, the sensors and whether the level matters"
+    )
+    return [Finding("spectra", "parameters", f"{text}; {remedy}")]
 
 
 def _spectra(estimate: Estimate) -> list[Finding]:

@@ -43,7 +43,8 @@ def test_defaults(composed: Compose) -> None:
         f"{group}={name}"
         for group in GROUPS
         for name in option_names(group)
-        if name not in ("structure", "matrices", "update", "predict") and (group != "data" or name == "simulated")
+        if name not in ("structure", "matrices", "modal", "update", "predict")
+        and (group != "data" or name == "simulated")
     ],
 )
 def test_every_option_of_every_group_builds(composed: Compose, choice: str) -> None:

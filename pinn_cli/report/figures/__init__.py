@@ -16,6 +16,7 @@ from pinn_cli.report.figures.discrepancy import discrepancy_figure
 from pinn_cli.report.figures.drift import drift_figure
 from pinn_cli.report.figures.error_map import error_map_figure
 from pinn_cli.report.figures.force_predictive import force_predictive_figure
+from pinn_cli.report.figures.frequency_response import frequency_response_figure
 from pinn_cli.report.figures.history import history_figure
 from pinn_cli.report.figures.hysteresis import hysteresis_figure
 from pinn_cli.report.figures.modes import modes_figure
@@ -32,6 +33,7 @@ from pinn_cli.report.parameters import any_unknown
 from pinn_cli.report.posterior import worst_sampled
 from pinn_cli.report.record_report import record_folder
 from pinn_cli.runs.side_by_side import shared_out
+from pinn_cli.training.estimated_structure import estimated_structure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -119,6 +121,9 @@ def record_drawings(results: Results, directory: Path) -> list[Drawing]:
         ("residuals", 12, partial(residuals_figure, estimate, record)),
         ("error_map", 8, partial(error_map_figure, estimate, record, truth.response)),
     ]
+    if record.band is not None:
+        estimated = estimated_structure(results.prescribed, estimate.parameters)
+        found.append(("frequency_response", 6, partial(frequency_response_figure, record, estimated)))
     if drifts.names:
         found.append(("drift", 2 * rows, partial(drift_figure, drifts, run.truth_label)))
     discrepancy = Discrepancy.of(results)

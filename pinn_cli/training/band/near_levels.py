@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY, Trained
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.joint.evidence import JointEvidence
@@ -38,7 +40,11 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
         noise: Where its levels would start without a model; the discrepancy is the force that acts.
     """
     problem = evidence.problem
-    if isinstance(evidence, JointEvidence) or problem.prior is None:
+    if isinstance(evidence, JointEvidence):
+        return None
+    if problem.told is not None:
+        return _under_told_levels(evidence, noise, problem.told.levels)
+    if problem.prior is None:
         return None
     levels, equations = problem.prior.levels, evidence.equations
     if not np.isfinite(levels.discrepancy) or not levels.force > 0:
@@ -70,6 +76,14 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     except DivergenceError:
         return None
     return trained if trained is not None and trained.solution.converged else None
+
+
+def _under_told_levels(evidence: Evidence, noise: NoiseModel, told: Mapping[str, np.ndarray]) -> Trained | None:
+    """The solution under levels that spectra have told; what disturbs the motion is no more than the load cell's."""
+    response = {quantity: _known_where(own, told.get(quantity)) for quantity, own in noise.response.items()}
+    least = LEAST_START * force_and_velocity_scale(evidence.problem)[0]
+    discrepancy = float(max(np.nanmax(told[FORCE]), least))
+    return evidence.train(replace(noise, response=response).with_discrepancy(discrepancy), evidence.equations.start())
 
 
 def softened(noise: NoiseModel, force: float) -> NoiseModel:

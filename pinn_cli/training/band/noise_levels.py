@@ -61,6 +61,8 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
         pooled: Whether the sensors of one quantity share one level.
         rounds: At most.
     """
+    if isinstance(evidence, Evidence) and evidence.problem.told is not None:  # spectra have told the levels, too
+        return trained
     floors = evidence.each_record(floor, trained)
     before: list[np.ndarray | None] = [None] * len(floors)
     best, losing = trained, 0

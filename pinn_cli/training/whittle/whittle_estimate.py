@@ -243,6 +243,8 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
         problem: With its record.
         learn_spread: See :class:`Whittle`.
     """
+    if problem.told is not None:
+        return _as_told(problem)
     if not problem.uncertain or not is_spectral(problem):
         return None
     spectrum = CrossSpectrum.of(problem.record)
@@ -264,6 +266,14 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
     own = model.places["parameters"]
     misfit, doubt = whittle.misfit(x), _scored_damping(whittle, x, before)
     return KnownParameters(x[own], covariance[own, own], -scored.value, converged, misfit, float(before[2]), doubt)
+
+
+def _as_told(problem: Problem) -> KnownParameters:
+    """What somebody else has told already."""
+    told, unit = problem.told, np.array([parameter.prior_std for parameter in problem.uncertain])
+    assert told is not None
+    covariance = told.covariance / np.outer(unit, unit)
+    return KnownParameters(np.zeros(len(unit)), covariance, told.log_likelihood, True, told.misfit, 1.0)
 
 
 def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> DampingDoubt | None:
