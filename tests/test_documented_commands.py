@@ -25,10 +25,10 @@ from hydra import compose, initialize_config_module
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.inspecting import Inspected
-from pinn_cli.cli.prepare import prepare_problem
 from pinn_cli.cli.windows import check_windows
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.record.growing_windows import GrowingWindows
+from pinn_cli.scheme.modal.modal_problem import modal_problem
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.function_space import training as over_all_weights
@@ -72,12 +72,15 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     with initialize_config_module("pinn_cli.conf", version_base="1.3"):
         composed = compose("config", overrides=first_job(arguments))
     config = RunConfig.read(composed, rig)
-    problem = prepare_problem(config).problem
+    true, prescribed = config.model_error.structures(config.structure)
+    record = config.observe(config.source.measure(true).record)
+    modes = config.modes
+    posed = config.scheme.problem(prescribed, record) if modes is None else modal_problem(modes, prescribed, [record])
     if config.scheme.predicts:  # nothing is trained
-        assert config.estimator.solve(problem, RunContext()).peaks
+        assert config.estimator.solve(posed, RunContext()).peaks
         return
     with pytest.raises(TrainingBeginsError):
-        config.estimator.solve(problem, RunContext())
+        config.estimator.solve(posed, RunContext())
 
 
 @pytest.mark.parametrize("line", LOOKS)
