@@ -51,6 +51,8 @@ LEAST = 1e-4
 DECISIVE = 10.0
 # Kinds that have one sign, and the share of its logarithm that what comes early has to lose against what comes late.
 ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
+# Energy that a doubt may leave more of, over what is left without it, where the structure moves.
+DEARER = 1.05
 # Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
 # and doubts that are told of one record.
 BESIDE = 0.1
@@ -230,6 +232,9 @@ class _Asked:
         # A change that leaves no mass, or nothing of a sensor, is beyond what a linear test can tell.
         wrong |= term.kind in (MASS, GAIN) and x <= -1.0
         gain = before.minus_log - fit.minus_log - 0.5 * np.log(max(fit.information[place], 1.0))
+        # What explains something else at the price of where the structure moves stands in for what is not asked.
+        moving = self.spectra.moving
+        wrong |= fit.energy[moving].sum() > DEARER * before.energy[moving].sum()
         # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
         early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
         return -np.inf if wrong else float(gain - early)
