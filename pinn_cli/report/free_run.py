@@ -148,7 +148,7 @@ def _excused_agreement(structure: Structure, estimate: Estimate, record: Record,
         if estimate.response.supports is not None:
             acting = acting.carried_by(estimate.response.supports, first)
         return _agreement(_simulated(structure, estimate, acting, first), estimate)
-    except OverflowsError:
+    except (OverflowsError, TooStiffError):
         return float("nan")
 
 

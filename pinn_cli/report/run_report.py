@@ -20,6 +20,7 @@ from pinn_cli.report.peaks import peak_table, peaks_text
 from pinn_cli.report.posterior import diagnostics_table, parameter_estimates, posterior_correlation
 from pinn_cli.report.record_report import RecordReport, record_folder, records_table
 from pinn_cli.report.run_record import run_record
+from pinn_cli.report.stories import stories_text, story_table
 from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.report.terminal.parameters import diagnostics_text
 from pinn_cli.report.terminal.run import run_text
@@ -162,7 +163,13 @@ class RunReport:
         diagnostics = "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict)
         other = "" if self.validation is None else validation_text(*self.validation)
         estimate = self.results.estimate
-        paragraphs = diagnostics, other, changes_text(estimate.changes), peaks_text(estimate.peaks)
+        paragraphs = (
+            stories_text(estimate.stories),
+            diagnostics,
+            other,
+            changes_text(estimate.changes),
+            peaks_text(estimate.peaks),
+        )
         seconds = self.stages.seconds
         return run_text(self.results, tables, baseline, self.free_run, paragraphs, verdict, seconds, further)
 
@@ -242,6 +249,8 @@ def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> 
         files["identifiability"] = identifiability_table(estimate.before_any_record, correlation, labels)
         if correlation is not None:
             files["correlation"] = correlation_table(parameters, correlation)
+    if estimate.stories:
+        files["stories"] = story_table(estimate.stories, labels)
     for name, table in files.items():
         write_table(table, directory / f"{name}.csv")
 

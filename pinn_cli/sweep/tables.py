@@ -13,7 +13,8 @@ FITNESS, PARAMETERS, JOBS = "fitness.csv", "parameters.csv", "jobs.csv"
 # In these a job without results is a row as well.
 _WITH_FAILURES = (FITNESS, PARAMETERS)
 _OF_FINISHED = (
-    "residuals", "modes", "drift", "energy", "free_run", "validation", "score", "identifiability", "diagnostics",
+    "residuals", "modes", "drift", "energy", "free_run", "validation", "score", "identifiability",
+    "stories", "diagnostics",
 )  # fmt: skip
 TABLES = (*_WITH_FAILURES, *(f"{name}.csv" for name in _OF_FINISHED))
 STATUS, REASON = "status", "reason"

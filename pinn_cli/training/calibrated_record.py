@@ -25,7 +25,7 @@ def as_calibrated(record: Record, estimate: Estimate) -> Record:
     """
     if not record.gauges:
         return record
-    found = _by_gauge(record, estimate.parameters)
+    found = _by_gauge(record, estimate.of_motion or estimate.parameters)
     return with_gauges(
         record, lambda gauge: _shown(gauge, found[gauge.name], record.time, _estimated(estimate.response, gauge))
     )

@@ -99,6 +99,24 @@ class Rival:
     log_odds: float
 
 
+@dataclass(frozen=True, eq=False)
+class Story:
+    """A way in which a record came about that the model does not quite explain, and how well it predicts the record.
+
+    Attributes:
+        name: Where the error is: a ``force`` that the model leaves out, or in the response of a ``free run``.
+        parameters: What they are then.
+        free_run: NMSE, %, of a simulation from the estimated state at the first sample, mean over the response sensors;
+            infinite where there is none.
+        segments: The same of many short ones, each from the estimated state at its own first sample.
+    """
+
+    name: str
+    parameters: tuple[ParameterEstimate, ...]
+    free_run: float
+    segments: float
+
+
 @dataclass(frozen=True)
 class Disagreement:
     """How far one of several records pulls their common parameters from where all of them together ended.
@@ -259,6 +277,8 @@ class Estimate:
         misfit: The force that the model leaves out; None where the training does not say.
         doubts: What the model may lack; nothing where the training does not say.
         structure: In whose coordinates the motion is; None: in those of the problem.
+        stories: Of a record that the model does not quite explain, the one that ``parameters`` are of first.
+        of_motion: The parameters that ``response`` goes with, where ``parameters`` are of another story; None: these.
     """
 
     response: Response
@@ -282,6 +302,8 @@ class Estimate:
     misfit: Misfit | None = None
     doubts: tuple[Doubt, ...] = ()
     structure: Structure | None = None
+    stories: tuple[Story, ...] = ()
+    of_motion: tuple[ParameterEstimate, ...] | None = None
 
     @property
     def before_any_record(self) -> list[ParameterEstimate]:

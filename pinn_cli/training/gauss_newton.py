@@ -33,6 +33,7 @@ from pinn_cli.training.band.near_levels import as_fine_as_before
 from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
 from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.band.stories import best_told
 from pinn_cli.training.base import Training, built
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
@@ -113,6 +114,7 @@ class GaussNewton(Training):
         estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
         if found.evidence.problem.structure.shapes is not problem.structure.shapes:
             estimate = replace(estimate, structure=found.evidence.problem.structure)
+        estimate = best_told(found, estimate)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))

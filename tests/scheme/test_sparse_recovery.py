@@ -14,6 +14,7 @@ from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
+from pinn_cli.scheme.told import ToldParameters
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
@@ -135,8 +136,9 @@ def test_a_problem_has_no_way_to_the_truth():
         "initial_state",
         "hand_over",
         "turns",
+        "told",
     }
     record = hints(Problem)["record"]
-    for kind in (record, EndState):
+    for kind in (record, EndState, ToldParameters):
         assert not {Truth, Measurements} & reachable(kind, set())
     assert not [name for name in dir(record) if "true" in name or "truth" in name]

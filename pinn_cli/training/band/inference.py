@@ -20,6 +20,7 @@ from pinn_cli.training.band.coloured import coloured, driven_in_band, has_forces
 from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, Trained
 from pinn_cli.training.band.driving import reaches_beyond
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.free_running import running_free
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.marginal_peak import at_marginal_peak
@@ -97,7 +98,10 @@ def inferred(
         trained, windows = of_all_windows(evidence, trained)
     widened = driven_in_band(evidence, evidence.widen_for_colour(trained))
     widened = widened if told else at_marginal_peak(evidence, widened)
-    return Inferred(evidence, widened, choice.rivals, windows, narrowed)
+    # Where a force is free nothing tells it from what the model leaves out; windows and samplers go on from the first.
+    told = told or problem.hand_over is not None or bool(problem.priors) or has_forces(problem)
+    free = running_free(evidence, widened) if problem.identifies and not told else ()
+    return Inferred(evidence, widened, choice.rivals, windows, narrowed, free)
 
 
 def _narrowed(coarse: Inferred, fine: Inferred) -> float:

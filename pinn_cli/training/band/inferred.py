@@ -10,6 +10,7 @@ from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.free_running import FreeRunning
 from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
@@ -22,7 +23,8 @@ from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 class Inferred:
     """A solution, what it was found with, others that explain the record as well, and what windows told so far.
 
-    And how many times as large the deviation of an unknown parameter was before the features were last made finer.
+    How many times as large the deviation of an unknown parameter was before the features were last made finer. And
+    where the model does not quite hold, solutions whose structure runs free.
     """
 
     evidence: Evidence | JointEvidence
@@ -30,6 +32,7 @@ class Inferred:
     rivals: tuple[Rival, ...] = ()
     told: DiscrepancyTold | None = None
     narrowed: float = 1.0
+    free: Sequence[FreeRunning] = ()
 
     @property
     def by_record(self) -> list[tuple[NormalEquations, Point]]:

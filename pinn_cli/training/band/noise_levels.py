@@ -48,6 +48,9 @@ KINSHIP_UNDER_FORCES = 0.05
 # An accelerometer beside a load cell, about whose noise nothing is known, has this part of what the load cell's noise
 # makes of the acceleration, at most: that much of it passes for the load cell's.
 BESIDE_LOAD_CELL = 0.4
+# Times that a load cell may be as noisy as its spectrum shows: what is more lies in the band of the force alone, and is
+# none of its noise. A force that is missing there would pass for it, and the model for right.
+LOUDEST = 1.5
 # Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
 LONGEST_STRIDE = 5.0
 
@@ -168,7 +171,10 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         left = np.maximum(shown - taken.response[GAUGE], FEWEST_LEFT * shown)
         level = _limited(np.sqrt(square / left), noise.response[GAUGE])
         response[GAUGE] = np.maximum(level, least.response[GAUGE])
-    force = np.maximum(_limited(force, noise.force), least.force)
+    shown = np.zeros(len(force))
+    shown[: len(evidence.shown_noise(FORCE))] = evidence.shown_noise(FORCE)
+    most = np.where(shown > 0.0, np.maximum(LOUDEST * shown, least.force), np.inf)
+    force = np.clip(_limited(force, noise.force), least.force, most)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 

@@ -25,7 +25,10 @@ LARGEST_RATIO = 1e100
 
 
 def parameter_posterior(
-    equations: NormalEquations | JointEquations, trained: Trained, told: tuple[np.ndarray, np.ndarray]
+    equations: NormalEquations | JointEquations,
+    trained: Trained,
+    told: tuple[np.ndarray, np.ndarray],
+    covariance: np.ndarray | None = None,
 ) -> tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge]:
     """Every uncertain parameter, the (p, p) correlation of all of them, and what is known without bounds.
 
@@ -38,9 +41,11 @@ def parameter_posterior(
         equations: Of one record or of several.
         trained: Their solution.
         told: Both (p,), see :func:`coherent_misfit`.
+        covariance: (p, p), of that Gaussian; None: by the Hessian.
     """
     mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
-    peak, covariance = mode + _newton_step(equations, trained), trained.factor.corner_covariance
+    peak = mode + _newton_step(equations, trained)
+    covariance = trained.factor.corner_covariance if covariance is None else covariance
     uncertain, lower = _parameters(equations), equations.lower
     own = slice(len(uncertain))  # what follows is about these alone: a first state is integrated out
     mode, scale, peak, covariance, lower = mode[own], scale[own], peak[own], covariance[own, own], lower[own]

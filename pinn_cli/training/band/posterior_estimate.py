@@ -11,6 +11,7 @@ import pandas as pd
 import torch
 from scipy.sparse import csr_matrix
 
+from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.physics import estimated_response
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
@@ -37,7 +38,6 @@ from pinn_cli.training.history import History
 def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, history: History) -> Estimate:
     """Means, standard deviations, parameters and summary of trained networks, one for every record."""
     told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
-    parameters, correlation, known = parameter_posterior(evidence.equations, trained, told)
     found = {
         "iterations": len(history.rows),
         "factorisations": history.factorisations,
@@ -47,26 +47,31 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
         "parameter_spread": trained.noise.spread,
     }
     table = history.table()
+    each = [
+        replace(own, history=table, summary=found | own.summary)
+        for own in evidence.each_record(record_estimate, trained)
+    ]
+    estimate = with_parameters(evidence, each, parameter_posterior(evidence.equations, trained, told))
+    if isinstance(evidence, JointEvidence):
+        return replace(estimate, disagreements=disagreements(evidence, trained))
+    return replace(estimate, end=end_state(evidence.equations, trained))
+
+
+def with_parameters(
+    evidence: Evidence | JointEvidence,
+    each: Sequence[Estimate],
+    posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
+) -> Estimate:
+    """One estimate of all records from that of each, with these parameters, their correlation, and what is known."""
+    parameters, correlation, known = posterior
     first, *further = (
-        replace(
-            own,
-            history=table,
-            summary=found | own.summary,
-            **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]),
-        )
-        for own, problem, columns in zip(
-            evidence.each_record(record_estimate, trained),
-            evidence.problem.by_record,
-            evidence.equations.columns,
-            strict=True,
-        )
+        replace(own, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
+        for own, problem, columns in zip(each, evidence.problem.by_record, evidence.equations.columns, strict=True)
     )
     if not isinstance(evidence, JointEvidence):
-        return replace(first, known=known, end=end_state(evidence.equations, trained))
-    first = replace(first, disagreements=disagreements(evidence, trained))
+        return replace(first, known=known)
     every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
-    every["known"] = known
-    return replace(first, further=tuple(further), **every)
+    return replace(first, further=tuple(further), known=known, **every)
 
 
 def _own_parameters(

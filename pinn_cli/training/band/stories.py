@@ -1,0 +1,137 @@
+"""Stories of a record that the model does not quite explain, and what each predicts that it has not been shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.record.channels import channels
+from pinn_cli.record.record import Record
+from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.response import Response
+from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.band.free_running import FreeRunning
+from pinn_cli.training.band.inferred import Inferred
+from pinn_cli.training.band.misfit_history import misfit_history
+from pinn_cli.training.band.parameter_posterior import parameter_posterior
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.posterior_estimate import with_parameters
+from pinn_cli.training.calibrated_record import as_calibrated
+from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
+from pinn_cli.training.estimated_structure import estimated_structure
+
+OF_FORCE, OF_RESPONSE = "force", "free run"
+# Parts of a record that are simulated each from the estimated state at its beginning.
+SEGMENTS = 10
+# A story that leaves as much of every sensor as there is predicts nothing.
+NOTHING = 100.0
+
+
+def best_told(found: Inferred, estimate: Estimate) -> Estimate:
+    """The estimate with the parameters of the story that predicts the record best, and what each of them says.
+
+    Args:
+        found: Its solutions.
+        estimate: Of the story in which a force acts that the model leaves out; its motion is that in any case.
+    """
+    if not found.free:
+        return estimate
+    problems = found.evidence.problem.by_record
+    every = [of_free_running(found, free, estimate) for free in found.free]
+    free = min((_story(OF_RESPONSE, problems, estimate, own) for own in every), key=_rank)
+    other = every[[tuple(own.parameters) for own in every].index(free.parameters)]
+    of_force = _story(OF_FORCE, problems, estimate, estimate)
+    stories, chosen = ((free, of_force), other) if _rank(free) < _rank(of_force) else ((of_force, free), estimate)
+    first, *others = (tuple(own.parameters) for own in estimate.by_record)
+    further = [replace(own, of_motion=motion) for own, motion in zip(chosen.further, others, strict=True)]
+    return replace(chosen, stories=stories, of_motion=first, further=tuple(further))
+
+
+def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> Estimate:
+    """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
+
+    No record averages out how the parameters vary.
+    """
+    equations, varying = found.evidence.equations, (free.varying, np.ones(len(free.varying)))
+    parameters, correlation, known = parameter_posterior(equations, free.trained, varying, free.covariance)
+    # A mean that a bound moves is no longer what makes the structure run.
+    modes = (free.trained.solution.point.parameters * equations.scale).cpu().numpy()
+    parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
+    point = Point(found.trained.solution.point.unknowns, free.trained.solution.point.parameters)
+    moved = replace(found.trained, solution=replace(found.trained.solution, point=point))
+    each = zip(estimate.by_record, found.evidence.each_record(misfit_history, moved), strict=True)
+    told = with_parameters(
+        found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
+    )
+    further = told.further
+    return replace(
+        estimate, parameters=told.parameters, correlation=told.correlation, known=told.known, further=further,
+        misfit=told.misfit,
+    )  # fmt: skip
+
+
+def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
+    if found.held:  # its interval begins at the bound
+        return found
+    lower, upper = min(found.lower_90, mode), max(found.upper_90, mode)
+    return replace(found, estimate=mode, lower_90=lower, upper_90=upper)
+
+
+def _story(name: str, problems: Sequence[Problem], motion: Estimate, estimate: Estimate) -> Story:
+    return Story(name, tuple(estimate.parameters), *_missed(problems, motion, estimate))
+
+
+def _rank(story: Story) -> float:
+    """What decides: the free run, else its segments where it goes nowhere."""
+    return story.free_run if story.free_run < NOTHING else NOTHING + story.segments
+
+
+def _missed(problems: Sequence[Problem], motion: Estimate, estimate: Estimate) -> tuple[float, float]:
+    """NMSE of a free run and of segments, %, mean over the response's sensors of all records."""
+    every = [
+        _missed_of(problem, as_calibrated(problem.record, own), own_motion, own.parameters)
+        for problem, own_motion, own in zip(problems, motion.by_record, estimate.by_record, strict=True)
+    ]
+    free_run, segments = np.mean(every, axis=0)
+    return float(free_run), float(segments)
+
+
+def _missed_of(
+    problem: Problem, record: Record, motion: Estimate, parameters: Sequence[ParameterEstimate]
+) -> tuple[float, float]:
+    structure = estimated_structure(problem.structure, parameters)
+    ends = np.linspace(0, len(record.time), SEGMENTS + 1).astype(int)
+
+    def left(parts: Sequence[tuple[int, int]]) -> float:
+        total = []
+        for first, last in parts:
+            own = record.until(last)
+            carried = motion.response.supports
+            own = own if carried is None else replace(own, supports_begin=carried[first, :2])
+            try:
+                response = resimulate(structure, own, motion.response.state(first), first=first)
+            except (TooStiffError, OverflowsError):
+                return np.inf
+            total.append(_squares(record, response, slice(first, last)))
+        return 100.0 * float(np.mean(np.sum(total, axis=0) / _powers(record)))
+
+    return left([(0, len(record.time))]), left(list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)))
+
+
+def _squares(record: Record, response: Response, part: slice) -> np.ndarray:
+    """(C,) sum of squares of what a simulation leaves of every channel in a part of the record."""
+    out = []
+    for channel in channels(record):
+        left = channel.measured[part] - channel.of(response)
+        there = slice(None) if channel.there is None else channel.there[part]
+        out.append(float(np.sum(left[there] ** 2)))
+    return np.array(out)
+
+
+def _powers(record: Record) -> np.ndarray:
+    """(C,) sum of squares of every channel about its mean."""
+    samples = [channel.sampled(channel.measured) for channel in channels(record)]
+    return np.array([float(np.sum((x - x.mean()) ** 2)) for x in samples])
