@@ -72,20 +72,31 @@ def running_free(evidence: Evidence | JointEvidence, trained: Trained) -> list[F
     first, found = trained.noise.by_record, trained
     for part in PARTS_LEFT:
         ends = [max(part * own.discrepancy, least.discrepancy) for own, least in zip(first, floors, strict=True)]
-        for _ in range(ROUNDS):
-            levels = evidence.each_record(_stiffer, found, ends, first)
-            again = evidence.train(NoiseModel.of_records(levels), found.solution.point)
-            if again is None or not np.isfinite(again.log_evidence):
-                return out
-            pairs = zip(again.noise.by_record, found.noise.by_record, strict=True)
-            moved = [np.abs(_log_response(new) - _log_response(old)) for new, old in pairs]
-            found = again
-            settled = float(np.nanmax(np.concatenate(moved), initial=0.0)) < SETTLED
-            if settled and all(own.discrepancy <= end for own, end in zip(levels, ends, strict=True)):
-                break
+        followed = _followed(evidence, found, ends, first)
+        if followed is None:
+            break
+        found = followed
         if found.solution.converged:
             out.append(FreeRunning(found, *_deviations(evidence, found)))
     return out
+
+
+def _followed(
+    evidence: Evidence | JointEvidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]
+) -> Trained | None:
+    """The solution with a discrepancy that has come down to its end, step by step; None where it cannot be solved."""
+    for _ in range(ROUNDS):
+        levels = evidence.each_record(_stiffer, found, ends, first)
+        again = evidence.train(NoiseModel.of_records(levels), found.solution.point)
+        if again is None or not np.isfinite(again.log_evidence):
+            return None
+        pairs = zip(again.noise.by_record, found.noise.by_record, strict=True)
+        moved = [np.abs(_log_response(new) - _log_response(old)) for new, old in pairs]
+        found = again
+        settled = float(np.nanmax(np.concatenate(moved), initial=0.0)) < SETTLED
+        if settled and all(own.discrepancy <= end for own, end in zip(levels, ends, strict=True)):
+            break
+    return found
 
 
 def _is_misled(evidence: Evidence | JointEvidence, trained: Trained, least: list[NoiseModel]) -> bool:

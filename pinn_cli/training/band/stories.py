@@ -41,9 +41,8 @@ def best_told(found: Inferred, estimate: Estimate) -> Estimate:
         return estimate
     problems = found.evidence.problem.by_record
     every = [of_free_running(found, free, estimate) for free in found.free]
-    free = min((_story(OF_RESPONSE, problems, estimate, own) for own in every), key=_rank)
-    other = every[[tuple(own.parameters) for own in every].index(free.parameters)]
-    of_force = _story(OF_FORCE, problems, estimate, estimate)
+    free, other = min(((_story(OF_RESPONSE, problems, own), own) for own in every), key=lambda told: _rank(told[0]))
+    of_force = _story(OF_FORCE, problems, estimate)
     stories, chosen = ((free, of_force), other) if _rank(free) < _rank(of_force) else ((of_force, free), estimate)
     first, *others = (tuple(own.parameters) for own in estimate.by_record)
     further = [replace(own, of_motion=motion) for own, motion in zip(chosen.further, others, strict=True)]
@@ -66,11 +65,8 @@ def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> E
     told = with_parameters(
         found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
     )
-    further = told.further
-    return replace(
-        estimate, parameters=told.parameters, correlation=told.correlation, known=told.known, further=further,
-        misfit=told.misfit,
-    )  # fmt: skip
+    changed = ("parameters", "correlation", "known", "further", "misfit")
+    return replace(estimate, **{name: getattr(told, name) for name in changed})
 
 
 def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
@@ -80,8 +76,8 @@ def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
     return replace(found, estimate=mode, lower_90=lower, upper_90=upper)
 
 
-def _story(name: str, problems: Sequence[Problem], motion: Estimate, estimate: Estimate) -> Story:
-    return Story(name, tuple(estimate.parameters), *_missed(problems, motion, estimate))
+def _story(name: str, problems: Sequence[Problem], estimate: Estimate) -> Story:
+    return Story(name, tuple(estimate.parameters), *_missed(problems, estimate))
 
 
 def _rank(story: Story) -> float:
@@ -89,30 +85,27 @@ def _rank(story: Story) -> float:
     return story.free_run if story.free_run < NOTHING else NOTHING + story.segments
 
 
-def _missed(problems: Sequence[Problem], motion: Estimate, estimate: Estimate) -> tuple[float, float]:
+def _missed(problems: Sequence[Problem], estimate: Estimate) -> tuple[float, float]:
     """NMSE of a free run and of segments, %, mean over the response's sensors of all records."""
-    every = [
-        _missed_of(problem, as_calibrated(problem.record, own), own_motion, own.parameters)
-        for problem, own_motion, own in zip(problems, motion.by_record, estimate.by_record, strict=True)
-    ]
+    every = [_missed_of(*each) for each in zip(problems, estimate.by_record, strict=True)]
     free_run, segments = np.mean(every, axis=0)
     return float(free_run), float(segments)
 
 
-def _missed_of(
-    problem: Problem, record: Record, motion: Estimate, parameters: Sequence[ParameterEstimate]
-) -> tuple[float, float]:
-    structure = estimated_structure(problem.structure, parameters)
+def _missed_of(problem: Problem, estimate: Estimate) -> tuple[float, float]:
+    """Of one record."""
+    record, motion = as_calibrated(problem.record, estimate), estimate.response
+    structure = estimated_structure(problem.structure, estimate.parameters)
     ends = np.linspace(0, len(record.time), SEGMENTS + 1).astype(int)
 
     def left(parts: Sequence[tuple[int, int]]) -> float:
         total = []
         for first, last in parts:
             own = record.until(last)
-            carried = motion.response.supports
+            carried = motion.supports
             own = own if carried is None else replace(own, supports_begin=carried[first, :2])
             try:
-                response = resimulate(structure, own, motion.response.state(first), first=first)
+                response = resimulate(structure, own, motion.state(first), first=first)
             except (TooStiffError, OverflowsError):
                 return np.inf
             total.append(_squares(record, response, slice(first, last)))
