@@ -170,7 +170,9 @@ def test_an_absurdly_stiff_estimate_does_not_hold_up_the_report():
     structure = small_chain()
     measurements = measured(structure)
     run = free_run(structure, estimated(measurements.truth.response, k_3=1e12), measurements.record)
-    assert run.finding
+    assert run.response is not None  # implicit steps take any stiffness that its dampers can bear
+    assert np.isfinite(run.response.displacement).all()
+    assert "do not reproduce the estimated response" in run.finding
 
 
 def test_the_estimated_chain_takes_what_was_estimated():
