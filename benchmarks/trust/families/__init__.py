@@ -1,0 +1,28 @@
+"""The families of random structures: each is a module of this folder with `draw(seed)`."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from benchmarks.trust.case import Case
+
+FAMILIES = (
+    "chain",
+    "topology",
+    "ground",
+    "damping",
+    "nonlinear",
+    "unmeasured",
+    "finite_elements",
+    "sensors",
+    "records",
+    "posterior",
+    "spoilt",
+)
+
+
+def drawn(family: str, seed: int) -> Case:
+    """The case of a family and a seed: the same whenever it is drawn."""
+    found = import_module(f"{__name__}.{family}").draw(seed)
+    assert isinstance(found, Case)
+    return found

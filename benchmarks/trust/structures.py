@@ -1,0 +1,172 @@
+"""Random structures and their motion, by numpy and scipy alone: nothing of the program under test is used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.random import Generator
+from scipy.integrate import solve_ivp
+from scipy.linalg import eigh
+
+Force = Callable[[float], np.ndarray]
+
+RELATIVE, ABSOLUTE = 1e-9, 1e-12  # tolerances of the integration; the absolute one of the largest motion so far
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A connection of a structure.
+
+    Attributes:
+        name: In the settings and of its parameters: `k_NAME`.
+        row: Its elongation is `row @ u`, (n,).
+        law: Name of the law in the settings (`linear`, `duffing`, ...).
+        values: Kind of parameter and value: {"c": ..., "k": ..., "kappa": ...}.
+        force: Further force beside c e' + k e: of elongation, its rate and the memory z; N.
+        memory: Rate of the memory z of elongation, its rate and z, or None.
+        options: Settings of the law that are no parameters, such as `exponent`.
+    """
+
+    name: str
+    row: np.ndarray
+    law: str = "linear"
+    values: dict[str, float] = field(default_factory=dict)
+    force: Callable[[float, float, float], float] | None = None
+    memory: Callable[[float, float, float], float] | None = None
+    options: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Masses, connections and a damping of the whole.
+
+    Attributes:
+        dofs: Names (n).
+        mass: kg, (n,).
+        connections: Springs, dampers and what is nonlinear.
+        damping: Further damping matrix, N s/m, (n, n), or None.
+    """
+
+    dofs: tuple[str, ...]
+    mass: np.ndarray
+    connections: tuple[Connection, ...]
+    damping: np.ndarray | None = None
+
+    @property
+    def n(self) -> int:
+        """DOFs."""
+        return len(self.mass)
+
+    def matrix(self, kind: str) -> np.ndarray:
+        """Sum of the connections' `kind` (`k` or `c`), (n, n); damping of the whole included."""
+        found = np.zeros((self.n, self.n))
+        for link in self.connections:
+            found += link.values.get(kind, 0.0) * np.outer(link.row, link.row)
+        return found + (self.damping if kind == "c" and self.damping is not None else 0.0)
+
+    def modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies, Hz, (n,), and shapes of unit modal mass, (n, n), of the linear springs."""
+        squared, shapes = eigh(self.matrix("k"), np.diag(self.mass))
+        return np.sqrt(np.maximum(squared, 0.0)) / (2.0 * np.pi), shapes
+
+    def with_values(self, kind: str, values: dict[str, float]) -> Structure:
+        """The same with other values of one kind, by connection."""
+        links = tuple(
+            replace(link, values=link.values | ({kind: values[link.name]} if link.name in values else {}))
+            for link in self.connections
+        )
+        return replace(self, connections=links)
+
+    def settings(self) -> dict[str, object]:
+        """`system:` of an experiment, all parameters prescribed at their values."""
+        links: dict[str, object] = {}
+        for link in self.connections:
+            row = {name: float(f"{x:.12g}") for name, x in zip(self.dofs, link.row, strict=True) if x != 0.0}
+            links[link.name] = {"weights": row, "law": link.law, **link.values, **link.options}
+        return {
+            "dofs": list(self.dofs),
+            "mass": dict(zip(self.dofs, self.mass.tolist(), strict=True)),
+            "connections": links,
+        }
+
+    def parameters(self, kinds: str = "ck") -> dict[str, float]:
+        """Name as in `parameters.csv` and value, of the kinds that are letters of `kinds`."""
+        return {f"{kind}_{link.name}": link.values[kind] for kind in kinds for link in self.connections
+                if kind in link.values}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Displacement, velocity, acceleration relative to the ground, (time, n), and the memories, (time, links)."""
+
+    displacement: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    memory: np.ndarray
+
+
+def simulated(
+    structure: Structure, force: Force, times: np.ndarray, highest: float, start: np.ndarray | None = None
+) -> Motion:
+    """Motion at the times, by DOP853.
+
+    Args:
+        structure: What moves.
+        force: External force at a time, N, (n,); of a ground that moves -m a_g.
+        times: s, (time,); the first one is the beginning.
+        highest: Highest frequency of force and structure, Hz: no step is longer than a tenth of its period.
+        start: Displacements, then velocities (2 n,); None: at rest.
+    """
+    n, links = structure.n, structure.connections
+    C, K = structure.matrix("c"), structure.matrix("k")
+    further = [(i, link) for i, link in enumerate(links) if link.force is not None]
+    remembers = [(i, link) for i, link in enumerate(links) if link.memory is not None]
+    place = {i: 2 * n + j for j, (i, _) in enumerate(remembers)}
+
+    def motion(t: float, y: np.ndarray) -> np.ndarray:
+        u, v = y[:n], y[n : 2 * n]
+        pull = force(t) - C @ v - K @ u
+        for i, link in further:
+            assert link.force is not None
+            z = y[place[i]] if i in place else 0.0
+            pull = pull - link.row * link.force(float(link.row @ u), float(link.row @ v), float(z))
+        rates = [
+            link.memory(float(link.row @ u), float(link.row @ v), float(y[place[i]]))
+            for i, link in remembers
+            if link.memory is not None
+        ]
+        return np.r_[v, pull / structure.mass, rates]
+
+    y0 = np.zeros(2 * n + len(remembers))
+    if start is not None:
+        y0[: 2 * n] = start
+    scale = float(np.abs(force(times[len(times) // 3])).max() + np.abs(K @ y0[:n]).max())
+    small = ABSOLUTE * max(scale, 1e-300) / max(float(np.abs(np.diag(K)).max()), 1e-300)
+    found = solve_ivp(
+        motion, (times[0], times[-1]), y0, method="DOP853", t_eval=times, rtol=RELATIVE, atol=max(small, 1e-30),
+        max_step=0.1 / highest, first_step=0.01 / highest,
+    ).y.T  # fmt: skip
+    acceleration = np.array([motion(t, y)[n : 2 * n] for t, y in zip(times, found, strict=True)])
+    return Motion(found[:, :n], found[:, n : 2 * n], acceleration, found[:, 2 * n :])
+
+
+def sinusoids(
+    rng: Generator, low: float, high: float, rms: float, lines: int = 300
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Gaussian noise of a band as a function of time: a sum of sinusoids that is switched on over one long period."""
+    lines = 300
+    frequency, phase = rng.uniform(low, high, lines), rng.uniform(0.0, 2.0 * np.pi, lines)
+
+    def force(t: np.ndarray) -> np.ndarray:
+        t = np.asarray(t, float)
+        waves = np.cos(2.0 * np.pi * frequency * t[..., None] + phase).sum(axis=-1)
+        return np.clip(t * low, 0.0, 1.0) * rms * np.sqrt(2.0 / lines) * waves
+
+    return force
+
+
+def noisy(rng: Generator, values: np.ndarray, decibel: float) -> np.ndarray:
+    """A channel with white noise of a signal-to-noise ratio, dB."""
+    return values + rng.normal(size=len(values)) * values.std() * 10.0 ** (-decibel / 20.0)
