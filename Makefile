@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all kills lint format fuzz audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all trust kills lint format fuzz audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
@@ -57,6 +57,9 @@ audit: ## known holes of the versions in constraints.txt; needs a network
 
 kills: venv ## kill 100 runs and 30 sweeps and fill 10 disks: the same command ends with the same numbers (long)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -s -m slow tests/test_kills.py
+
+trust: venv ## how often is it right? random structures by other code, by the real command (hours; ARGS=--quick: 20 minutes; ARGS=--help)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.trust $(ARGS)
 
 calibration: venv ## how well posteriors cover and are sampled over 40 noise seeds (long)
 	$(BIN)/python -m benchmarks.calibration $(ARGS)

@@ -11,7 +11,7 @@ log = logging.getLogger(__name__)
 
 
 class Stages:
-    """Wall-clock seconds by stage, for run.json and, as they end, for the log.
+    """Wall-clock seconds by stage and the processor's in all, for run.json and, as they end, for the log.
 
     Args:
         began: When the run did, as `time.perf_counter` has it; None: now. What has passed since is its ``start_up``.
@@ -21,12 +21,14 @@ class Stages:
         >>> with stages("record"):
         ...     pass
         >>> list(stages.seconds)
-        ['record', 'total']
+        ['record', 'total', 'processor']
     """
 
     def __init__(self, began: float | None = None) -> None:
         now = time.perf_counter()
         self._start = now if began is None else began
+        # A run that has the process to itself counts the start-up as well.
+        self._processor = time.process_time() if began is None else 0.0
         self._seconds: dict[str, float] = {} if began is None else {"start_up": now - began}
         self._moments: dict[str, float] = {}
         self._entered: list[str] = []
@@ -56,5 +58,6 @@ class Stages:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Stage to seconds; the moments that were reached, and the total, both since the run began."""
-        return {**self._seconds, **self._moments, "total": time.perf_counter() - self._start}
+        """Stage to seconds; the moments that were reached, the total and the processor's time, since the run began."""
+        total = {"total": time.perf_counter() - self._start, "processor": time.process_time() - self._processor}
+        return {**self._seconds, **self._moments, **total}

@@ -1,0 +1,133 @@
+"""How often is the program right? `make trust`.
+
+Random structures of eleven families, made with numpy and scipy alone, are estimated by the real command, in its own
+sweeps, and compared with the truth:
+
+    make trust                                            some 600 cases: hours on two cores
+    make trust ARGS=--quick                               60 cases: at most 20 minutes
+    make trust ARGS="--family ground --seeds 20"          one family
+    make trust ARGS="--family ground --seed 7"            one case, whose files stay
+    make trust ARGS="--quick --against REVISION"          the same cases on two revisions: what changed, case by case
+    make trust ARGS="--quick --vary CONSTANT"             with a constant halved and doubled: what changed
+    make trust ARGS="--write"                             the table and the figure go to docs/trust.md
+
+Rows lie in outputs/trust/DIGEST, where the digest is that of the program and of the cases. A command that is called
+again goes on there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Hashable
+from pathlib import Path
+
+import pandas as pd
+
+from benchmarks.trust.families import FAMILIES
+from benchmarks.trust.programs import HERE, Constant, constants, digest, of_constant, of_revision
+from benchmarks.trust.runner import PARAMETERS, Drawn, Referee
+from benchmarks.trust.score import OUTCOMES
+from benchmarks.trust.table import Judged, by_family, changes, draw, markdown, worst
+
+FULL, QUICK = 55, 5  # cases of a family
+QUICK_SPOILT = 10  # of the family of faults, which stands for all others
+FACTORS = (0.5, 2.0)
+
+
+def wanted(given: argparse.Namespace) -> list[Drawn]:
+    """Families and seeds that the options ask for."""
+    families = given.family or FAMILIES
+    if given.seed is not None:
+        return [(family, given.seed) for family in families]
+    found: list[Drawn] = []
+    for family in families:
+        number = given.seeds or (QUICK_SPOILT if given.quick and family == "spoilt" else QUICK if given.quick else FULL)
+        found += [(family, seed) for seed in range(number)]
+    return found
+
+
+def judged(source: Path, given: argparse.Namespace) -> Judged:
+    """Rows and parameters of all wanted cases by one program."""
+    single = given.seed is not None
+    name = "_".join([*(given.family or ["all"]), str(given.seed)]) if single else digest(source)
+    if single:  # whatever program it was made with
+        shutil.rmtree(given.folder / name, ignore_errors=True)
+    referee = Referee(given.folder.resolve() / name, source, given.launcher, tuple(given.overrides), single)
+    rows = referee.run(wanted(given))
+    parameters = pd.read_csv(referee.folder / PARAMETERS)
+    print(f"{referee.folder}")
+    return Judged(rows, parameters[parameters["case"].isin(rows["case"])])
+
+
+def compared(source: Path, given: argparse.Namespace, against: Path) -> pd.DataFrame:
+    """Print what changes from one program to another, and return the changed cases."""
+    before, after = judged(against, given), judged(source, given)
+    for name, rows in (("before", before.rows), ("after", after.rows)):
+        counts = ", ".join(f"{int((rows['outcome'] == outcome).sum())} {outcome}" for outcome in OUTCOMES)
+        print(f"{name}: {counts}; {rows['seconds'].sum():.0f} s")
+    found = changes(before, after)
+    print(found.to_string(index=False, float_format=lambda x: f"{x:.3g}") if len(found) else "no case changed")
+    return found
+
+
+def vary(given: argparse.Namespace, chosen: list[Constant]) -> pd.DataFrame:
+    """A row for each constant and factor: how many cases it changes, and how."""
+    path = given.folder / "constants.csv"
+    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
+    done = {(row["constant"], row["factor"]) for row in rows}
+    for constant in chosen:
+        for factor in FACTORS:
+            if (constant.label, factor) in done:
+                continue
+            changed = compared(of_constant(constant, factor, given.folder / "trees"), given, HERE)
+            differ = int((changed["outcome"] != changed["outcome_new"]).sum()) if len(changed) else 0
+            worst_of = float(changed["moved"].max()) if len(changed) else 0.0
+            told: dict[Hashable, object] = {"constant": constant.label, "value": constant.value, "factor": factor}
+            rows.append(
+                told | {"cases changed": len(changed), "outcomes changed": differ, "moved by": round(worst_of, 3)}
+            )
+            pd.DataFrame(rows).to_csv(path, index=False)
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Run what is missing and print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.trust", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="60 cases")
+    parser.add_argument("--family", nargs="*", choices=FAMILIES, help="these alone")
+    parser.add_argument("--seeds", type=int, help="cases of each family")
+    parser.add_argument("--seed", type=int, help="this one alone; its files stay")
+    parser.add_argument("--against", metavar="REVISION", help="compare with this revision")
+    parser.add_argument("--vary", nargs="+", metavar="CONSTANT", help="halve and double; all: every one of them")
+    parser.add_argument("--write", action="store_true", help="write docs/trust.md")
+    parser.add_argument("--folder", type=Path, default=Path("outputs/trust"), help="where the rows go")
+    parser.add_argument("--launcher", default="joblib", help="of the sweeps: joblib, slurm, ray_cluster, ...")
+    parser.add_argument("overrides", nargs="*", help="further settings, as pinn-run takes them (after --)")
+    given = parser.parse_args()
+    if given.vary:
+        chosen = [one for one in constants() if given.vary == ["all"] or {one.label, one.name} & set(given.vary)]
+        if not chosen:
+            sys.exit(f"--vary: no {', '.join(given.vary)}; they are called training/band/beginning.TIE and the like")
+        print(vary(given, chosen).to_string(index=False))
+        return
+    if given.against:
+        compared(HERE, given, of_revision(given.against, given.folder / "trees"))
+        return
+    found = judged(HERE, given)
+    table = by_family(found)
+    print(f"\n{worst(found.rows)}\n\n{markdown(table)}")
+    if given.write:
+        write(table)
+
+
+def write(table: pd.DataFrame) -> None:
+    """Put table and figure into the page."""
+    draw(table, HERE / "docs" / "trust.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""The referee: what is right, what is wrong, what is named, and which program is judged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+import yaml
+
+from benchmarks.trust.case import BEFORE, HERE, Case, Truth
+from benchmarks.trust.programs import HERE as CHECKOUT
+from benchmarks.trust.programs import constants, digest, of_constant, revision
+from benchmarks.trust.score import CAUGHT, ERROR, FALSE_ALARM, SOUND, WRONG_AND_SOUND, inside, scored
+from benchmarks.trust.structures import Connection, Structure, simulated
+from benchmarks.trust.table import Judged, by_family, changes, markdown, worst
+
+TIME = np.linspace(0.0, 1.0, 200)
+U = np.column_stack([np.sin(TIME), np.cos(TIME)])
+
+
+def case(names_it: str = "", **true: float) -> Case:
+    truth = Truth(true, U, U, U, (0,), names_it)
+    return Case("chain", 7, {"record.csv": pd.DataFrame({"t": TIME})}, {}, truth, fault="gain" if names_it else "")
+
+
+def run(folder: Path, verdict: str, off: float = 0.0, **found: tuple[float, float]) -> Path:
+    """A run whose displacements are off by `off` of their deviations, with estimates and deviations."""
+    folder.mkdir(exist_ok=True)
+    told = {"verdict": verdict, "reasons": [] if verdict == "sound" else ["the gain of y2 is 1.2"]}
+    (folder / "run.json").write_text(json.dumps(told | {"seconds": {"total": 2.0, "processor": 3.0}}))
+    rows = [
+        {"estimator": "pinn", "parameter": name, "estimate": x, "std": s, "lower_90": x - 1.645 * s,
+         "upper_90": x + 1.645 * s}
+        for name, (x, s) in found.items()
+    ]  # fmt: skip
+    if rows:
+        pd.DataFrame(rows).to_csv(folder / "parameters.csv", index=False)
+    motion = dict.fromkeys(("displacement", "velocity", "acceleration"), (("time", "dof"), U + 0.1 * off))
+    motion |= {f"{name}_std": (("time", "dof"), np.full(U.shape, 0.1)) for name in tuple(motion)}
+    xr.Dataset(motion).to_netcdf(folder / "response.nc", engine="h5netcdf")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("verdict", "off", "k", "outcome"),
+    [
+        ("sound", 0.0, (100.0, 1.0), SOUND),
+        ("questionable", 0.0, (100.0, 1.0), FALSE_ALARM),
+        ("sound", 0.0, (101.0, 0.01), SOUND),  # many deviations, yet a hundredth
+        ("sound", 0.0, (120.0, 10.0), SOUND),  # far off, yet it says so
+        ("sound", 0.0, (103.0, 0.1), WRONG_AND_SOUND),
+        ("failed", 0.0, (103.0, 0.1), CAUGHT),
+        ("sound", 2.5, (100.0, 1.0), WRONG_AND_SOUND),
+        ("sound", 0.0, (np.nan, 1.0), WRONG_AND_SOUND),
+    ],
+)
+def test_wrong_is_many_deviations_and_some_per_cent(
+    tmp_path: Path, verdict: str, off: float, k: tuple[float, float], outcome: str
+) -> None:
+    found = scored(case(k_1=100.0), run(tmp_path / "run", verdict, off, k_1=k), "")
+    assert found.row["outcome"] == outcome
+
+
+def test_a_run_that_left_nothing_is_an_error_and_its_reason_is_kept(tmp_path: Path) -> None:
+    row = scored(case("gain", k_1=1.0), tmp_path / "none", "the gain is 1.2").row
+    assert (row["outcome"], row["named"], row["reasons"]) == (ERROR, True, "the gain is 1.2")
+
+
+def test_bands_are_counted_where_there_is_no_sensor(tmp_path: Path) -> None:
+    row = scored(case(), run(tmp_path / "run", "sound", off=1.0), "").row
+    assert row["u_50"] == 0.0  # a deviation off: outside 0.67 of them
+    assert row["a_90"] == 1.0
+    assert row["v_rms"] == pytest.approx(1.0)
+
+
+def test_intervals_hold_the_truth_at_their_levels() -> None:
+    table = pd.DataFrame(
+        {"true": 0.0, "estimate": [0.5, 1.0, 1.8, 3.0], "std": 1.0, "lower_90": -1.0, "upper_90": [2.0] * 3 + [5]}
+    )
+    held = inside(table.assign(lower_90=[-1.0, -1.0, 0.1, 1.0]))
+    assert [int(held[level].sum()) for level in (50, 90, 95)] == [1, 2, 3]
+
+
+def test_the_table_counts_outcomes_and_leaves_faults_out_of_coverage(tmp_path: Path) -> None:
+    right = scored(case(k_1=100.0), run(tmp_path / "a", "sound", k_1=(100.0, 1.0)), "")
+    spoilt = scored(case("gain of y2", k_1=100.0), run(tmp_path / "b", "failed", k_1=(150.0, 1.0)), "")
+    rows = pd.DataFrame([right.row, spoilt.row])
+    table = by_family(Judged(rows, pd.concat([one.parameters.assign(case=one.row["case"]) for one in (right, spoilt)])))
+    every = table.set_index("family").loc["all"]
+    assert (every[SOUND], every[CAUGHT], every["named"], every["p_90"]) == (1, 1, "1 of 1", 100.0)
+    assert len(markdown(table).splitlines()) == 9
+    assert worst(rows).startswith("chain_7_gain: wrong, not sound; k_1 50 %, 50 std")
+
+
+def test_changes_are_verdicts_and_moves(tmp_path: Path) -> None:
+    def judged(name: str, verdict: str, k: float) -> Judged:
+        found = scored(case(k_1=100.0), run(tmp_path / name, verdict, k_1=(k, 1.0)), "")
+        return Judged(pd.DataFrame([found.row]), found.parameters.assign(case=found.row["case"]))
+
+    one = judged("one", "sound", 100.0)
+    assert changes(one, judged("two", "sound", 100.05)).empty
+    assert changes(one, judged("three", "sound", 100.5))["moved"].tolist() == pytest.approx([0.5])
+    assert changes(one, judged("four", "failed", 100.0))["outcome_new"].tolist() == [FALSE_ALARM]
+
+
+def test_a_case_leaves_its_files_under_its_name(tmp_path: Path) -> None:
+    own = Case(
+        "records", 3, {"a.csv": pd.DataFrame({"t": TIME})}, {"data": {"path": f"{HERE}/a.csv"}, "model": BEFORE},
+        Truth({}, U, U, U, (0,)), before={"data": {"path": f"{HERE}/a.csv"}, "seed": np.int64(3)},
+    )  # fmt: skip
+    own.write(tmp_path)
+    first, second = (
+        yaml.safe_load((tmp_path / "experiment" / f"records_3{suffix}.yaml").read_text()) for suffix in ("_before", "")
+    )
+    assert first == {"case": "records_3_before", "data": {"path": f"{tmp_path}/records_3/a.csv"}, "seed": 3}
+    assert second["model"] == f"{tmp_path}/before/records_3"
+
+
+def test_the_motion_of_a_lone_mass_is_that_of_its_formula() -> None:
+    k, c, m = 40.0, 0.6, 2.0
+    structure = Structure(("x",), np.array([m]), (Connection("a", np.array([1.0]), values={"c": c, "k": k}),))
+    found = simulated(structure, lambda _: np.zeros(1), np.linspace(0.0, 5.0, 50), 1.0, start=np.array([0.01, 0.0]))
+    decay, omega = c / (2 * m), np.sqrt(k / m - (c / (2 * m)) ** 2)
+    t = np.linspace(0.0, 5.0, 50)
+    exact = 0.01 * np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+    np.testing.assert_allclose(found.displacement[:, 0], exact, atol=1e-9)
+    balance = m * found.acceleration + c * found.velocity + k * found.displacement
+    np.testing.assert_allclose(balance, 0.0, atol=1e-9)
+
+
+def test_a_constant_is_found_and_doubled_in_a_copy(tmp_path: Path) -> None:
+    chosen = next(one for one in constants() if one.path == "verdict/judge.py" or one.path.startswith("verdict/"))
+    tree = of_constant(chosen, 2.0, tmp_path)
+    scope: dict[str, object] = {}
+    line = next(
+        text
+        for text in (tree / "pinn_cli" / chosen.path).read_text().splitlines()
+        if text.startswith(f"{chosen.name} = ")
+    )
+    exec(line, scope)
+    assert scope[chosen.name] == pytest.approx(2.0 * eval(chosen.value))
+    assert digest(tree) != digest(CHECKOUT)
+    assert (tree / "pinn_cli" / "conf" / "config.yaml").is_file()
+
+
+def test_the_revision_has_a_name() -> None:
+    assert revision()
