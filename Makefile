@@ -10,7 +10,7 @@ RAY := $(VENV)/.installed-ray
 # Overrides for the run, as pinn-run takes them: make run ARGS="system.ndof=20 noise.snr_db=20"
 ARGS ?=
 
-.PHONY: help venv run test test-all trust kills lint format fuzz audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures seeds nonlinearity paper-all \
+.PHONY: help venv run test test-all trust kills lint format fuzz audit bench bench-epochs bench-models bench-nearly-right bench-sweeps calibration table1 table2 table3 table4 table5 table6 paper figures tables seeds nonlinearity paper-all \
 	against-smoother bench-peers docs gallery clean
 
 help: ## list the targets
@@ -120,6 +120,9 @@ gallery: venv ## the figures of docs/gallery, drawn anew by the commands of its 
 
 bench-peers: venv ## DeepXDE, jinns, a Kalman smoother of dynamax, KOMA and this program on the same records (long; an environment of its own)
 	$(BIN)/python -m benchmarks.peers $(ARGS)
+
+tables: venv ## tables of README and docs that come from ordinary runs, written into their pages (ARGS="mlp smoother": these)
+	$(BIN)/python -m benchmarks.tables $(ARGS)
 
 docs: venv ## build/docs: the documentation as a site, its links checked; no network is needed
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
