@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.random import Generator
 from scipy.integrate import solve_ivp
-from scipy.linalg import eigh
+from scipy.interpolate import CubicSpline
+from scipy.linalg import eigh, expm
 
 Force = Callable[[float], np.ndarray]
 
@@ -152,11 +153,82 @@ def simulated(
     return Motion(found[:, :n], found[:, n : 2 * n], acceleration, found[:, 2 * n :])
 
 
+def linear_motion(
+    structure: Structure, force: Callable[[np.ndarray], np.ndarray], times: np.ndarray, highest: float
+) -> Motion:
+    """Motion of a linear structure from rest, by matrix exponentials: exact for the spline through the force.
+
+    It has 60 points or more in the shortest period.
+
+    Args:
+        structure: What moves; of its connections c and k count.
+        force: External force at times, N: (time,) to (time, n); of a ground that moves -m a_g.
+        times: s, (time,), uniform; the structure is at rest at the first one.
+        highest: Highest frequency of force and structure, Hz.
+    """
+    n = structure.n
+    between = int(np.ceil(60.0 * highest * (times[1] - times[0])))
+    h = (times[1] - times[0]) / between
+    fine = times[0] + h * np.arange((len(times) - 1) * between + 1)
+    C, K = structure.matrix("c"), structure.matrix("k")
+    cubics = CubicSpline(fine, force(fine)).c * h ** np.array([3, 2, 1, 0])[:, None, None]  # of steps as long as 1
+    generator = np.zeros((6 * n, 6 * n))  # of u, h v and the force's cubic: f, then s times its derivatives' terms
+    generator[:n, n : 2 * n] = np.eye(n)
+    generator[n : 2 * n, :n] = -(h**2) * K / structure.mass[:, None]
+    generator[n : 2 * n, n : 2 * n] = -h * C / structure.mass[:, None]
+    generator[n : 2 * n, 2 * n : 3 * n] = np.diag(h**2 / structure.mass)
+    for order in (1, 2, 3):  # x_order = order! (its coefficient), whose integral is x_(order - 1)
+        generator[(1 + order) * n : (2 + order) * n, (2 + order) * n : (3 + order) * n] = np.eye(n)
+    step = expm(generator)[: 2 * n]
+    pushed = np.concatenate([factor * cubics[3 - i] for i, factor in enumerate((1.0, 1.0, 2.0, 6.0))], axis=1)
+    pushed = pushed @ step[:, 2 * n :].T
+    states = np.zeros((len(fine), 2 * n))
+    free = np.ascontiguousarray(step[:, : 2 * n])
+    for i, push in enumerate(pushed):
+        states[i + 1] = free @ states[i] + push
+    u, v = states[::between, :n], states[::between, n:] / h
+    return Motion(u, v, (force(times) - v @ C - u @ K) / structure.mass, np.zeros((len(times), 0)))
+
+
+def damping_matrix(structure: Structure, ratios: np.ndarray) -> np.ndarray:
+    """Damping matrix (n, n) with a ratio for each mode, the lowest first, (n,)."""
+    frequencies, shapes = structure.modes()
+    weighed = structure.mass[:, None] * shapes
+    return (weighed * (4.0 * np.pi * ratios * frequencies)) @ weighed.T
+
+
+def uncertainty(structure: Structure, where: np.ndarray, sensed: np.ndarray, band: np.ndarray, amount: float) -> float:
+    """Largest relative standard deviation of a stiffness that the best estimate could have (Cramér and Rao).
+
+    Stiffnesses and dampers of all connections are unknown, forces known; channels of any kind have white noise.
+
+    Args:
+        structure: Linear.
+        where: DOFs of the forces, (n, forces); flat spectra.
+        sensed: DOFs of the sensors.
+        band: Frequencies of the forces, Hz, dense beside the resonances.
+        amount: Samples times the ratio of the power of signal and noise.
+    """
+    rows = np.array([link.row for link in structure.connections])
+    s = 2j * np.pi * band[:, None, None]
+    inverse = np.linalg.inv(s**2 * np.diag(structure.mass) + s * structure.matrix("c") + structure.matrix("k"))
+    response = inverse[:, sensed] @ where
+    by_k = np.einsum("fsn,ln,flw->fswl", inverse[:, sensed], rows, rows @ inverse @ where)
+    by_k = by_k * np.array([link.values["k"] for link in structure.connections])
+    relative = np.concatenate([by_k, by_k * s[..., None] / np.abs(s).max()], axis=-1)
+    power = (np.abs(response) ** 2).sum(axis=(0, 2))
+    told = np.einsum("fswl,fswm,s->lm", relative.conj(), relative, amount / np.maximum(power, 1e-300)).real
+    spread = np.sqrt(np.diag(told))
+    if not np.all(spread > 0.0):
+        return float("inf")  # a part that nothing moves or nothing senses
+    squares = np.diag(np.linalg.pinv(told / np.outer(spread, spread), rcond=1e-14, hermitian=True))
+    return float(np.sqrt(np.max(squares[: len(rows)] / spread[: len(rows)] ** 2)))
+
+
 def sinusoids(
     rng: Generator, low: float, high: float, rms: float, lines: int = 300
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Gaussian noise of a band as a function of time: a sum of sinusoids that is switched on over one long period."""
-    lines = 300
     frequency, phase = rng.uniform(low, high, lines), rng.uniform(0.0, 2.0 * np.pi, lines)
 
     def force(t: np.ndarray) -> np.ndarray:
