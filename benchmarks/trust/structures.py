@@ -109,9 +109,14 @@ class Motion:
 
 
 def simulated(
-    structure: Structure, force: Force, times: np.ndarray, highest: float, start: np.ndarray | None = None
+    structure: Structure,
+    force: Force,
+    times: np.ndarray,
+    highest: float,
+    start: np.ndarray | None = None,
+    method: str = "DOP853",
 ) -> Motion:
-    """Motion at the times, by DOP853.
+    """Motion at the times, by an integrator of scipy.
 
     Args:
         structure: What moves.
@@ -119,6 +124,7 @@ def simulated(
         times: s, (time,); the first one is the beginning.
         highest: Highest frequency of force and structure, Hz: no step is longer than a tenth of its period.
         start: Displacements, then velocities (2 n,); None: at rest.
+        method: Of `solve_ivp`; LSODA where a contact sticks.
     """
     n, links = structure.n, structure.connections
     C, K = structure.matrix("c"), structure.matrix("k")
@@ -146,7 +152,7 @@ def simulated(
     scale = float(np.abs(force(times[len(times) // 3])).max() + np.abs(K @ y0[:n]).max())
     small = ABSOLUTE * max(scale, 1e-300) / max(float(np.abs(np.diag(K)).max()), 1e-300)
     found = solve_ivp(
-        motion, (times[0], times[-1]), y0, method="DOP853", t_eval=times, rtol=RELATIVE, atol=max(small, 1e-30),
+        motion, (times[0], times[-1]), y0, method=method, t_eval=times, rtol=RELATIVE, atol=max(small, 1e-30),
         max_step=0.1 / highest, first_step=0.01 / highest,
     ).y.T  # fmt: skip
     acceleration = np.array([motion(t, y)[n : 2 * n] for t, y in zip(times, found, strict=True)])

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.linalg import eigh
 
 from benchmarks.trust.case import plain
-from benchmarks.trust.families import drawn
+from benchmarks.trust.families import drawn, nonlinear
+from benchmarks.trust.families.finite_elements import Mesh, assembled
 from benchmarks.trust.structures import Connection, Structure, damping_matrix, linear_motion, simulated, sinusoids
+from benchmarks.trust.waves import random_waves
+from pinn_cli.system.connection.base import Hysteresis, Nonlinearity
+from pinn_cli.system.connection.bouc_wen import BoucWen
+from pinn_cli.system.connection.duffing import Duffing
+from pinn_cli.system.connection.friction import Friction
+from pinn_cli.system.connection.polynomial import Polynomial
+from pinn_cli.system.connection.power_damping import PowerDamping
+from pinn_cli.system.connection.van_der_pol import VanDerPol
 
 ROWS = np.array([[1.0, 0, 0], [-1, 1, 0], [0, -1, 1], [0.6, 0, -0.8]])
 FRAME = Structure(
@@ -18,7 +31,9 @@ FRAME = Structure(
 )
 
 
-@pytest.mark.parametrize(("family", "seed"), [("chain", 0), ("topology", 0)])
+@pytest.mark.parametrize(
+    ("family", "seed"), [("chain", 0), ("topology", 0), ("nonlinear", 1), ("unmeasured", 13), ("finite_elements", 1)]
+)
 def test_a_seed_draws_the_same_case_again(family: str, seed: int) -> None:
     case, again = drawn(family, seed), drawn(family, seed)
     assert plain(case.settings) == plain(again.settings)
@@ -48,3 +63,58 @@ def test_each_mode_has_its_damping_ratio() -> None:
     C = damping_matrix(FRAME, ratios)
     frequencies, shapes = FRAME.modes()
     np.testing.assert_allclose(shapes.T @ C @ shapes, np.diag(4.0 * np.pi * ratios * frequencies), atol=1e-9)
+
+
+def test_motion_under_waves_is_that_of_small_steps_and_of_the_wave_begun_earlier() -> None:
+    frequencies, where = FRAME.modes()[0], np.eye(3)[:, [1, 2]]
+    highest, rng = 1.2 * frequencies[-1], np.random.default_rng(2)
+    waves = random_waves(rng, (0.4 * frequencies[0], highest), np.array([2.0, 1.0]), 50, np.ones_like)
+    times = np.arange(0.0, 12.0 / frequencies[0], 0.3 / frequencies[-1])
+    M, C, K = np.diag(FRAME.mass), FRAME.matrix("c"), FRAME.matrix("k")
+    exact = waves.moves(M, C, K, where, times)
+    small = linear_motion(FRAME, lambda t: waves(t) @ where.T, times, highest)
+    later = replace(waves, begin=-times[40]).moves(M, C, K, where, times[:-40])
+    for quantity in ("displacement", "velocity", "acceleration"):
+        found, expected = getattr(exact, quantity), getattr(small, quantity)
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+        np.testing.assert_allclose(getattr(later, quantity), found[40:], atol=1e-9 * np.abs(found).max())
+
+
+@pytest.mark.parametrize(
+    ("law", "of_the_program"),
+    [
+        ("duffing", lambda link: Duffing()),
+        ("polynomial", lambda link: Polynomial([2, 3])),
+        ("bouc_wen", lambda link: BoucWen()),
+        ("friction", lambda link: Friction(link.options.get("speed", 1e-4 * 0.3))),
+        ("van_der_pol", lambda link: VanDerPol()),
+        ("power_damping", lambda link: PowerDamping(link.options["exponent"])),
+    ],
+)
+def test_a_law_that_is_drawn_is_the_one_of_its_name(
+    law: str, of_the_program: Callable[[Connection], Nonlinearity]
+) -> None:
+    rng = np.random.default_rng(3)
+    link = getattr(nonlinear, law)(rng, replace(FRAME.connections[0]), 0.2, 0.3)
+    program = of_the_program(link)
+    values = {name: np.array([value]) for name, value in link.values.items()}
+    for e, de, z in rng.normal(size=(10, 3)):
+        expected = program.force(np.array([e]), np.array([de]), values)[0]
+        if isinstance(program, Hysteresis):
+            expected = z
+            found = program.rate(np.array([e]), np.array([de]), np.array([z]), values)[0]
+            assert link.memory(e, de, z) == pytest.approx(found)
+        assert link.force(e, de, z) == pytest.approx(expected)
+
+
+def test_a_cantilever_has_the_frequency_of_the_textbook() -> None:
+    count, length = 12, 2.0
+    nodes = np.column_stack([np.linspace(0.0, length, count + 1), np.zeros(count + 1)])
+    elements = np.column_stack([np.arange(count), np.arange(1, count + 1)])
+    held = np.r_[3 * np.arange(count + 1), 1, 2]
+    for turned in (0.0, 0.7):  # along x without its axial motion, and anywhere in the plane with it
+        turn = np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
+        mesh = Mesh(nodes @ turn, elements, np.arange(count) // 6, held if turned == 0.0 else np.arange(3), 0.01)
+        M, K = assembled(mesh)
+        first = np.sqrt(eigh(K.sum(0), M, eigvals_only=True)[0])
+        assert first == pytest.approx(1.8751**2 / length**2, rel=1e-3)
