@@ -8,6 +8,7 @@ many samples each time, as an engineer would.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,15 +18,33 @@ from benchmarks.nearly_right.simulation import Chain
 SMALL = 1e-4  # relative step of the differences
 
 
+class Model(Protocol):
+    """What can be fitted: `benchmarks.nearly_right.simulation.Chain` says what its functions do."""
+
+    @property
+    def ndof(self) -> int: ...  # noqa: D102
+
+    def states(self, p: np.ndarray, start: np.ndarray, force: np.ndarray, dt: float) -> np.ndarray: ...  # noqa: D102
+
+    def outputs(self, p: np.ndarray, states: np.ndarray, force: np.ndarray) -> np.ndarray: ...  # noqa: D102
+
+
 def fitted(
-    model: Chain, guess: np.ndarray, force: np.ndarray, sensors: np.ndarray, dt: float, first: int
+    model: Model,
+    guess: np.ndarray,
+    force: np.ndarray,
+    sensors: np.ndarray,
+    dt: float,
+    first: int,
+    noise: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters, (p,), and the covariance of their logarithms, (p, p), as if what is left were white.
 
-    ``force`` (samples,), N, and ``sensors`` (samples, sensors), SI units, every ``dt`` seconds; ``first``: samples of
-    the first, shortest fit.
+    ``force``, as the model takes it (samples first), and ``sensors`` (samples, sensors), SI units, every ``dt``
+    seconds; ``first``: samples of the first, shortest fit; ``noise``: of the sensors, by default as their size is.
     """
-    size = np.sqrt(np.mean(sensors**2, axis=0))
+    rms = np.sqrt(np.mean(sensors**2, axis=0))
+    size = rms if noise is None else noise * np.max(rms / noise)
     found, samples = np.log(guess), min(first, len(force))
     while True:
         left = _residual(model, force[:samples], sensors[:samples], size, dt)
@@ -49,7 +68,7 @@ def fitted(
 
 
 def _residual(
-    model: Chain, force: np.ndarray, sensors: np.ndarray, size: np.ndarray, dt: float
+    model: Model, force: np.ndarray, sensors: np.ndarray, size: np.ndarray, dt: float
 ) -> Callable[[np.ndarray], np.ndarray]:
     def left(logarithms: np.ndarray) -> np.ndarray:
         p = np.exp(logarithms)

@@ -64,23 +64,12 @@ class Chain:
         return pull / p[..., :n]
 
     def _by_poles(self, p: np.ndarray, start: np.ndarray, force: np.ndarray, dt: float) -> np.ndarray:
-        n, h = self.ndof, dt / DENSER
+        n = self.ndof
         at_rest, free = np.zeros((2 * n, 1)), p[None]
         moved = self._acceleration(free, np.eye(2 * n), at_rest)
         matrix = np.vstack([np.eye(2 * n)[n:], moved.T])
         push = np.append(np.zeros(n), self._acceleration(free, np.zeros((1, 2 * n)), np.ones((1, 1))))
-        poles, shapes = np.linalg.eig(matrix)
-        inwards, first = np.linalg.solve(shapes, np.stack([push, start], axis=1).astype(complex)).T
-        samples = len(force)
-        dense = make_interp_spline(np.arange(samples), force, k=5)(np.arange((samples - 1) * DENSER + 1) / DENSER)
-        decay = np.exp(poles * h)
-        even = (decay - 1.0) / poles
-        rising = (even / h - 1.0) / poles
-        states = np.empty((2 * n, samples), dtype=complex)
-        for i in range(2 * n):
-            step = inwards[i] * ((even[i] - rising[i]) * dense[:-1] + rising[i] * dense[1:])
-            states[i] = lfilter([1.0], [1.0, -decay[i]], np.append(first[i], step))[::DENSER]
-        return (shapes @ states).real.T
+        return by_poles(matrix, push[:, None], start, force[:, None], dt)
 
     def _stepped(self, p: np.ndarray, start: np.ndarray, force: np.ndarray, dt: float) -> np.ndarray:
         n, h, samples = self.ndof, dt / STEPS, len(force)
@@ -101,3 +90,23 @@ class Chain:
             if (step + 1) % STEPS == 0:
                 states[(step + 1) // STEPS] = y
         return states.transpose(1, 0, 2)
+
+
+def by_poles(matrix: np.ndarray, push: np.ndarray, start: np.ndarray, force: np.ndarray, dt: float) -> np.ndarray:
+    """States (samples, s) of x' = matrix x + push f(t) from the first one, (s,).
+
+    The forces, (samples, forces), are known at every sample; `push` is (s, forces).
+    """
+    h, samples = dt / DENSER, len(force)
+    poles, shapes = np.linalg.eig(matrix)
+    inwards = np.linalg.solve(shapes, np.column_stack([push, start]).astype(complex))
+    dense = make_interp_spline(np.arange(samples), force, k=5)(np.arange((samples - 1) * DENSER + 1) / DENSER)
+    decay = np.exp(poles * h)
+    even = (decay - 1.0) / poles
+    rising = (even / h - 1.0) / poles
+    states = np.empty((len(poles), samples), dtype=complex)
+    for i in range(len(poles)):
+        acting = dense @ inwards[i, :-1]
+        step = (even[i] - rising[i]) * acting[:-1] + rising[i] * acting[1:]
+        states[i] = lfilter([1.0], [1.0, -decay[i]], np.append(inwards[i, -1], step))[::DENSER]
+    return (shapes @ states).real.T

@@ -7,6 +7,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from benchmarks.trust.case import HERE, Case, Truth
+from benchmarks.trust.peers import Input, Sensor, Told
 from benchmarks.trust.structures import Connection, Structure, noisy, simulated, sinusoids
 
 
@@ -79,9 +80,22 @@ def draw(seed: int) -> Case:
         {f"k_{i + 1}": float(x) for i, x in enumerate(k)} if unknown else {},
         motion.displacement, motion.velocity, motion.acceleration, tuple(int(i) for i in sensors),
     )  # fmt: skip
+    peer = None
+    if unknown and not cubic.any():
+        peer = Told(
+            mass, rows,
+            {f"c_{i + 1}": (i, float(x)) for i, x in enumerate(c)}
+            | {f"k_{i + 1}": (i, float(x)) for i, x in enumerate(prescribed)},
+            tuple(f"k_{i + 1}" for i in range(n)),
+            (Input("f", 10.0 ** (-force_db / 20.0) * float(spline(times).std()), place),),
+            tuple(
+                Sensor(f"y{i + 1}", kind, int(i), 10.0 ** (-response_db / 20.0) * float(felt[:, i].std()))
+                for i in sensors
+            ),
+        )  # fmt: skip
     about = (
         f"{n} storeys, {first:.3g} to {last:.3g} Hz, {rate:.4g} Hz x {len(times)},"
         f" {kind} on {[int(i) + 1 for i in sensors]},"
         f" {response_db:.0f} dB{', cubic' if cubic.any() else ''}{', k unknown' if unknown else ''}"
     )
-    return Case("chain", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
+    return Case("chain", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about, peer=peer)
