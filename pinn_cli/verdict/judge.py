@@ -87,8 +87,9 @@ def judge(
     # Wrong damping is the cause of a free run that does not.
     follows = follows or (bool(lacks) and lacks[0].kind == "damping" and not causes)
     # So is what explains most of what the model leaves out.
-    follows = follows or (bool(estimate.doubts) and estimate.doubts[0].share > MOST_EXPLAINED and not causes)
-    if follows and lacks and lacks[0].kind not in TOLD_BY_CAUSES:
+    told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
+    follows = follows or (told and bool(estimate.doubts) and estimate.doubts[0].share > MOST_EXPLAINED and not causes)
+    if follows and told:
         causes = lacks
     elif any(finding.word != "sound" for finding in findings) and not causes and not (follows and lacks):
         causes = _causes(problem, estimate, excused)
