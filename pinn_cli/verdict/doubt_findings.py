@@ -31,6 +31,8 @@ LACKS = {
     HYSTERESIS: "a hysteresis: {number} that slip at about {shape:.2g} m",
     DRIFT: "a drift: its stiffness changes by {number} from the first to the last sample",
 }
+# The parameter of the laws that have it: where the record contradicts its bound, it lacks all the same.
+OWN = {CUBIC: "kappa", FRICTION: "F_c"}
 # The overrides that add it.
 _GIVE = "give {{of}} law: {law} with {parameters} unknown (system={law}, or in system.connections)"
 LAWS = {
@@ -51,7 +53,8 @@ def doubt_findings(estimate: Estimate) -> list[Finding]:
     """
     damping = _other_damping(estimate)
     least = estimate.damping_doubt.log_odds if damping and estimate.damping_doubt is not None else 0.0
-    return [_finding(doubt) for doubt in estimate.doubts if doubt.log_odds > least] + damping
+    held = {p.name for p in estimate.parameters if p.held}
+    return [_finding(doubt, held) for doubt in estimate.doubts if doubt.log_odds > least] + damping
 
 
 def _other_damping(estimate: Estimate) -> list[Finding]:
@@ -75,8 +78,11 @@ def _other_damping(estimate: Estimate) -> list[Finding]:
     return [Finding("damping", "parameters", f"{text}: the model of damping is wrong; {remedy}")]
 
 
-def _finding(doubt: Doubt) -> Finding:
+def _finding(doubt: Doubt, held: set[str]) -> Finding:
     what, remedy = _said(doubt)
+    own = f"{OWN.get(doubt.kind)}_{doubt.of.removeprefix('connection ')}"
+    if own in held:
+        remedy = f"{own} is held at its bound, 0: check the channels, or let it be negative (scheme.positive)"
     share = f", {100.0 * doubt.share:.0f} % of what it leaves out" if doubt.share > LEAST_SHARE else ""
     odds = f"the record is exp({doubt.log_odds:.0f}) times as probable with it"
     moved = f"{doubt.moved} moves by {doubt.moves:.1f} standard deviations"

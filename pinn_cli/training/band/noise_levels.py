@@ -171,9 +171,10 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         left = np.maximum(shown - taken.response[GAUGE], FEWEST_LEFT * shown)
         level = _limited(np.sqrt(square / left), noise.response[GAUGE])
         response[GAUGE] = np.maximum(level, least.response[GAUGE])
-    shown = np.zeros(len(force))
-    shown[: len(evidence.shown_noise(FORCE))] = evidence.shown_noise(FORCE)
-    most = np.where(shown > 0.0, np.maximum(LOUDEST * shown, least.force), np.inf)
+    most = np.full(len(force), np.inf)
+    for dof in np.flatnonzero(np.isfinite(noise.force)):  # of finite elements a load cell is a channel
+        if shown_there := evidence.shown_noise(FORCE)[dof]:
+            most[dof] = max(LOUDEST * shown_there, least.force[dof])
     force = np.clip(_limited(force, noise.force), least.force, most)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 

@@ -56,9 +56,10 @@ def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> E
     """
     equations, varying = found.evidence.equations, (free.varying, np.ones(len(free.varying)))
     parameters, correlation, known = parameter_posterior(equations, free.trained, varying, free.covariance)
-    # A mean that a bound moves is no longer what makes the structure run.
-    modes = (free.trained.solution.point.parameters * equations.scale).cpu().numpy()
-    parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
+    if not any(p.held for p in parameters):
+        # A mean that a bound moves is no longer what makes the structure run; of one on its bound there is no other.
+        modes = (free.trained.solution.point.parameters * equations.scale).cpu().numpy()
+        parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
     point = Point(found.trained.solution.point.unknowns, free.trained.solution.point.parameters)
     moved = replace(found.trained, solution=replace(found.trained.solution, point=point))
     each = zip(estimate.by_record, found.evidence.each_record(misfit_history, moved), strict=True)
@@ -70,8 +71,6 @@ def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> E
 
 
 def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
-    if found.held:  # its interval begins at the bound
-        return found
     lower, upper = min(found.lower_90, mode), max(found.upper_90, mode)
     return replace(found, estimate=mode, lower_90=lower, upper_90=upper)
 
