@@ -16,7 +16,7 @@ from benchmarks.trust.programs import HERE as CHECKOUT
 from benchmarks.trust.programs import constants, digest, of_constant, revision
 from benchmarks.trust.score import CAUGHT, ERROR, FALSE_ALARM, SOUND, WRONG_AND_SOUND, inside, scored
 from benchmarks.trust.structures import Connection, Structure, simulated
-from benchmarks.trust.table import Judged, by_family, changes, markdown, worst
+from benchmarks.trust.table import Judged, by_family, changes, coverage, outcomes, worst
 
 TIME = np.linspace(0.0, 1.0, 200)
 U = np.column_stack([np.sin(TIME), np.cos(TIME)])
@@ -92,7 +92,8 @@ def test_the_table_counts_outcomes_and_leaves_faults_out_of_coverage(tmp_path: P
     table = by_family(Judged(rows, pd.concat([one.parameters.assign(case=one.row["case"]) for one in (right, spoilt)])))
     every = table.set_index("family").loc["all"]
     assert (every[SOUND], every[CAUGHT], every["named"], every["p_90"]) == (1, 1, "1 of 1", 100.0)
-    assert len(markdown(table).splitlines()) == 9
+    assert [line.count("|") for line in outcomes(table).splitlines()] == [11] * 4
+    assert [line.count("|") for line in coverage(table).splitlines()] == [18] * 4
     assert worst(rows).startswith("chain_7_gain: wrong, not sound; k_1 50 %, 50 std")
 
 

@@ -29,11 +29,13 @@ from benchmarks.trust.families import FAMILIES
 from benchmarks.trust.programs import HERE, Constant, constants, digest, of_constant, of_revision
 from benchmarks.trust.runner import PARAMETERS, Drawn, Referee
 from benchmarks.trust.score import OUTCOMES
-from benchmarks.trust.table import Judged, by_family, changes, draw, markdown, worst
+from benchmarks.trust.table import Judged, by_family, by_peers, changes, coverage, draw, outcomes, worst
+from benchmarks.written import write
 
 FULL, QUICK = 55, 5  # cases of a family
 QUICK_SPOILT = 10  # of the family of faults, which stands for all others
 FACTORS = (0.5, 2.0)
+PAGE = HERE / "docs" / "trust.md"
 
 
 def wanted(given: argparse.Namespace) -> list[Drawn]:
@@ -48,16 +50,21 @@ def wanted(given: argparse.Namespace) -> list[Drawn]:
     return found
 
 
-def judged(source: Path, given: argparse.Namespace) -> Judged:
-    """Rows and parameters of all wanted cases by one program."""
+def referee(source: Path, given: argparse.Namespace) -> Referee:
+    """Of one program. A single case has a folder of its own, which stays."""
     single = given.seed is not None
     name = "_".join([*(given.family or ["all"]), str(given.seed)]) if single else digest(source)
-    if single:  # whatever program it was made with
-        shutil.rmtree(given.folder / name, ignore_errors=True)
-    referee = Referee(given.folder.resolve() / name, source, given.launcher, tuple(given.overrides), single)
-    rows = referee.run(wanted(given))
-    parameters = pd.read_csv(referee.folder / PARAMETERS)
-    print(f"{referee.folder}")
+    return Referee(given.folder.resolve() / name, source, given.launcher, tuple(given.overrides), single)
+
+
+def judged(source: Path, given: argparse.Namespace) -> Judged:
+    """Rows and parameters of all wanted cases by one program."""
+    own = referee(source, given)
+    if own.keep:  # whatever program it was made with
+        shutil.rmtree(own.folder, ignore_errors=True)
+    rows = own.run(wanted(given))
+    print(f"{own.folder}")
+    parameters = pd.read_csv(own.folder / PARAMETERS)
     return Judged(rows, parameters[parameters["case"].isin(rows["case"])])
 
 
@@ -103,6 +110,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, help="this one alone; its files stay")
     parser.add_argument("--against", metavar="REVISION", help="compare with this revision")
     parser.add_argument("--vary", nargs="+", metavar="CONSTANT", help="halve and double; all: every one of them")
+    parser.add_argument("--peers", action="store_true", help="other methods on the same cases, too")
     parser.add_argument("--write", action="store_true", help="write docs/trust.md")
     parser.add_argument("--folder", type=Path, default=Path("outputs/trust"), help="where the rows go")
     parser.add_argument("--launcher", default="joblib", help="of the sweeps: joblib, slurm, ray_cluster, ...")
@@ -119,14 +127,17 @@ def main() -> None:
         return
     found = judged(HERE, given)
     table = by_family(found)
-    print(f"\n{worst(found.rows)}\n\n{markdown(table)}")
+    told = {"trust-outcomes": outcomes(table), "trust-coverage": coverage(table)}
+    if given.peers:
+        told["trust-peers"] = by_peers(found, referee(HERE, given).peers(wanted(given)))
+    print("\n\n".join([worst(found.rows), *told.values()]))
     if given.write:
-        write(table)
-
-
-def write(table: pd.DataFrame) -> None:
-    """Put table and figure into the page."""
-    draw(table, HERE / "docs" / "trust.png")
+        options = " ".join(argument for argument in sys.argv[1:] if argument != "--write")
+        command = f'make trust ARGS="{options} --write"'.replace('" ', '"')
+        for name, text in told.items():
+            write(PAGE, name, text, command)
+        write(PAGE, "trust-worst", "\n".join(f"- {line}" for line in worst(found.rows, 3).splitlines()), command)
+        draw(table, PAGE.with_suffix(".png"))
 
 
 if __name__ == "__main__":

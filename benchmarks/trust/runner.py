@@ -16,6 +16,7 @@ import pandas as pd
 
 from benchmarks.trust.case import Case
 from benchmarks.trust.families import drawn
+from benchmarks.trust.peers import compared
 from benchmarks.trust.score import Scored, scored
 
 WAVE = 32  # cases whose files lie on the disk at once
@@ -58,6 +59,18 @@ class Referee:
         rows = self._read(ROWS)
         at = [order.get(one, -1) for one in zip(rows["family"], rows["seed"], strict=True)]
         return rows.assign(at=at).query("at >= 0").sort_values("at").drop(columns="at").reset_index(drop=True)
+
+    def peers(self, wanted: Sequence[Drawn]) -> pd.DataFrame:
+        """Estimates of other methods for the same cases, of those that they can do."""
+        table = self._read(PEERS)
+        done = set() if table.empty else set(zip(table["family"], table["seed"], strict=True))
+        missing = [one for one in wanted if one not in done]
+        with _pool() as pool:
+            for (family, seed), found in zip(missing, pool.map(_by_peers, missing), strict=True):
+                # A case that they cannot do is a row without a peer: it need not be asked again.
+                rows = found if len(found) else pd.DataFrame({"peer": [""]})
+                self._append(PEERS, rows.assign(family=family, seed=seed))
+        return self._read(PEERS)
 
     def _wave(self, wanted: Sequence[Drawn]) -> Iterator[Scored]:
         cases, runs = self.folder / "cases", self.folder / "runs"
@@ -115,13 +128,22 @@ class Referee:
 
 def draw(wanted: Iterable[Drawn], folder: Path) -> list[Case]:
     """Draw cases in processes of their own, and write their files."""
-    # Forked children of a process that has started threads may hang.
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+    with _pool() as pool:
         cases = list(pool.map(_drawn, wanted))
     for case in cases:
         case.write(folder)
     return cases
 
 
+def _pool() -> ProcessPoolExecutor:
+    # Forked children of a process that has started threads may hang.
+    return ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn"))
+
+
 def _drawn(wanted: Drawn) -> Case:
     return drawn(*wanted)
+
+
+def _by_peers(wanted: Drawn) -> pd.DataFrame:
+    case = drawn(*wanted)
+    return compared(case).assign(case=case.name)

@@ -11,6 +11,7 @@ import pandas as pd
 
 from benchmarks.trust.families import FAMILIES
 from benchmarks.trust.score import CAUGHT, ERROR, FALSE_ALARM, LEVELS, OUTCOMES, SOUND, WRONG_AND_SOUND, inside
+from benchmarks.written import markdown
 
 ALL = "all"
 A_MOVE = 0.1  # standard deviations; and as a share, of a deviation itself
@@ -70,27 +71,42 @@ def _median(rows: pd.DataFrame, column: str) -> float:
     return float(rows[column].median()) if column in rows else np.nan
 
 
-def markdown(table: pd.DataFrame) -> str:
-    """Two tables, outcomes and coverage, as the page and the terminal show them."""
+def outcomes(table: pd.DataFrame) -> str:
+    """Cases by outcome, with processor time and memory, in Markdown."""
     first = ["family", "cases", *OUTCOMES, "named", "seconds", "mebibytes"]
-    heads = ["**wrong and sound**" if name == WRONG_AND_SOUND else name for name in first]
-    lines = [_line(heads), _line(["---"] * len(heads))]
-    lines += [_line([_cell(row[name]) for name in first]) for _, row in table.iterrows()]
+    heads = [f"**{name}**" if name == WRONG_AND_SOUND else name for name in first]
+    return markdown(pd.DataFrame([[_cell(row[name]) for name in first] for _, row in table.iterrows()], columns=heads))
+
+
+def coverage(table: pd.DataFrame) -> str:
+    """Shares of truths inside intervals and bands, %, and rms of their distances in deviations, in Markdown."""
     kinds = {"p": "parameters", **BANDS}
-    heads = [
-        "family",
-        *(f"{name} {level}" for name in kinds.values() for level in LEVELS),
-        *(f"z of {x}" for x in kinds.values()),
-    ]
-    columns = [f"{letter}_{level}" for letter in kinds for level in LEVELS] + [f"{letter}_rms" for letter in kinds]
-    lines += ["", _line(heads), _line(["---"] * len(heads))]
-    held = table.dropna(subset=[name for name in columns if name in table], how="all")
-    lines += [_line([row["family"], *(_cell(row[name]) for name in columns)]) for _, row in held.iterrows()]
-    return "\n".join(lines)
+    columns = {f"{letter}_{level}": f"{name} {level}" for letter, name in kinds.items() for level in LEVELS}
+    columns |= {f"{letter}_rms": f"z of {name}" for letter, name in kinds.items()}
+    held = table.dropna(subset=list(columns), how="all")
+    cells = [[row["family"], *(_cell(row[name]) for name in columns)] for _, row in held.iterrows()]
+    return markdown(pd.DataFrame(cells, columns=["family", *columns.values()]))
 
 
-def _line(cells: list[str]) -> str:
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
+def by_peers(judged: Judged, peers: pd.DataFrame) -> str:
+    """How far off other methods are, over how far off the program is, and their processor time over its, in Markdown.
+
+    The median over the cases that a peer can do of the ratio of root mean square relative errors. They are told the
+    noise levels.
+    """
+    both = peers.merge(judged.parameters, on=["case", "parameter"], suffixes=("", "_ours"))
+    both["theirs"] = (both["estimate"] / both["true"] - 1.0) ** 2
+    both["ours"] = (both["estimate_ours"] / both["true"] - 1.0) ** 2
+    cases = both.groupby(["family", "peer", "case"], sort=False).agg(
+        theirs=("theirs", "mean"), ours=("ours", "mean"), seconds=("seconds", "first")
+    )
+    cases = cases.reset_index().merge(judged.rows[["case", "seconds"]], on="case", suffixes=("", "_ours"))
+    cells = []
+    for (family, peer), part in cases.groupby(["family", "peer"], sort=False):
+        ratio = np.sqrt(part["theirs"] / part["ours"]).fillna(np.inf)  # where it failed
+        slower = part["seconds"] / part["seconds_ours"]
+        cells.append([family, peer, len(part), _cell(float(ratio.median())), _cell(float(slower.median()))])
+    return markdown(pd.DataFrame(cells, columns=["family", "peer", "cases", "error over ours", "seconds over ours"]))
 
 
 def _cell(value: object) -> str:
