@@ -56,7 +56,8 @@ def test_a_change_is_told_where_it_is(pinn_run: PinnRun, tmp_path: Path, seed: i
     containing = [number for number, begin in enumerate(BEGINS, start=1) if begin - 0.5 / RATE < when < begin + 9.0]
     assert len(flagged) == 1, told
     assert flagged[0] in containing
-    assert told[flagged[0]] == ["k_2"]
+    # A window that holds both values has a model that is wrong: what else moves in it is named after it.
+    assert told[flagged[0]][0] == "k_2"
     found = pd.read_csv("run/parameters.csv").set_index("parameter").loc["k_2"]
     if flagged[0] < 4:  # a window that holds both says something between the two
         assert abs(found["estimate"] - left * K[1]) < 3.0 * found["std"]

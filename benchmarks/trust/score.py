@@ -66,7 +66,7 @@ def scored(case: Case, directory: Path, reason: str) -> Scored:
     limits = np.where(stiff, WRONG_STIFFNESS[0], WRONG_OTHER[0]), np.where(stiff, WRONG_STIFFNESS[1], WRONG_OTHER[1])
     # A missing or unusable number is no estimate.
     wrong = bool((~((z <= limits[0]) | (off <= limits[1]))).any()) or wrong_band
-    sound = run.get("verdict") == "sound"
+    sound = run.get("verdict", "sound") == "sound"  # a prediction passes none, and is taken as it is
     outcome = {(False, True): SOUND, (False, False): FALSE_ALARM, (True, False): CAUGHT, (True, True): WRONG_AND_SOUND}
     seconds = run.get("seconds", {})
     row |= {

@@ -42,8 +42,8 @@ def refit_causes(problem: Problem, excused: Sequence[str]) -> list[Finding]:
     free = [parameter for parameter in problem.uncertain if parameter.unknown and parameter.kind == "k"]
     if not free or not is_linear(problem.structure) or not np.isfinite(problem.record.force).all():
         return []
-    # Spectra are compared with those of forces.
-    if problem.record.ground_acceleration is not None or problem.record.supports:
+    # Spectra are compared with those of forces; a structure that is released has none.
+    if problem.record.ground_acceleration is not None or problem.record.supports or not problem.record.force.any():
         return []
     return _Refits(problem.structure, problem.record, free, excused).causes()
 

@@ -32,7 +32,20 @@ FRAME = Structure(
 
 
 @pytest.mark.parametrize(
-    ("family", "seed"), [("chain", 0), ("topology", 0), ("nonlinear", 1), ("unmeasured", 13), ("finite_elements", 1)]
+    ("family", "seed"),
+    [
+        ("chain", 0),
+        ("topology", 0),
+        ("nonlinear", 1),
+        ("unmeasured", 13),
+        ("finite_elements", 1),
+        ("ground", 5),
+        ("damping", 4),
+        ("sensors", 2),
+        ("records", 0),
+        ("posterior", 0),
+        ("spoilt", 0),
+    ],
 )
 def test_a_seed_draws_the_same_case_again(family: str, seed: int) -> None:
     case, again = drawn(family, seed), drawn(family, seed)

@@ -75,3 +75,8 @@ def test_nor_is_a_nonlinear_chain(problem):
     m = problem.structure.parameters["m"] * 5.0
     parameters = problem.structure.parameters | {"m": m, "kappa": 0.0 * m + 100.0}
     assert refit_causes(replace(problem, structure=chain_of(parameters, Duffing())), ()) == []
+
+
+def test_a_structure_that_is_released_has_no_spectra_to_compare(problem):
+    record = replace(problem.record, force=np.zeros_like(problem.record.force))
+    assert refit_causes(replace(problem, record=record), ()) == []
