@@ -67,7 +67,7 @@ def test_wrong_is_many_deviations_and_some_per_cent(
 
 def test_a_run_that_left_nothing_is_an_error_and_its_reason_is_kept(tmp_path: Path) -> None:
     row = scored(case("gain", k_1=1.0), tmp_path / "none", "the gain is 1.2").row
-    assert (row["outcome"], row["named"], row["reasons"]) == (ERROR, True, "the gain is 1.2")
+    assert (row["outcome"], row["named"], row["reasons"]) == (ERROR, 1, "the gain is 1.2")
 
 
 def test_bands_are_counted_where_there_is_no_sensor(tmp_path: Path) -> None:

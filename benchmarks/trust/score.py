@@ -84,11 +84,11 @@ def scored(case: Case, directory: Path, reason: str) -> Scored:
     return Scored(row | bands | ended, table)
 
 
-def _named(truth: Truth, reasons: list[str]) -> bool | None:
-    """Whether a reason names the fault; None where there is none."""
+def _named(truth: Truth, reasons: list[str]) -> int | None:
+    """Whether a reason names the fault, 1 or 0; None where there is none."""
     if not truth.names_it:
         return None
-    return any(re.search(truth.names_it, reason, flags=re.IGNORECASE) for reason in reasons)
+    return int(any(re.search(truth.names_it, reason, flags=re.IGNORECASE) for reason in reasons))
 
 
 def _parameters(truth: Truth, directory: Path) -> pd.DataFrame:

@@ -40,7 +40,7 @@ def by_family(judged: Judged) -> pd.DataFrame:
         line: dict[str, object] = {"family": family, "cases": len(part)}
         line |= {outcome: int((part["outcome"] == outcome).sum()) for outcome in OUTCOMES}
         faulty = part["fault"].fillna("") != ""
-        told = int(part.loc[faulty, "named"].astype(str).eq("True").sum())
+        told = int((part.loc[faulty, "named"] == 1).sum())
         line["named"] = f"{told} of {int(faulty.sum())}" if faulty.any() else ""
         fair = part[~faulty] if family == ALL or not faulty.all() else part[faulty].iloc[:0]
         line |= _coverage(parameters[parameters["case"].isin(fair["case"])])

@@ -51,8 +51,6 @@ LEAST = 1e-4
 DECISIVE = 10.0
 # Kinds that have one sign, and the share of its logarithm that what comes early has to lose against what comes late.
 ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
-# Energy that a doubt may leave more of, over what is left without it, where the structure moves.
-DEARER = 1.05
 # Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
 # and doubts that are told of one record.
 BESIDE = 0.1
@@ -154,7 +152,8 @@ class _Solution:
             )
         )
         own = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
-        moved = -np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:]))
+        # Products with sparse rows take it by rows.
+        moved = np.ascontiguousarray(-np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:])))
         spectra = left_spectra(equations, self.point, self.noise, self.channels, (forces, sensors), moved)
         free = np.flatnonzero(self.point.parameters.cpu().numpy() > equations.lower).tolist()
         places = {id(one): i for i, one in enumerate([*forces, *sensors], start=p)}
@@ -234,7 +233,7 @@ class _Asked:
         gain = before.minus_log - fit.minus_log - 0.5 * np.log(max(fit.information[place], 1.0))
         # What explains something else at the price of where the structure moves stands in for what is not asked.
         moving = self.spectra.moving
-        wrong |= fit.energy[moving].sum() > DEARER * before.energy[moving].sum()
+        wrong |= fit.energy[moving].sum() > before.energy[moving].sum()
         # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
         early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
         return -np.inf if wrong else float(gain - early)

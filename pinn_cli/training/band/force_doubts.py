@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.record.gauge import WIDEST_DELAY
@@ -19,10 +20,9 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import LEFT_OUT, MODE, LeftOut, resonance
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
-from pinn_cli.training.band.equation_rows import EquationRows
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.sensor_doubts import DELAY, Term
+from pinn_cli.training.band.sensor_doubts import DELAY, Term, sparse_rows
 from pinn_cli.training.noise_model import NoiseModel
 
 # Oscillators that are attached are tried at frequencies in this ratio at first, or in a larger one, and damped so that
@@ -188,36 +188,43 @@ def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> t
 
 def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, terms: Sequence[ForceTerm]) -> np.ndarray:
     """(size, D), products of forces with the rows of the readout weights."""
-    count, like = len(terms), equations.target.force
-    border = like.new_zeros((equations.layout.size, count))
-    if not count:
-        return border.cpu().numpy()
-    felt = torch.as_tensor(np.array([term.felt for term in terms]).T).to(like)
-    histories = torch.as_tensor(np.array([term.history for term in terms]).T).to(like)
+    border = np.zeros((equations.layout.size, len(terms)))
+    own, felt = felt_histories(equations, terms)
     weight = equations.weights(noise)["physics"]
+    for part, function, rows, _ in equation_columns(equations, point):
+        by, weighed = np.flatnonzero(felt[function]), weight if weight.ndim == 1 else weight[part]
+        pulled = own[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
+        border[:, by] += (rows.T @ pulled.flatten(0, 1).cpu().numpy()) * felt[function, by]
+    return border
+
+
+def felt_histories(equations: NormalEquations, terms: Sequence[ForceTerm]) -> tuple[Tensor, np.ndarray]:
+    """Forces as the equations are enforced, (I, S or 1, D), and how much of them every equation has, (functions, D)."""
+    time, like = equations.target.physics_time, equations.target.force
+    histories, felt = np.empty((len(time), len(terms))), np.empty((equations.dynamics.size, len(terms)))
+    for d, term in enumerate(terms):
+        histories[:, d], felt[:, d] = term.history, term.felt
+    own = equations.physics.gather(torch.as_tensor(histories).to(like))
+    return own if equations.averages is None else equations.averages(own), felt
+
+
+def equation_columns(equations: NormalEquations, point: Point) -> Iterator[tuple[slice, int, csr_matrix, Tensor]]:
+    """Window by window, of every equation that is enforced, linearised as it is enforced.
+
+    Yields:
+        Which groups, which function's, its rows by the readout weights (I S or I, size) and by each parameter
+        (I, S or 1, p).
+    """
     for part in equations.windows(equations.physics):
         segments, rows = equations.physics.part(part), equations.rows(equations.physics, point, part=part)
-        own = segments.gather(histories)
-        own = own if equations.averages is None else equations.averages.part(part)(own)
-        weighed = weight if weight.ndim == 1 else weight[part]
-        place = torch.as_tensor(equations.layout.columns(segments.feature), device=like.device)
-        for function in torch.nonzero(felt.any(1) & equations.target.equation.bool()).flatten().tolist():
-            pulled = own * felt[function] * weighed[..., function, None]  # (I, S or 1, D)
-            _add(border, place[:, function], _jacobian(equations, rows, part, function).mT @ pulled)
-    return border.cpu().numpy()
-
-
-def _jacobian(equations: NormalEquations, rows: EquationRows, part: slice, function: int) -> Tensor:
-    """(I, S or 1, D B), of one equation by the weights that it touches."""
-    segments = equations.physics.part(part)
-    jacobian = rows.jacobian(segments, slice(function, function + 1))[:, 0]
-    return jacobian if equations.averages is None else equations.averages.part(part)(jacobian)
-
-
-def _add(border: Tensor, place: Tensor, blocks: Tensor) -> None:
-    """Blocks (I, C, D) where they belong in (size, D); place is (I, C), -1 where there is nothing."""
-    place, blocks = place.reshape(-1), blocks.flatten(0, 1)
-    border.index_add_(0, place[place >= 0], blocks[place >= 0])
+        averages = None if equations.averages is None else equations.averages.part(part)
+        places = equations.layout.columns(segments.feature)
+        for function in torch.nonzero(equations.target.equation).flatten().tolist():
+            jacobian = rows.jacobian(segments, slice(function, function + 1))[:, 0]
+            by = equations.pattern.uncertain_columns(rows.parameter[:, :, function], function)
+            if averages is not None:
+                jacobian, by = averages(jacobian), averages(by)
+            yield part, function, sparse_rows(jacobian, places[:, function], equations.layout.size), by
 
 
 def _rate(history: np.ndarray, step: float, highest: float) -> np.ndarray:

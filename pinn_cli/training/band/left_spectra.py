@@ -13,15 +13,17 @@ is least (Whittle's likelihood with a spectrum that is constant within bands).
 from __future__ import annotations
 
 import itertools
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import MOTION
-from pinn_cli.training.band.force_doubts import ForceTerm
+from pinn_cli.training.band.force_doubts import ForceTerm, equation_columns, felt_histories
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.sensor_doubts import SensorTerm, Shown
@@ -185,25 +187,20 @@ def _of_equations(
     moved: np.ndarray,
 ) -> dict[int, np.ndarray]:
     """Whitened histories (J, 1 + W) of every equation that is enforced."""
-    p, d, like = len(point.parameters), len(forces), equations.target.force
-    along = torch.as_tensor(moved).to(like)
-    by = torch.zeros(p, along.shape[1]).to(like)
-    by[:, 1 : 1 + p] = torch.eye(p)
-    steps = [Point(along[:, i].contiguous(), by[:, i]) for i in range(along.shape[1])]
-    windows = [torch.stack(found, -1) for _, found in equations.moved_forces(point, steps)]
-    every = torch.cat(windows)  # (I, S or 1, functions, 1 + W)
-    every[..., 0] += equations.physics_residual(point)
-    if d:
-        own = equations.physics.gather(torch.as_tensor(np.array([one.history for one in forces]).T).to(like))
-        own = own if equations.averages is None else equations.averages(own)
-        felt = torch.as_tensor(np.array([one.felt for one in forces]).T).to(like)
-        every[..., 1 + p : 1 + p + d] += own[..., None, :] * felt
-    every = every * equations.weights(noise)["physics"].sqrt()[..., None]
+    p, residual = len(point.parameters), equations.physics_residual(point)
+    own, felt = felt_histories(equations, forces)
+    root = equations.weights(noise)["physics"].sqrt()
+    every: defaultdict[int, list[Tensor]] = defaultdict(list)
+    for part, function, rows, by in equation_columns(equations, point):
+        found = torch.as_tensor(rows @ moved).to(residual).unflatten(0, by.shape[:2])
+        found[..., 0] += residual[part][..., function]
+        found[..., 1 : 1 + p] += by
+        forced = np.flatnonzero(felt[function])
+        found[..., 1 + p + forced] += own[part][..., forced] * torch.as_tensor(felt[function, forced]).to(own)
+        found *= (root if root.ndim == 1 else root[part])[..., function, None]
+        every[function].append(found)
     even = equations.physics.scatter if equations.averages is None else equations.averages.by_interval
-    return {
-        function: even(every[..., function, :]).cpu().numpy()
-        for function in torch.nonzero(equations.target.equation).flatten().tolist()
-    }
+    return {function: even(torch.cat(found)).cpu().numpy() for function, found in every.items()}
 
 
 def _of_channels(
@@ -214,9 +211,8 @@ def _of_channels(
     before: int,
 ) -> Iterator[tuple[np.ndarray, float]]:
     """The same of every channel; ``before`` columns are not of sensors."""
-    along = torch.as_tensor(moved).to(equations.target.force)
     for i, one in enumerate(channels):
-        histories = one.moved(equations, along)
+        histories = one.moved(equations, moved)
         histories[:, 0] += one.residual
         for place, by in one.parameters.items():
             histories[:, 1 + place] += by

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 from scipy.linalg import solve_banded  # scipy.signal takes a third of a second to import
+from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
@@ -112,25 +113,35 @@ class Shown:
                 return out
             out[corner], corner = -slow, 2.0 * corner
 
-    def border(self, equations: NormalEquations, column: np.ndarray) -> np.ndarray:
-        """(size,), products of a column (J,) with its own rows by the readout weights."""
-        out = np.zeros(equations.layout.size)
-        values = self.segments.gather(torch.as_tensor(column).to(self.segments.mask))
-        feature = self.segments.feature.cpu().numpy()
-        for function, order, weight in self.parts:
-            pulled = self.gain * weight * (self.features[order].mT @ values[..., None])[..., 0]
-            np.add.at(out, equations.layout.positions(feature, np.full_like(feature, function)), pulled.cpu().numpy())
-        return out
+    def border(self, equations: NormalEquations, columns: np.ndarray) -> np.ndarray:
+        """(size, K), products of columns (J, K) with its own rows by the readout weights."""
+        grouped = self.segments.gather(torch.as_tensor(columns).to(self.segments.mask))
+        border: np.ndarray = self._rows(equations).T @ grouped.flatten(0, 1).cpu().numpy()
+        return border
 
-    def moved(self, equations: NormalEquations, weights: Tensor) -> np.ndarray:
+    def moved(self, equations: NormalEquations, weights: np.ndarray) -> np.ndarray:
         """(J, W), change of what it shows with changes of the readout weights (size, W)."""
-        local = equations.layout.of_many(weights)[self.segments.feature]  # (I, B, functions, W)
-        total = sum(
-            (weight[..., None] if isinstance(weight, Tensor) else weight) * (self.features[order] @ local[:, :, f])
-            for f, order, weight in self.parts
-        )
-        assert isinstance(total, Tensor)
-        return self.gain * self.segments.scatter(total).cpu().numpy()
+        grouped = torch.as_tensor(self._rows(equations) @ weights).unflatten(0, self.segments.mask.shape)
+        return self.segments.scatter(grouped).numpy()
+
+    def _rows(self, equations: NormalEquations) -> csr_matrix:
+        """(I S, size), of what it shows by the readout weights."""
+        feature, count = self.segments.feature.cpu().numpy(), equations.layout.size
+        total = csr_matrix((self.segments.mask.numel(), count))
+        for function, order, weight in self.parts:
+            own = (weight[..., None] if isinstance(weight, Tensor) else weight) * self.features[order]
+            places = equations.layout.positions(feature, np.full_like(feature, function))
+            total += sparse_rows(self.gain * own, places, count)
+        return total
+
+
+def sparse_rows(blocks: Tensor, places: np.ndarray, size: int) -> csr_matrix:
+    """Blocks (I, S, C) as rows (I S, size); places (I, C), -1 where there is nothing."""
+    groups, samples = blocks.shape[:2]
+    places = np.broadcast_to(places[:, None], blocks.shape)
+    there = places >= 0
+    starts = np.concatenate(([0], np.cumsum(there.sum(-1))))
+    return csr_matrix((blocks.cpu().numpy()[there], places[there], starts), (groups * samples, size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +189,11 @@ def sensor_terms(channels: Sequence[Shown]) -> list[SensorTerm]:
 def sensor_border(equations: NormalEquations, channels: Sequence[Shown], terms: Sequence[SensorTerm]) -> np.ndarray:
     """(size, D), products of what channels may show with the rows of the readout weights."""
     border = np.zeros((equations.layout.size, len(terms)))
-    for d, own in enumerate(terms):
-        for i, column in own.shown.items():
-            border[:, d] += channels[i].sigma ** -2 * channels[i].border(equations, column)
+    for i, channel in enumerate(channels):
+        own = [d for d, term in enumerate(terms) if i in term.shown]
+        if own:
+            columns = np.column_stack([terms[d].shown[i] for d in own])
+            border[:, own] += channel.sigma**-2 * channel.border(equations, columns)
     return border
 
 

@@ -11,8 +11,9 @@ from numpy.lib.stride_tricks import as_strided
 from scipy.linalg.blas import dgemm, dtrsm
 from scipy.linalg.lapack import dtbtrs
 
-# Rows of a block; half-width, and right-hand sides, from which on blocks are worth their copies.
-BLOCK, WIDE, ENOUGH = 96, 64, 6
+# Rows of a block; half-width, and right-hand sides, from which on blocks are worth their copies; and how many
+# right-hand sides are worth them whatever the half-width.
+BLOCK, WIDE, ENOUGH, MANY = 96, 64, 6, 100
 
 
 def forward(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -54,7 +55,7 @@ def backward(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _is_worth_blocks(factor: np.ndarray, right: np.ndarray) -> bool:
-    return right.ndim == 2 and right.shape[1] >= ENOUGH and len(factor) > WIDE
+    return right.ndim == 2 and right.shape[1] >= (ENOUGH if len(factor) > WIDE else MANY)
 
 
 def _one_by_one(factor: np.ndarray, right: np.ndarray, trans: str) -> np.ndarray:
