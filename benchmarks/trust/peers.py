@@ -19,6 +19,7 @@ from scipy.signal import welch
 from benchmarks.nearly_right.output_error import SMALL, fitted
 from benchmarks.nearly_right.simulation import by_poles
 from benchmarks.trust.case import Case
+from benchmarks.trust.structures import Structure
 
 FIRST_PERIODS = 4.0  # of the lowest mode: the shortest fit
 FACTORS = np.geomspace(0.08, 12.5, 23)  # common ones of the unknown parameters, at the beginning
@@ -79,6 +80,21 @@ class Told:
     inputs: tuple[Input, ...]
     sensors: tuple[Sensor, ...]
     record: str = "record.csv"
+
+    @classmethod
+    def of(
+        cls, structure: Structure, believed: dict[str, float], inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]
+    ) -> Told:
+        """Of a linear structure whose parameters are known but for those that are `believed`, by name."""
+        known = structure.parameters()
+        values = {
+            f"{kind}_{link.name}": (i, believed.get(f"{kind}_{link.name}", known[f"{kind}_{link.name}"]))
+            for i, link in enumerate(structure.connections)
+            for kind in "ck"
+            if kind in link.values
+        }
+        rows = np.stack([link.row for link in structure.connections])
+        return cls(structure.mass, rows, values, tuple(believed), inputs, sensors)
 
     @property
     def ndof(self) -> int:

@@ -245,6 +245,11 @@ def sinusoids(
     return force
 
 
+def noise(values: np.ndarray, decibel: float) -> float:
+    """Standard deviation of the white noise that gives a channel a signal-to-noise ratio, dB."""
+    return float(values.std()) * 10.0 ** (-decibel / 20.0)
+
+
 def noisy(rng: Generator, values: np.ndarray, decibel: float) -> np.ndarray:
     """A channel with white noise of a signal-to-noise ratio, dB."""
-    return values + rng.normal(size=len(values)) * values.std() * 10.0 ** (-decibel / 20.0)
+    return values + rng.normal(size=len(values)) * noise(values, decibel)

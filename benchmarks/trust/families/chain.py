@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.trust.case import HERE, Case, Truth
 from benchmarks.trust.peers import Input, Sensor, Told
-from benchmarks.trust.structures import Connection, Structure, noisy, simulated, sinusoids
+from benchmarks.trust.structures import Connection, Structure, noise, noisy, simulated, sinusoids
 
 
 def draw(seed: int) -> Case:
@@ -82,16 +82,10 @@ def draw(seed: int) -> Case:
     )  # fmt: skip
     peer = None
     if unknown and not cubic.any():
-        peer = Told(
-            mass, rows,
-            {f"c_{i + 1}": (i, float(x)) for i, x in enumerate(c)}
-            | {f"k_{i + 1}": (i, float(x)) for i, x in enumerate(prescribed)},
-            tuple(f"k_{i + 1}" for i in range(n)),
-            (Input("f", 10.0 ** (-force_db / 20.0) * float(spline(times).std()), place),),
-            tuple(
-                Sensor(f"y{i + 1}", kind, int(i), 10.0 ** (-response_db / 20.0) * float(felt[:, i].std()))
-                for i in sensors
-            ),
+        peer = Told.of(
+            linear, {f"k_{i + 1}": float(x) for i, x in enumerate(prescribed)},
+            (Input("f", noise(spline(times), force_db), place),),
+            tuple(Sensor(f"y{i + 1}", kind, int(i), noise(felt[:, i], response_db)) for i in sensors),
         )  # fmt: skip
     about = (
         f"{n} storeys, {first:.3g} to {last:.3g} Hz, {rate:.4g} Hz x {len(times)},"

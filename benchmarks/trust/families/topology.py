@@ -9,7 +9,8 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.structures import Connection, Structure, linear_motion, noisy, sinusoids, uncertainty
+from benchmarks.trust.peers import Input, Sensor, Told
+from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, sinusoids, uncertainty
 
 
 def frame(rng: Generator, fewest: int, most: int) -> Structure:
@@ -59,6 +60,18 @@ def damped(rng: Generator, structure: Structure) -> Structure:
 def guessed(rng: Generator, value: float) -> float:
     """What an engineer writes for what he does not know: 20 to 50 % off."""
     return value * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.5))
+
+
+def believed(structure: Structure, connections: dict[str, dict[str, float | None]]) -> dict[str, float]:
+    """Where a peer begins: what the settings say, and dampers of 2 % in the modes where they say nothing, by name."""
+    ends = structure.modes()[0][[0, -1]]
+    usual = 0.04 / (2.0 * np.pi * float(np.sqrt(ends.prod())))
+    found = {}
+    for name, values in connections.items():
+        k, c = values["k"], values["c"]
+        assert k is not None
+        found |= {f"k_{name}": k, f"c_{name}": usual * k if c is None else c}
+    return found
 
 
 def draw(seed: int) -> Case:
@@ -111,9 +124,14 @@ def draw(seed: int) -> Case:
         structure.parameters(), motion.displacement, motion.velocity, motion.acceleration,
         tuple(int(i) for i in sensors),
     )  # fmt: skip
+    peer = Told.of(
+        structure, believed(structure, system["connections"]),
+        tuple(Input(f"f{i + 1}", noise(pushed[:, i], force_db), np.eye(n)[i]) for i in shaken),
+        tuple(Sensor(f"y{i + 1}", kind, int(i), noise(felt[:, i], response_db)) for i in sensors),
+    )  # fmt: skip
     about = (
         f"{n} masses, {len(structure.connections) - n} braces, {first:.3g} to {last:.3g} Hz, {rate:.4g} Hz x"
         f" {len(times)}, {kind} on {(sensors + 1).tolist()}, {response_db:.0f} dB, force on {(shaken + 1).tolist()} to"
         f" {high:.3g} Hz, {force_db:.0f} dB{', c null' if nothing_said else ''}"
     )
-    return Case("topology", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
+    return Case("topology", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about, peer=peer)
