@@ -65,6 +65,7 @@ def test_the_record_of_a_run_says_what_made_it(small_run: FinishedRun) -> None:
     assert (record["seed"], record["device"], record["threads"]) == (0, "cpu", 1)
     stages = record["seconds"]
     assert 0.0 < stages["start_up"] < stages["table_at"] <= stages["total"] - stages["figures"]
+    assert stages.pop("processor") > 0.0
     stages.pop("table_at")
     expected = {"config", "imports", "system", "record", "problem", "estimate", "report", "figures", "total"}
     assert expected <= set(stages)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import xarray as xr
 import yaml
 
 from benchmarks.trust.case import BEFORE, HERE, Case, Truth
+from benchmarks.trust.constants import Change, Trial, constants, named_values, varied
 from benchmarks.trust.programs import HERE as CHECKOUT
-from benchmarks.trust.programs import constants, digest, of_constant, revision
+from benchmarks.trust.programs import digest
 from benchmarks.trust.score import CAUGHT, ERROR, FALSE_ALARM, SOUND, WRONG_AND_SOUND, inside, scored
 from benchmarks.trust.structures import Connection, Structure, simulated
 from benchmarks.trust.table import Judged, by_family, changes, coverage, outcomes, worst
@@ -133,20 +135,34 @@ def test_the_motion_of_a_lone_mass_is_that_of_its_formula() -> None:
     np.testing.assert_allclose(balance, 0.0, atol=1e-9)
 
 
-def test_a_constant_is_found_and_doubled_in_a_copy(tmp_path: Path) -> None:
-    chosen = next(one for one in constants() if one.path == "verdict/judge.py" or one.path.startswith("verdict/"))
-    tree = of_constant(chosen, 2.0, tmp_path)
-    scope: dict[str, object] = {}
-    line = next(
-        text
-        for text in (tree / "pinn_cli" / chosen.path).read_text().splitlines()
-        if text.startswith(f"{chosen.name} = ")
-    )
-    exec(line, scope)
-    assert scope[chosen.name] == pytest.approx(2.0 * eval(chosen.value))
-    assert digest(tree) != digest(CHECKOUT)
-    assert (tree / "pinn_cli" / "conf" / "config.yaml").is_file()
+def test_rows_lie_under_what_decides_them() -> None:
+    assert digest(CHECKOUT) == digest(CHECKOUT) != digest(CHECKOUT, ["noise.snr_db=20"])
 
 
-def test_the_revision_has_a_name() -> None:
-    assert revision()
+def test_a_number_is_changed_where_it_stands_and_alone() -> None:
+    every = {one.label: one for one in constants()}
+    assert len(every) == len(constants()) > 300
+    for one in [*every.values()][::20]:
+        path = CHECKOUT / "pinn_cli" / one.path
+        before = {name.id: ast.unparse(value) for name, value in named_values(ast.parse(path.read_text()))}
+        tree = Change(one, 2.0).applied(path.read_text())
+        after = {name.id for name, _ in named_values(tree)}
+        assert set(before) - after == {one.name}
+        text = next(
+            ast.unparse(value)
+            for value in ast.walk(tree)
+            if isinstance(value, ast.Call) and "lambda x" in ast.unparse(value)
+        )
+        number = eval(one.value)
+        assert eval(text) == pytest.approx(2.0 * number)
+        assert type(eval(text)) is type(number)
+
+
+@pytest.mark.slow
+def test_a_number_that_matters_moves_a_case_and_one_that_no_function_names_is_not_tried() -> None:
+    every = {one.label: one for one in constants()}
+    asked = [every["verdict/parameter_findings.IDENTIFIED"], every["training/function_space/search.TRIES"]]
+    identified, tries = varied(asked, [Trial("nonlinear", 1, 5.0), Trial("chain", 9, 5.0)], 2)
+    assert identified["factor"].tolist() == [0.5, 2.0]
+    assert (identified["tried on"] == 2).all()
+    assert (tries[["named in", "tried on", "differ"]] == 0).all(axis=None)

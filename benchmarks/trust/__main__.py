@@ -8,7 +8,8 @@ sweeps, and compared with the truth:
     make trust ARGS="--family ground --seeds 20"          one family
     make trust ARGS="--family ground --seed 7"            one case, whose files stay
     make trust ARGS="--quick --against REVISION"          the same cases on two revisions: what changed, case by case
-    make trust ARGS="--quick --vary CONSTANT"             with a constant halved and doubled: what changed
+    make trust ARGS="--vary training/band/beginning.TIE"  the quick cases with a number halved and doubled
+    make trust ARGS="--vary all"                          every number of the estimator, three cases each (hours)
     make trust ARGS="--write"                             the table and the figure go to docs/trust.md
 
 Rows lie in outputs/trust/DIGEST, where the digest is that of the program and of the cases. A command that is called
@@ -20,13 +21,13 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-from collections.abc import Hashable
 from pathlib import Path
 
 import pandas as pd
 
+from benchmarks.trust.constants import Trial, constants, varied
 from benchmarks.trust.families import FAMILIES
-from benchmarks.trust.programs import HERE, Constant, constants, digest, of_constant, of_revision
+from benchmarks.trust.programs import HERE, digest, of_revision
 from benchmarks.trust.runner import PARAMETERS, Drawn, Referee
 from benchmarks.trust.score import OUTCOMES
 from benchmarks.trust.table import Judged, by_family, by_peers, changes, coverage, draw, outcomes, worst
@@ -34,7 +35,10 @@ from benchmarks.written import write
 
 FULL, QUICK = 55, 5  # cases of a family
 QUICK_SPOILT = 10  # of the family of faults, which stands for all others
-FACTORS = (0.5, 2.0)
+# Where every constant is varied: of each family so many quick cases, those that take the least time; and so many of
+# these for each constant.
+CHEAP, FEW = 2, 3
+CONSTANTS = "constants.csv"
 PAGE = HERE / "docs" / "trust.md"
 
 
@@ -53,7 +57,7 @@ def wanted(given: argparse.Namespace) -> list[Drawn]:
 def referee(source: Path, given: argparse.Namespace) -> Referee:
     """Of one program. A single case has a folder of its own, which stays."""
     single = given.seed is not None
-    name = "_".join([*(given.family or ["all"]), str(given.seed)]) if single else digest(source)
+    name = "_".join([*(given.family or ["all"]), str(given.seed)]) if single else digest(source, given.overrides)
     return Referee(given.folder.resolve() / name, source, given.launcher, tuple(given.overrides), single)
 
 
@@ -79,24 +83,27 @@ def compared(source: Path, given: argparse.Namespace, against: Path) -> pd.DataF
     return found
 
 
-def vary(given: argparse.Namespace, chosen: list[Constant]) -> pd.DataFrame:
-    """A row for each constant and factor: how many cases it changes, and how."""
-    path = given.folder / "constants.csv"
-    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    done = {(row["constant"], row["factor"]) for row in rows}
-    for constant in chosen:
-        for factor in FACTORS:
-            if (constant.label, factor) in done:
-                continue
-            changed = compared(of_constant(constant, factor, given.folder / "trees"), given, HERE)
-            differ = int((changed["outcome"] != changed["outcome_new"]).sum()) if len(changed) else 0
-            worst_of = float(changed["moved"].max()) if len(changed) else 0.0
-            told: dict[Hashable, object] = {"constant": constant.label, "value": constant.value, "factor": factor}
-            rows.append(
-                told | {"cases changed": len(changed), "outcomes changed": differ, "moved by": round(worst_of, 3)}
-            )
-            pd.DataFrame(rows).to_csv(path, index=False)
-    return pd.DataFrame(rows)
+def vary(given: argparse.Namespace) -> pd.DataFrame:
+    """What named constants do to all quick cases; `all` of them to a few. A killed command goes on where it was."""
+    every, asked = given.vary == ["all"], set(given.vary)
+    chosen = [one for one in constants() if every or {one.label, one.name} & asked]
+    if not chosen:
+        sys.exit(f"--vary: no {', '.join(given.vary)}; they are called training/band/beginning.TIE and the like")
+    given.quick, known = True, judged(HERE, given).rows.dropna(subset="seconds").sort_values("seconds")
+    path = referee(HERE, given).folder / CONSTANTS
+    if every:
+        known = known.groupby("family").head(CHEAP)
+    cases = [Trial(*of) for of in known[["family", "seed", "seconds"]].itertuples(index=False)]
+    table = pd.read_csv(path) if every and path.is_file() else pd.DataFrame(columns=["constant"])
+    missing = [one for one in chosen if one.label not in set(table["constant"])]
+    for rows in varied(missing, cases, FEW if every else len(cases)):
+        table = pd.concat([table, rows], ignore_index=True)
+        if every:
+            table.to_csv(path, index=False)
+        print(rows.to_string(index=False, header=False), flush=True)
+    if every and given.write:
+        shutil.copyfile(path, Path(__file__).with_name(CONSTANTS))
+    return table
 
 
 def main() -> None:
@@ -117,10 +124,7 @@ def main() -> None:
     parser.add_argument("overrides", nargs="*", help="further settings, as pinn-run takes them (after --)")
     given = parser.parse_args()
     if given.vary:
-        chosen = [one for one in constants() if given.vary == ["all"] or {one.label, one.name} & set(given.vary)]
-        if not chosen:
-            sys.exit(f"--vary: no {', '.join(given.vary)}; they are called training/band/beginning.TIE and the like")
-        print(vary(given, chosen).to_string(index=False))
+        print(vary(given).to_string(index=False))
         return
     if given.against:
         compared(HERE, given, of_revision(given.against, given.folder / "trees"))

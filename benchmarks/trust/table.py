@@ -16,6 +16,7 @@ from benchmarks.written import markdown
 ALL = "all"
 A_MOVE = 0.1  # standard deviations; and as a share, of a deviation itself
 COLOURS = {SOUND: "#4c9f70", FALSE_ALARM: "#f0c05a", CAUGHT: "#6d8fc7", WRONG_AND_SOUND: "#c03a2b", ERROR: "#777777"}
+COSTS = ("seconds", "elapsed", "mebibytes")  # of a row, and not of what it says
 BANDS = {"u": "u", "v": "u'", "a": "u''"}
 
 
@@ -159,15 +160,30 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     plt.close(figure)
 
 
-def changes(before: Judged, after: Judged) -> pd.DataFrame:
-    """Cases that two programs judge differently, or whose parameters moved or became surer by more than `A_MOVE`."""
-    moved = before.parameters.merge(after.parameters, on=["case", "parameter"], suffixes=("", "_new"))
-    moved["moved"] = (moved["estimate_new"] - moved["estimate"]).abs() / moved["std"]
-    moved["wider"] = moved["std_new"] / moved["std"]
-    most = moved.sort_values("moved", ascending=False).groupby("case").first()[["parameter", "moved", "wider"]]
+def moves(before: Judged, after: Judged) -> pd.DataFrame:
+    """A row for each case of two programs.
+
+    Columns: case, outcome and `outcome_new`, the parameter that moved most, by how many of its deviations and how much
+    wider its new deviation is, how much slower the run was, `judged` (another outcome), `differs` (anything but time
+    and memory).
+    """
+    parameters = before.parameters.merge(after.parameters, on=["case", "parameter"], suffixes=("", "_new"))
+    parameters["moved"] = (parameters["estimate_new"] - parameters["estimate"]).abs() / parameters["std"]
+    parameters["wider"] = parameters["std_new"] / parameters["std"]
+    most = parameters.sort_values("moved", ascending=False).groupby("case").first()[["parameter", "moved", "wider"]]
     both = before.rows.merge(after.rows, on="case", suffixes=("", "_new")).merge(most, on="case", how="left")
     both["judged"] = both["outcome"] != both["outcome_new"]
     both["slower"] = both["seconds_new"] / both["seconds"]
+    both["differs"] = (both["moved"].fillna(0.0) > 0.0) | (both["wider"].fillna(1.0) != 1.0)
+    for name in before.rows.columns.intersection(after.rows.columns).difference(["case", *COSTS]):
+        one, other = both[name], both[f"{name}_new"]
+        both["differs"] |= (one != other) & ~(one.isna() & other.isna())
+    columns = ["case", "outcome", "outcome_new", "parameter", "moved", "wider", "slower", "judged", "differs"]
+    return both[columns]
+
+
+def changes(before: Judged, after: Judged) -> pd.DataFrame:
+    """Of `moves`, cases that are judged differently, or whose parameters moved or became surer by `A_MOVE` or more."""
+    both = moves(before, after)
     found = both[both["judged"] | (both["moved"] > A_MOVE) | ((both["wider"] - 1.0).abs() > A_MOVE)]
-    columns = ["case", "outcome", "outcome_new", "parameter", "moved", "wider", "slower"]
-    return found.sort_values(["judged", "moved"], ascending=False)[columns]
+    return found.sort_values(["judged", "moved"], ascending=False).drop(columns=["judged", "differs"])
