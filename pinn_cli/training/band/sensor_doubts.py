@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -21,8 +22,10 @@ from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseModel
 
-# Kinds, as programs know them; all response accelerometers or velocity sensors together may pass no slow motion.
+# Kinds, as programs know them.
 GAIN, DELAY, TILT, HIGH_PASS = "gain", "delay", "tilt", "high_pass"
+# Of sensors of one make on one structure: all may pass no slow motion, or turn as their floors do.
+COMMON = (TILT, HIGH_PASS)
 # Of a record, the periods of the lowest corner of a filter that is tried; each next one is twice as high, as long as
 # what the filter takes has no more than half of the channel's power.
 PERIODS, MOST_TAKEN = 2.0, 0.5
@@ -167,22 +170,24 @@ def channels_shown(equations: NormalEquations, point: Point, noise: NoiseModel) 
 
 
 def sensor_terms(channels: Sequence[Shown]) -> list[SensorTerm]:
-    """Of every channel of motion, ground or support, and of all accelerometers together."""
+    """Of every channel of motion, ground or support, and of all sensors of a quantity together."""
     found: list[SensorTerm] = []
-    together: dict[tuple[str, float], dict[int, np.ndarray]] = {}
+    together: defaultdict[tuple[str, str, float], dict[int, tuple[Term, np.ndarray]]] = defaultdict(dict)
     for i, one in enumerate(channels):
         if one.quantity in (FORCE, CONNECTION_FORCE):
             continue
         for kind, unit, scale, column in one.columns():
             if kind in one.uncertain:
                 continue
-            counted = column * one.counted
-            found.append(SensorTerm(Term(kind, one.name, unit, scale), {i: counted}))
-            if kind == HIGH_PASS and one.quantity in MOTION:
-                together.setdefault((one.quantity, scale), {})[i] = counted
-    for (quantity, corner), of_all in together.items():
+            term, counted = Term(kind, one.name, unit, scale), column * one.counted
+            found.append(SensorTerm(term, {i: counted}))
+            if kind in COMMON and one.quantity in MOTION:
+                corner = scale if kind == HIGH_PASS else 0.0
+                together[one.quantity, kind, corner][i] = term, counted
+    for (quantity, _, _), of_all in together.items():
         if len(of_all) > 1:
-            found.append(SensorTerm(Term(HIGH_PASS, f"{quantity} of all sensors", "Hz", corner), of_all))
+            term = replace(next(iter(of_all.values()))[0], of=f"{quantity} of all sensors")
+            found.append(SensorTerm(term, {i: term.scale / own.scale * by for i, (own, by) in of_all.items()}))
     return found
 
 

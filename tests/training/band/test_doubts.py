@@ -110,6 +110,15 @@ def test_a_tilting_accelerometer_is_named():
     assert abs(doubt.value - 3.0) < 4.0 * doubt.std < 1.0
 
 
+@pytest.mark.parametrize("ground", [True, False])
+def test_floors_that_all_turn_are_named_together(ground: bool):
+    truth = moved(ground, 1, ())
+    channels = dict(enumerate((truth.acceleration + 3.0 * truth.displacement).T))
+    doubt, *_ = solved(posed(spoilt(ground, channels))).doubts
+    assert (doubt.kind, doubt.of) == ("tilt", "acceleration of all sensors")
+    assert doubt.value == pytest.approx(3.0, rel=0.1)
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_accelerometers_that_pass_no_slow_motion_are_named(order: int):
     truth = moved(False, 1, ())
