@@ -12,7 +12,7 @@ import numpy as np
 from pinn_cli.record.gauge import DEGREE, Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
-from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.system.quantities import CALIBRATION_UNITS, TILT
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 
@@ -26,9 +26,7 @@ def as_calibrated(record: Record, estimate: Estimate) -> Record:
     if not record.gauges:
         return record
     found = _by_gauge(record, estimate.of_motion or estimate.parameters)
-    return with_gauges(
-        record, lambda gauge: _shown(gauge, found[gauge.name], record.time, _estimated(estimate.response, gauge))
-    )
+    return with_gauges(record, lambda gauge: _shown(gauge, found[gauge.name], record.time, estimate.response))
 
 
 def with_gauges(record: Record, shown: Callable[[Gauge], tuple[np.ndarray, np.ndarray]]) -> Record:
@@ -59,10 +57,14 @@ def _by_gauge(record: Record, parameters: Iterable[ParameterEstimate]) -> defaul
     return found
 
 
-def _estimated(response: Response, gauge: Gauge) -> np.ndarray:
-    """(N,), what the gauge feels by the estimate, at the record's times."""
+def _estimated(response: Response, gauge: Gauge, found: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) each, its quantity by the estimate, at the record's times, and the same with what a tilt adds."""
     values: np.ndarray = getattr(response, gauge.quantity)
-    return values if gauge.quantity == GROUND else values[:, gauge.dof]
+    if gauge.quantity == GROUND:
+        return values, values
+    tilt = {TILT: gauge.of(TILT).value, **found}[TILT]
+    own = values[:, gauge.dof]
+    return own, own + tilt * response.displacement[:, gauge.dof] if tilt else own
 
 
 def sample_places(gauge: Gauge, found: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,14 +79,15 @@ def sample_places(gauge: Gauge, found: Mapping[str, float], time: np.ndarray) ->
 
 
 def _shown(
-    gauge: Gauge, found: dict[str, float], time: np.ndarray, estimated: np.ndarray
+    gauge: Gauge, found: dict[str, float], time: np.ndarray, response: Response
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,), the estimate with the gauge's residuals on it, and (N,) bool, where it has one."""
     from scipy.interpolate import make_interp_spline
 
     (felt_at, felt), (place, inside) = gauge.calibrated(found), sample_places(gauge, found, time)
+    estimated, felt_by_it = _estimated(response, gauge, found)
     shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
-    expected = gauge.passed(time, estimated, found)
+    expected = gauge.passed(time, felt_by_it, found)
     left = felt[inside] - make_interp_spline(time, expected, DEGREE)(felt_at[inside])
     if gauge.filter_order:
         decays = gauge.decays(time, found)[place[inside]]

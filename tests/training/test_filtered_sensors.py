@@ -60,8 +60,11 @@ def test_an_unknown_tilt_is_found():
     record = recorded(truth, {2: truth.acceleration[:, 2] + 3.0 * truth.displacement[:, 2]})
     unknown = {"tilt": Calibration(0.0, 40.0, unknown=True)}
     tilting = Gauge("a3", "acceleration", {2: 1.0}, record.time, record.acceleration[:, 2], unknown)
-    estimate = solved(replace(record, gauges=(tilting,)))
+    record = replace(record, gauges=(tilting,))
+    estimate = solved(record)
     assert_right(estimate, truth)
+    left = as_calibrated(record, estimate).acceleration[:, 2] - estimate.response.acceleration[:, 2]
+    assert left.std() < 0.3 * (3.0 * truth.displacement[:, 2]).std()
     (tilt,) = (p for p in estimate.parameters if p.kind == "tilt")
     assert abs(tilt.estimate - 3.0) < 4.0 * tilt.std < 1.0
 
