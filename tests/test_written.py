@@ -12,8 +12,7 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # No target of the Makefile makes these yet: they are of the revision that their comment names.
 BY_HAND = {
-    "gpu", "long-records", "long-unknown", "missing-samples", "modes-in-a-band", "nonlinearity", "prediction-bands",
-    "search-forecast", "search-presets", "search-spline", "unknown-parameters", "unmeasured-forces",
+    "gpu", "modes-in-a-band", "nonlinearity", "search-forecast", "search-presets", "search-spline",
 }  # fmt: skip
 
 
