@@ -122,7 +122,7 @@ bench-peers: venv ## DeepXDE, jinns, a Kalman smoother of dynamax, KOMA and this
 	$(BIN)/python -m benchmarks.peers $(ARGS)
 
 tables: venv ## tables of README and docs that come from ordinary runs, written into their pages (ARGS="mlp smoother": these)
-	$(BIN)/python -m benchmarks.tables $(ARGS)
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.tables $(ARGS)
 
 docs: venv ## build/docs: the documentation as a site, its links checked; no network is needed
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
