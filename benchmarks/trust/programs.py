@@ -8,6 +8,8 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.trust.families.ground import RECORDED
+
 HERE = Path(__file__).parents[2]
 JUDGED = ("pinn_cli", "conf", "hydra_plugins")  # what a run consists of
 # Modules of this folder that decide no row.
@@ -15,7 +17,7 @@ BESIDE = ("__main__.py", "constants.py", "peers.py", "programs.py", "runner.py",
 
 
 def digest(source: Path, overrides: Sequence[str] = ()) -> str:
-    """Of everything that decides a row: the program that is judged, further settings, and the cases."""
+    """Of all that decides a row: the program that is judged, further settings, the cases, recorded earthquakes."""
     found = hashlib.sha256("\n".join(overrides).encode())
     paths = [path for name in JUDGED for path in (source / name).rglob("*") if path.suffix in (".py", ".yaml")]
     cases = [path for path in (HERE / "benchmarks" / "trust").rglob("*.py") if path.name not in BESIDE]
@@ -23,6 +25,8 @@ def digest(source: Path, overrides: Sequence[str] = ()) -> str:
         found.update(
             str(path.relative_to(source if path.is_relative_to(source) else HERE)).encode() + path.read_bytes()
         )
+    for path in sorted(RECORDED.glob("*.csv")):  # none where there are no recordings beside the checkout
+        found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()[:12]
 
 
