@@ -165,7 +165,7 @@ def _measured(
         rms = float(x.std())
         offset, drift = s.values.get("offset", 0.0) * rms, s.values.get("drift", 0.0) * rms / times[-1]
         table[s.name] = x + offset + drift * times
-        si = {"offset": offset, "drift": drift}
+        si = {"offset": s.unit * offset, "drift": s.unit * drift}  # as the program reports them
         true |= {f"{key}_{s.name}": si.get(key, value) for key, value in s.values.items()}
     at = np.searchsorted(every, times)
     seen = Motion(motion.displacement[at], motion.velocity[at], motion.acceleration[at], motion.memory[at])
