@@ -245,9 +245,8 @@ class Trial:
                 sys.meta_path.insert(0, Changed(self.change))
             sys.argv = ["pinn-run", "--config-dir", str(folder), f"experiment={name}", f"hydra.run.dir={directory}",
                         "figures=false"]  # fmt: skip
-            calls = Calls(constants())
-            if self.change is None:
-                sys.setprofile(calls)
+            calls = Calls(constants()) if self.change is None else None
+            sys.setprofile(calls)
             try:
                 importlib.import_module("pinn_cli.main").main()
                 status = 0
@@ -255,7 +254,7 @@ class Trial:
                 status = ended.code if isinstance(ended.code, int) else 1
             finally:
                 sys.setprofile(None)
-            if self.change is None:
+            if calls is not None:
                 (directory.parent / READ).write_text("\n".join(calls.read()), encoding="utf-8")
         finally:
             os._exit(status)
