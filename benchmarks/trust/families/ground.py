@@ -12,8 +12,9 @@ from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
 from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.families.topology import damped, guessed
-from benchmarks.trust.structures import Connection, Structure, linear_motion, noisy, uncertainty
+from benchmarks.trust.families.topology import believed, damped, guessed
+from benchmarks.trust.peers import Input, Sensor, Told
+from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, uncertainty
 
 RECORDED = Path(__file__).resolve().parents[4] / "shared" / "data" / "ground_motion"  # of people, not in the repository
 PEAK = 3.0  # m/s^2
@@ -162,4 +163,9 @@ def draw(seed: int) -> Case:
         f" {frequencies[-1]:.3g} Hz, {1.0 / times[1]:.4g} Hz x {len(times)}, {shaken.about}, {ground_db:.0f} dB;"
         f" {frame} on {(sensors + 1).tolist()}, {response_db:.0f} dB{', c null' if nothing_said else ''}"
     )
-    return Case("ground", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
+    quantity = "absolute" if frame == "absolute" else "acceleration"
+    peer = Told.of(
+        structure, believed(structure, system["connections"]), (Input("g", noise(a_g, ground_db), -structure.mass),),
+        tuple(Sensor(f"a{i + 1}", quantity, int(i), noise(felt[:, i], response_db)) for i in sensors),
+    )  # fmt: skip
+    return Case("ground", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about, peer=peer)
