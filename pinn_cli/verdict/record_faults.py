@@ -1,4 +1,4 @@
-"""What a response channel, or the ground's, says against itself: clipped, dropped out, without motion, off its zero."""
+"""What a response channel, or the ground's, says against itself: still, a copy, clipped, dropped out, off its zero."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEAST_OFFSET, DEVIATIONS, LOW_LINES = 0.05, 10.0, 8
 
 def record_faults(record: Record) -> list[Finding]:
     """The faults of all channels, at most one of each."""
-    tests = (_still, _clipped, _dropped_out, _off_zero)
+    tests = (_still, _copied, _clipped, _dropped_out, _off_zero)
     return [
         found
         for channel in channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
@@ -45,6 +45,17 @@ def _still(channel: Channel, record: Record) -> Finding | None:
         return None
     text = f"the {channel.name} is {channel.measured[0]:.4g} throughout; leave that sensor out"
     return Finding("still", channel.name, text, "failed")
+
+
+def _copied(channel: Channel, record: Record) -> Finding | None:
+    """The same samples as another channel before it: noise alone would make them differ."""
+    for other in channels(record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT)):
+        if other.name == channel.name:
+            return None
+        if np.array_equal(other.measured, channel.measured):
+            text = f"the {channel.name} is a copy of the {other.name}: all of its samples are the same"
+            return Finding("copy", channel.name, f"{text}; look for its own column, or leave it out")
+    return None
 
 
 def _clipped(channel: Channel, record: Record) -> Finding | None:

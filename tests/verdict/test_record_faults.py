@@ -30,6 +30,12 @@ def test_a_fault_is_seen_without_any_model(frame_record, kind, change):
     assert (found.kind, found.suspect) == (kind, "acceleration of DOF 2")
 
 
+def test_a_copy_of_another_channel_is_named(frame_record):
+    (found,) = record_faults(altered(frame_record, 2, lambda _: frame_record.acceleration[:, 0]))
+    assert (found.kind, found.suspect) == ("copy", "acceleration of DOF 2")
+    assert "copy of the acceleration of DOF 1" in found.text
+
+
 @pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
 def test_a_good_record_has_none(frame, quantity):
     assert record_faults(measure(frame, quantity=quantity)) == []
