@@ -89,7 +89,8 @@ def vary(given: argparse.Namespace) -> pd.DataFrame:
     chosen = [one for one in constants() if every or {one.label, one.name} & asked]
     if not chosen:
         sys.exit(f"--vary: no {', '.join(given.vary)}; they are called training/band/beginning.TIE and the like")
-    given.quick, known = True, judged(HERE, given).rows.dropna(subset="seconds").sort_values("seconds")
+    given.quick = True
+    known = judged(HERE, given).rows.dropna(subset="seconds").sort_values("seconds")
     path = referee(HERE, given).folder / CONSTANTS
     if every:
         known = known.groupby("family").head(CHEAP)
