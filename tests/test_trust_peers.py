@@ -6,8 +6,9 @@ import pytest
 
 from benchmarks.trust.case import Case, Truth
 from benchmarks.trust.families import drawn
-from benchmarks.trust.peers import PEERS, Input, Sensor, Told, compared
+from benchmarks.trust.peers import MEASURED_INPUTS, compared
 from benchmarks.trust.structures import Connection, Structure, noisy, simulated, sinusoids
+from benchmarks.trust.told import Input, Sensor, Told
 
 
 # 27: three storeys, 55 dB, all springs a factor of two too soft; 43: three storeys, 51 dB.
@@ -15,7 +16,7 @@ from benchmarks.trust.structures import Connection, Structure, noisy, simulated,
 def test_both_peers_find_the_springs_of_a_chain(seed):
     case = drawn("chain", seed)
     found = compared(case)
-    assert set(found["peer"]) == set(PEERS)
+    assert set(found["peer"]) == set(MEASURED_INPUTS)
     true = found["parameter"].map(case.truth.parameters)
     assert set(found["parameter"]) == set(case.truth.parameters)
     assert (found["estimate"] / true).to_numpy() == pytest.approx(1.0, abs=0.05)
@@ -53,3 +54,22 @@ def test_both_peers_find_springs_and_dampers_on_a_moving_ground():
     off = (found["estimate"] / found["parameter"].map(truth.parameters) - 1.0).abs()
     assert off[found["parameter"].str.startswith("k")].max() < 0.02
     assert off[found["parameter"].str.startswith("c")].max() < 0.2
+
+
+# 11: two storeys, 15: four with three accelerometers; 10 % is known of their parameters.
+@pytest.mark.parametrize("seed", [11, 15])
+def test_a_model_updated_to_subspace_modes_is_nearer_than_what_was_believed(seed):
+    case = drawn("unmeasured", seed)
+    found = compared(case).set_index("parameter")["estimate"]
+    assert isinstance(case.peer, Told)
+    believed = dict(zip(case.peer.unknown, case.peer.guess, strict=True))
+    springs = [name for name in case.truth.parameters if name.startswith("k")]
+    off, before = (
+        np.mean([(of[name] / case.truth.parameters[name] - 1.0) ** 2 for name in springs]) for of in (found, believed)
+    )
+    assert off < 0.1 * before
+
+
+def test_where_one_force_was_measured_or_all_is_known_there_are_no_modes_to_update_to():
+    assert drawn("unmeasured", 0).peer is None
+    assert drawn("unmeasured", 3).peer is None

@@ -13,7 +13,7 @@ from benchmarks.trust.families.ground import RECORDED
 HERE = Path(__file__).parents[2]
 JUDGED = ("pinn_cli", "conf", "hydra_plugins")  # what a run consists of
 # Modules of this folder that decide no row.
-BESIDE = ("__main__.py", "constants.py", "peers.py", "programs.py", "runner.py", "table.py")
+BESIDE = ("__main__.py", "ambient.py", "constants.py", "peers.py", "programs.py", "runner.py", "table.py", "told.py")
 
 
 def digest(source: Path, overrides: Sequence[str] = ()) -> str:

@@ -7,8 +7,8 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.peers import Input, Sensor, Told
 from benchmarks.trust.structures import Connection, Structure, noise, noisy, simulated, sinusoids
+from benchmarks.trust.told import Input, Sensor, Told
 
 
 def draw(seed: int) -> Case:

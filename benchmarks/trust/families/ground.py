@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.trust.case import HERE, Case, Truth
 from benchmarks.trust.families.topology import believed, damped, guessed
-from benchmarks.trust.peers import Input, Sensor, Told
 from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, uncertainty
+from benchmarks.trust.told import Input, Sensor, Told
 
 RECORDED = Path(__file__).resolve().parents[4] / "shared" / "data" / "ground_motion"  # of people, not in the repository
 PEAK = 3.0  # m/s^2

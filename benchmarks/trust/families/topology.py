@@ -9,8 +9,8 @@ import pandas as pd
 from numpy.random import Generator
 
 from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.peers import Input, Sensor, Told
 from benchmarks.trust.structures import Connection, Structure, linear_motion, noise, noisy, sinusoids, uncertainty
+from benchmarks.trust.told import Input, Sensor, Told
 
 
 def frame(rng: Generator, fewest: int, most: int) -> Structure:

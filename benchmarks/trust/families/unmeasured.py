@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.trust.case import HERE, Case, Truth
-from benchmarks.trust.structures import Connection, Structure, noisy
+from benchmarks.trust.structures import Connection, Structure, noise, noisy
+from benchmarks.trust.told import Sensor, Told
 from benchmarks.trust.waves import random_waves
 
 UNCERTAINTY = 0.1  # relative, of k and c as they are prescribed where they are not known
@@ -69,6 +70,10 @@ def draw(seed: int) -> Case:
         structure.parameters() if uncertain else {}, motion.displacement, motion.velocity, motion.acceleration,
         tuple(int(i) for i in sensors),
     )  # fmt: skip
+    peer = None
+    if uncertain and everywhere:
+        felt_by = tuple(Sensor(f"y{i + 1}", kind, int(i), noise(felt[:, i], response_db)) for i in sensors)
+        peer = Told.of(structure, prescribed.parameters(), (), felt_by, UNCERTAINTY)
     named = "every DOF" if everywhere else f"DOF {int(unmeasured[0]) + 1} of {[int(i) + 1 for i in loaded]} loaded"
     spectrum = "coloured" if coloured else "broad-band"
     about = (
@@ -76,7 +81,7 @@ def draw(seed: int) -> Case:
         f" {[int(i) + 1 for i in sensors]}, {response_db:.0f} dB, nobody measured {spectrum} forces on {named}"
         f"{', k and c uncertain' if uncertain else ''}"
     )
-    return Case("unmeasured", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about)
+    return Case("unmeasured", seed, {"record.csv": pd.DataFrame(table)}, settings, truth, about, peer=peer)
 
 
 def structure_of(rng: np.random.Generator, n: int, mass: float, first: float) -> Structure:
