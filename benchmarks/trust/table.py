@@ -120,7 +120,7 @@ def worst(rows: pd.DataFrame, number: int = 5) -> str:
     """The worst cases of each family: wrong and sound first, then errors, false alarms and the furthest off."""
     order = {WRONG_AND_SOUND: 0, ERROR: 1, FALSE_ALARM: 2, CAUGHT: 3, SOUND: 4}
     lines = []
-    for _, of in rows.groupby("family", sort=False):
+    for _, of in rows.fillna({"reasons": ""}).groupby("family", sort=False):
         part = of.assign(rank=of["outcome"].map(order)).sort_values(["rank", "worst_z"], ascending=[True, False])
         for _, row in part[part["outcome"] != SOUND].head(number).iterrows():
             off = "no parameter"
