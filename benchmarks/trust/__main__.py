@@ -95,10 +95,11 @@ def vary(given: argparse.Namespace) -> pd.DataFrame:
     if every:
         known = known.groupby("family").head(CHEAP)
     cases = [Trial(*of) for of in known[["family", "seed", "seconds"]].itertuples(index=False)]
-    table = pd.read_csv(path) if every and path.is_file() else pd.DataFrame(columns=["constant"])
-    missing = [one for one in chosen if one.label not in set(table["constant"])]
+    table = pd.read_csv(path) if every and path.is_file() else pd.DataFrame()
+    done = set() if table.empty else set(table["constant"])
+    missing = [one for one in chosen if one.label not in done]
     for rows in varied(missing, cases, FEW if every else len(cases)):
-        table = pd.concat([table, rows], ignore_index=True)
+        table = rows if table.empty else pd.concat([table, rows], ignore_index=True)
         if every:
             table.to_csv(path, index=False)
         print(rows.to_string(index=False, header=False), flush=True)
