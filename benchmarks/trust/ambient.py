@@ -28,8 +28,8 @@ def subspace(felt: np.ndarray, dt: float, lags: int, orders: list[int]) -> list[
     felt = felt - felt.mean(axis=0)
     (number, r), found = felt.shape, []
     covariance = [felt[i:].T @ felt[: number - i] / (number - i) for i in range(2 * lags)]
-    rows = [np.hstack([covariance[lags + i - j] for j in range(lags)]) for i in range(lags)]
-    left, sizes, _ = svd(np.vstack(rows), full_matrices=False)
+    toeplitz = np.block([[covariance[lags + i - j] for j in range(lags)] for i in range(lags)])
+    left, sizes, _ = svd(toeplitz, full_matrices=False)
     for order in orders:
         if order > len(sizes) - r:
             break
@@ -61,7 +61,7 @@ def _alike(one: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _scaled(shape: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """A shape as real numbers, as long as and along `like`."""
+    """The multiple of a shape that is nearest to `like`, as real numbers."""
     along = np.vdot(shape, like) / np.vdot(shape, shape)
     return np.asarray((shape * along).real)
 
@@ -73,8 +73,8 @@ def measured(told: Told, felt: np.ndarray, dt: float, believed: Modes) -> np.nda
     systems = subspace(felt, dt, min(lags, len(felt) // 4), [2 * n * times for times in ORDERS])
     rows = np.full((len(believed[0]), 2 + felt.shape[1]), np.nan)
     for i, (frequency, _, shape) in enumerate(zip(*believed, strict=True)):
-        like = _scaled(shape / np.linalg.norm(shape), shape)
-        like = like / max(np.linalg.norm(like), 1e-300)
+        like = (shape / shape[np.argmax(np.abs(shape))]).real
+        like /= np.linalg.norm(like)
         seen = []
         for frequencies, ratios, shapes in systems:
             far = np.abs(np.log(frequencies / frequency))

@@ -42,14 +42,14 @@ class Input:
 
 @dataclass(frozen=True)
 class Told:
-    """A linear structure under measured inputs, and what is unknown of it.
+    """A linear structure under measured inputs or unmeasured ones, and what is unknown of it.
 
     Attributes:
         mass: kg, (n,).
         rows: The elongation of each connection is its row times the displacements, (connections, n).
         values: By name (`k_1`, `c_roof`): connection and value, the true one or, for what is unknown, what is believed.
         unknown: Names that are estimated.
-        inputs: Forces, or the ground.
+        inputs: Forces, or the ground; none where nobody measured them.
         sensors: Channels of the response.
         record: File name.
         uncertainty: Relative standard deviation of what is believed of the unknown ones.
