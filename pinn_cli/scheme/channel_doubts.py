@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.gauge import DELAYS_ALLOWED
+from pinn_cli.record.channels import Channel
+from pinn_cli.record.gauge import DELAYS_ALLOWED, WIDEST_DELAY
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.scheme.cross_spectra import CrossSpectra
@@ -44,9 +45,10 @@ class ChannelDoubts:
     Args:
         record: What was measured.
         spectra: Of it.
+        doubted: A channel whose gain and delay are in doubt, whatever is said of it.
     """
 
-    def __init__(self, record: Record, spectra: CrossSpectra) -> None:
+    def __init__(self, record: Record, spectra: CrossSpectra, doubted: Channel | None = None) -> None:
         self.omega, self.sensors = spectra.omega, len(spectra.sensors)
         channels = [
             *((RESPONSE_QUANTITIES[order], dof) for order, dof in zip(spectra.orders, spectra.sensors, strict=True)),
@@ -62,6 +64,10 @@ class ChannelDoubts:
             for kind, number in (("gain", gauge.of("gain")), ("delay", gauge.of("delay")))
             if not number.is_known
         )
+        if doubted is not None:
+            place = channels.index((doubted.quantity, max(doubted.dof, 0)))
+            late = WIDEST_DELAY * record.step
+            self.doubts += (Doubt("gain", doubted.name, place, 1.0), Doubt("delay", doubted.name, place, 0.0, late))
 
     def __len__(self) -> int:
         return len(self.doubts)

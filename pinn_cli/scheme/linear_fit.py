@@ -97,7 +97,7 @@ class LinearFit:
         if self.damped:
             critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
             c[self.free["c"]] = np.exp(x[split + len(self.free["k"])]) * critical[self.free["c"]]
-        loss[self.free["loss"]] = np.exp(x[self.count - 1])
+        loss[self.free["loss"]] = np.exp(x[self.count - self.lossy : self.count])
         return {"m": m, "c": c, "k": k, "loss": loss}
 
     def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
@@ -311,6 +311,8 @@ class JointFit:
 
     def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """The misfit and the unknowns at the bottom of the valley that x lies in."""
+        if not len(x):
+            return self.misfit(x), x
 
         def residual(x: np.ndarray) -> np.ndarray:
             return _real(np.concatenate([fit.residual(own, slopes=False)[0].reshape(-1) for fit, own in self._own(x)]))

@@ -82,20 +82,24 @@ def screened(
     if not fits:
         return []
     model = JointFit(fits)
-    starts = _starts(model, [each for each, _ in seen] or records, guess)
+    return nearest(model, grid_of_starts(model, [each for each, _ in seen] or records, guess))
+
+
+def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[int] = SURVIVORS) -> list[Candidate]:
+    """The structures at which starts end, the best first; so many go on to each width of the smoothing."""
     found: list[tuple[float, np.ndarray]] = []
-    for width, survivors in zip(WIDTHS, SURVIVORS, strict=True):
+    for width, most in zip(WIDTHS, survivors, strict=True):
         model.smooth(width)
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))
-        starts = [starts[i] for _, i in ranked[: 2 * survivors]]
-        found = sorted((model.fitted(x) for x in starts[:survivors]), key=lambda pair: pair[0])
+        starts = [starts[i] for _, i in ranked[: 2 * most]]
+        found = sorted((model.fitted(x) for x in starts[:most]), key=lambda pair: pair[0])
         found = _distinct(found)
         starts = [x for _, x in found]
     return [Candidate(model.parameters(x), misfit, model.scatter, model.calibration(x)) for misfit, x in found]
 
 
-def _starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """The guess, and the best of many with a common factor on its stiffnesses or masses that the record can tell."""
     mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
     stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])

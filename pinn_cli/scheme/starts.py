@@ -82,7 +82,7 @@ def parameter_starts(
     records = (record, *further)
     if prescribed.shapes is not None:
         return [_starts(prescribed, records, unknown, given, _of_modes(prescribed, unknown, given))]
-    known, guess = _known(prescribed, unknown), _guess(prescribed, records, unknown, given)
+    known, guess = linear_parts(prescribed, unknown), _guess(prescribed, records, unknown, given)
     stretch, moved = prescribed.stretch.matrix[prescribed.added].toarray(), prescribed.with_ground
     every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
     candidates = [c for c in every if c.misfit < HOPELESS + (NEARLY_NOTHING - HOPELESS) * c.scatter]
@@ -120,8 +120,8 @@ def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Paramete
     }
 
 
-def _known(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
-    """``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,), NaN where unknown."""
+def linear_parts(prescribed: Structure, unknown: Collection[Parameter]) -> dict[str, np.ndarray]:
+    """What is known: ``m`` to (n,), ``c`` and ``k`` to (C,), ``loss`` to (1,), NaN where unknown."""
     known = {kind: prescribed.parameters[kind].detach().cpu().double().numpy().copy() for kind in LINEAR_UNITS}
     for parameter in unknown:
         if parameter.kind in known:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.response import GROUND
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.verdict.comparison import Comparison, compare, comparisons
 from pinn_cli.verdict.finding import Finding
 
@@ -93,10 +94,16 @@ def explained(comparison: Comparison) -> Finding | None:
 def _factor(c: Comparison) -> Finding | None:
     if not _off(c):
         return None
-    value, name = c.factor.value, c.channel.name
-    kind, text = _factor_in_words(value, c.factor.std)
-    reason = f"the {name} is {text} what the structure does under the measured {c.acting}"
-    return Finding(kind, name, f"{reason}; {_remedy(kind, c.channel.setting, value)}", left=c.factor.left)
+    moves = f"what the structure does under the measured {c.acting}"
+    found = factor_finding(c.channel, c.factor.value, moves, c.factor.std)
+    return replace(found, left=c.factor.left)
+
+
+def factor_finding(channel: Channel, value: float, of: str, std: float = 0.0) -> Finding:
+    """That a channel is so many times what it should be."""
+    kind, text = _factor_in_words(value, std)
+    remedy = _remedy(kind, channel.setting, value)
+    return Finding(kind, channel.name, f"the {channel.name} is {text} {of}; {remedy}")
 
 
 def _off(c: Comparison) -> bool:
@@ -127,10 +134,14 @@ def _remedy(kind: str, setting: str, value: float) -> str:
 def _delay(c: Comparison) -> Finding | None:
     if not c.delay.differs(0.0, LEAST_DELAY * c.step, DEVIATIONS):
         return None
-    samples, name = c.delay.value / c.step, c.channel.name
-    later = "late" if samples > 0 else "early"
-    reason = f"the {name} is {abs(c.delay.value):.4g} s ({abs(samples):.2f} samples) {later}"
-    return Finding("delay", name, f"{reason}; shift its column in time", left=c.delay.left)
+    return replace(late_finding(c.channel, c.delay.value, c.step), left=c.delay.left)
+
+
+def late_finding(channel: Channel, delay: float, step: float) -> Finding:
+    """That a channel is late, or early, by s; of samples that are a step apart."""
+    later = "late" if delay > 0 else "early"
+    reason = f"the {channel.name} is {abs(delay):.4g} s ({abs(delay) / step:.2f} samples) {later}"
+    return Finding("delay", channel.name, f"{reason}; shift its column in time")
 
 
 def _offset(c: Comparison) -> Finding | None:
@@ -177,13 +188,13 @@ def _exchanged(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     left = max(c.misfit for c in after)
     if left > REPRODUCED or left > MENDS_BY_MOVING * max(one.misfit, other.misfit):
         return None
-    return swap_finding(one.channel, other.channel, left)
+    return replace(swap_finding(one.channel, other.channel), left=left)
 
 
-def swap_finding(one: Channel, other: Channel, left: float) -> Finding:
+def swap_finding(one: Channel, other: Channel) -> Finding:
     """That two channels are in each other's place."""
     name = f"{one.quantity} of DOFs {one.where} and {other.where}"
-    return Finding("swap", name, f"the {name} fit each other's place; swap their columns", left=left)
+    return Finding("swap", name, f"the {name} fit each other's place; swap their columns")
 
 
 def _misplaced(faulty: Sequence[Comparison], prediction: Prediction) -> Finding | None:
@@ -196,8 +207,13 @@ def _misplaced(faulty: Sequence[Comparison], prediction: Prediction) -> Finding 
     left, dof = min(tried, default=(np.inf, 0))
     if left > REPRODUCED or left > MENDS_BY_MOVING * one.misfit:
         return None
-    reason = f"the {one.channel.name} fits DOF {prediction.record.dof_name(dof)}"
-    return Finding("misplaced", one.channel.name, f"{reason}; check where that sensor is mounted", left=left)
+    return replace(misplaced_finding(one.channel, prediction.record.dof_name(dof)), left=left)
+
+
+def misplaced_finding(channel: Channel, dof: str) -> Finding:
+    """That a channel is on another DOF than it is said to be."""
+    check = "check where it acts" if channel.quantity == FORCE else "check where that sensor is mounted"
+    return Finding("misplaced", channel.name, f"the {channel.name} fits DOF {dof}; {check}")
 
 
 def _odd_one_out(faulty: Sequence[Comparison], found: Sequence[Comparison]) -> list[Finding]:

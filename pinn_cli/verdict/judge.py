@@ -17,7 +17,7 @@ from pinn_cli.scheme.reach import unreached_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.verdict.chain_faults import has_faults, mass_fault, time_unit_fault
+from pinn_cli.verdict.causes import causes as fitted_causes
 from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.channel_faults import LEAST_GAIN, channel_faults
 from pinn_cli.verdict.doubt_findings import doubt_findings
@@ -28,13 +28,10 @@ from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
 from pinn_cli.verdict.prediction import Prediction, is_linear, predicted
 from pinn_cli.verdict.record_faults import record_faults
-from pinn_cli.verdict.refit_causes import refit_causes
 from pinn_cli.verdict.sampling_findings import sampling_findings
 from pinn_cli.verdict.sensor_findings import sensor_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
     from pinn_cli.scheme.problem import Problem
@@ -76,23 +73,22 @@ def judge(
     findings += sampling_findings(problem, estimate, structure)
     if not any(finding.kind == "free_run" for finding in findings):
         findings += _contradicted(problem, contradicted)
-    causes = channel_faults(prediction, excused) if prediction is not None else []
+    lacks, is_sound = doubt_findings(estimate), all(finding.word == "sound" for finding in findings)
+    told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
+    # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
+    follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
+    causes = lacks if told and follows else []
+    if not causes and not is_sound:
+        causes = fitted_causes(problem, structure, excused)
+    # Elsewhere it is what explains most of what the model leaves out, or wrong damping.
+    if told and not causes and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED):
+        causes = lacks
+    if not causes and prediction is not None:
+        causes = channel_faults(prediction, excused)
     if not causes and not problem.identifies and _furthest(estimate) > LEAST_GAIN / 4:
         # A gain that believed parameters have made up for shows against the prescribed ones.
         prescribed = predicted(_believed(problem, estimate), record)
         causes = [] if prescribed is None else channel_faults(prescribed, excused)
-    lacks = doubt_findings(estimate)
-    # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
-    follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
-    # Wrong damping is the cause of a free run that does not.
-    follows = follows or (bool(lacks) and lacks[0].kind == "damping" and not causes)
-    # So is what explains most of what the model leaves out.
-    told = bool(lacks) and lacks[0].kind not in TOLD_BY_CAUSES
-    follows = follows or (told and bool(estimate.doubts) and estimate.doubts[0].share > MOST_EXPLAINED and not causes)
-    if follows and told:
-        causes = lacks
-    elif any(finding.word != "sound" for finding in findings) and not causes and not (follows and lacks):
-        causes = _causes(problem, estimate, excused)
     # A fault that is named draws everything along.
     return Verdict.of(own + (causes or ([] if own else lacks)) + findings)
 
@@ -136,15 +132,3 @@ def _believed(problem: Problem, estimate: Estimate) -> Structure:
     changed = [change.parameter for change in estimate.changes.found] if estimate.changes else []
     now = [p for p in estimate.parameters if p.unknown or p.parameter in changed]
     return estimated_structure(problem.structure, now)
-
-
-def _causes(problem: Problem, estimate: Estimate, excused: Sequence[str]) -> list[Finding]:
-    """The first cause that mends the prediction of the believed structure or of the estimated one."""
-    structures = _believed(problem, estimate), estimated_structure(problem.structure, estimate.parameters)
-    doubtful = [s for s in structures if has_faults(s, problem.record, excused)]
-    for test in (time_unit_fault, mass_fault):
-        for structure in doubtful:
-            found = test(structure, problem.record, excused=excused)
-            if found is not None:
-                return [found]
-    return refit_causes(problem, excused)

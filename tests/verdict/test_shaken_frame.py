@@ -19,7 +19,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Duffing, Linear
 from pinn_cli.training.estimate import Estimate
-from pinn_cli.verdict.chain_faults import mass_fault
+from pinn_cli.verdict.causes import causes
 from pinn_cli.verdict.channel_faults import channel_faults
 from pinn_cli.verdict.judge import judge
 from pinn_cli.verdict.noise_findings import noise_found
@@ -111,11 +111,10 @@ def test_the_ground_s_channel_is_looked_at_by_itself(record, kind, change):
 
 def test_a_wrong_mass_is_found_under_an_earthquake(record):
     wrong = LINEAR.with_parameters(m=LINEAR.parameters["m"] * LINEAR.parameters["m"].new_tensor([1.0, 3.0, 1.0]))
-    found = mass_fault(wrong, record)
-    assert found is not None
+    (found,) = causes(Problem(wrong, record, ()), wrong)
     assert found.suspect == "m_2"
     assert "0.33" in found.text
-    assert mass_fault(LINEAR, record) is None
+    assert causes(Problem(LINEAR, record, ()), LINEAR) == []
 
 
 def estimate(found: Measurements, **summary) -> Estimate:

@@ -1,0 +1,249 @@
+"""Causes: what makes a linear structure do under the measured force what every sensor measured.
+
+A fault of a channel, of the time axis or of the model is a record that is put right in one way, or a number that was
+held and is free. With each of them the structure is fitted to the cross spectra of what acts and of the sensors
+(:mod:`pinn_cli.scheme.linear_fit`). That with which the record is most probable is told, if it explains most of what
+the structure misses without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.scheme.channel_doubts import ChannelDoubts
+from pinn_cli.scheme.cross_spectra import CrossSpectra
+from pinn_cli.scheme.linear_fit import JointFit, LinearFit
+from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
+from pinn_cli.scheme.starts import linear_parts
+from pinn_cli.system.parameters import MASS, Parameter
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.verdict.channel_faults import factor_finding, late_finding, misplaced_finding, swap_finding
+from pinn_cli.verdict.finding import Finding
+
+if TYPE_CHECKING:
+    from pinn_cli.record.record import Record
+    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.system.structure import Structure
+
+# Seconds that the unit of the time axis may be long.
+UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
+# Part of the cross spectra that a structure may miss and need no cause; what a cause may leave of it, and of what is
+# missed without it.
+NOTHING, LEFT, EXPLAINED = 0.01, 0.3, 0.7
+# Logarithm of how many times as probable a record must be with one cause as with another.
+DECISIVE = 5.0
+# A factor that is nearer to one is no mistake of a person's; neither is a shorter delay, in samples.
+LEAST_FACTOR, LEAST_DELAY = 1.1, 0.5
+# Part of itself to which a fit to spectra tells a factor.
+TOLD = 0.01
+# A dense matrix is inverted at every frequency, for every cause; and so many times fewer frequencies tell causes apart
+# than start an estimate.
+MOST_COORDINATES, COARSER = 30, 4
+# Starts of each cause that go on to the next width of the smoothing.
+SURVIVORS = (2, 1, 1)
+MOVES, ACTS = "what the structure does", "what acts"
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """What may be wrong.
+
+    Attributes:
+        record: Put right.
+        told: The finding, of the structure that was fitted with it; None: then it is none.
+        doubted: Channel whose gain and delay are free.
+        free: Kind and places of masses, dampers or springs that are held; dampers have one ratio.
+    """
+
+    record: Record
+    told: Callable[[Candidate], Finding | None]
+    doubted: Channel | None = None
+    free: tuple[str, Sequence[int]] = (MASS, ())
+
+    @property
+    def numbers(self) -> int:
+        """That are free."""
+        return 2 * (self.doubted is not None) + len(self.free[1][:1])
+
+
+def causes(problem: Problem, estimated: Structure, excused: Sequence[str] = ()) -> list[Finding]:
+    """The most probable cause; none where the structure misses little, or where none explains most of that.
+
+    Args:
+        problem: Whose structure does not do what was measured. Of a nonlinear one the linear part is looked at.
+        estimated: Where what is unknown of it is looked for first.
+        excused: Names of channels whose fault is known already.
+    """
+    structure, record = problem.structure, _in_columns(problem.record)
+    if record is None or structure.shapes is not None or structure.coordinates > MOST_COORDINATES:
+        return []
+    unknown = [p for p in problem.uncertain if p.unknown]
+    fits = _Fits(structure, linear_parts(structure, unknown), estimated)
+    without, _ = fits.fitted(Cause(record, lambda _: None))
+    if without.misfit < NOTHING:
+        return []
+    most, found = min(LEFT, EXPLAINED * without.misfit), []
+    for cause in every_cause(structure, record, unknown, excused):
+        fitted, minus_log = fits.fitted(cause)
+        finding = cause.told(fitted) if fitted.misfit < most else None
+        if finding is not None:
+            found.append((minus_log, replace(finding, left=fitted.misfit)))
+    return _told(found)
+
+
+def _in_columns(record: Record) -> Record | None:
+    """The record as it looks, without sensors whose gain or delay is in doubt; None where something acts unseen."""
+    acts = record.force.any() or record.ground_acceleration is not None or record.supports
+    doubted = [gauge for gauge in record.gauges if not (gauge.of("gain").is_known and gauge.of("delay").is_known)]
+    values = {quantity: getattr(record, quantity).copy() for quantity in RESPONSE_QUANTITIES}
+    for gauge in doubted:
+        if gauge.quantity in values and gauge.dof is not None:
+            values[gauge.quantity][:, gauge.dof] = np.nan
+    seen = any(np.isfinite(columns[0]).any() for columns in values.values())
+    if not acts or not seen or any(gauge.quantity in (FORCE, GROUND) for gauge in doubted):
+        return None
+    own = replace(record, gauges=(), missing={}, **values)
+    return None if CrossSpectra.of(own) is None else own
+
+
+def _told(found: list[tuple[float, Finding]]) -> list[Finding]:
+    """The most probable one, and beside what else it is."""
+    if not found:
+        return []
+    least, best = min(found, key=lambda pair: pair[0])
+    others = [one.suspect for minus_log, one in found if minus_log < least + DECISIVE and one.suspect != best.suspect]
+    others = list(dict.fromkeys(others))
+    said = f"; or something is wrong with the {', the '.join(others)}, which explains it as well" if others else ""
+    return [replace(best, text=best.text + said)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fits:
+    """Fits of one structure.
+
+    Attributes:
+        structure: As it was told.
+        known: ``m``, ``c``, ``k``, ``loss``, NaN where unknown.
+        estimated: Where the unknown ones start.
+    """
+
+    structure: Structure
+    known: dict[str, np.ndarray]
+    estimated: Structure
+
+    def fitted(self, cause: Cause) -> tuple[Candidate, float]:
+        """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""
+        known, (kind, places) = {kind: values.copy() for kind, values in self.known.items()}, cause.free
+        known[kind][list(places)] = np.nan
+        guess = {kind: _sizes(linear_parts(self.estimated, ())[kind]) for kind in (MASS, "k")}
+        spectra, stretch = CrossSpectra.of(cause.record, COARSER), self.structure.stretch.matrix[self.structure.added]
+        assert spectra is not None
+        doubts = ChannelDoubts(cause.record, spectra, cause.doubted)
+        fit = LinearFit(spectra, stretch.toarray(), known, guess["k"], self.structure.with_ground, doubts)
+        model = JointFit([fit])
+        found = nearest(model, grid_of_starts(model, [cause.record], guess), SURVIVORS)[0]
+        values = fit.common.size
+        return found, float(0.5 * (values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values)))
+
+
+def _sizes(values: np.ndarray) -> np.ndarray:
+    """What is not zero, and of what is that of the others."""
+    sizes = np.abs(values)
+    return np.where(sizes > 0, sizes, np.median(sizes[sizes > 0]) if sizes.any() else 1.0)
+
+
+def every_cause(
+    structure: Structure, record: Record, unknown: Sequence[Parameter], excused: Sequence[str]
+) -> Iterator[Cause]:
+    """All that are asked."""
+    sensors = channels(record, excused=excused)
+    acting = [*channels(record, (FORCE,)), *channels(record, (GROUND,))]
+    for seconds in UNITS:
+        reason = f"the structure does what was measured if the time is in {UNITS[seconds]}"
+        told = Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed")
+        yield Cause(replace(record, time=record.time * seconds), _always(told))
+    for channel in (*sensors, *acting):
+        yield Cause(record, _calibrated(channel, 1.0, record.step), channel)
+        yield Cause(_with(record, channel, -channel.measured), _calibrated(channel, -1.0, record.step), channel)
+    for one, other in combinations(sensors, 2):
+        if one.quantity == other.quantity:
+            exchanged = _with(_with(record, one, other.measured), other, one.measured)
+            yield Cause(exchanged, _always(swap_finding(one, other)))
+    for channel in (*sensors, *channels(record, (FORCE,))):
+        for dof in range(record.ndof):
+            if not record.sensors(channel.quantity)[dof]:
+                yield Cause(_moved(record, channel, dof), _always(misplaced_finding(channel, record.dof_name(dof))))
+    for parameter in structure.every_parameter():
+        if parameter.kind in (MASS, "k") and parameter.prescribed > 0 and parameter not in unknown:
+            yield Cause(record, _other(structure, parameter), free=(parameter.kind, [parameter.index]))
+    dampers = [i for i, c in enumerate(structure.parameters["c"]) if structure.parameter("c", i) not in unknown]
+    if dampers and not structure.is_damped_as_whole:
+        yield Cause(record, _damping, free=("c", dampers))
+
+
+def _with(record: Record, channel: Channel, samples: np.ndarray) -> Record:
+    """With other samples of a channel."""
+    if channel.quantity == GROUND:
+        return replace(record, ground_acceleration=samples)
+    values = getattr(record, channel.quantity).copy()
+    values[:, channel.dof] = samples
+    return replace(record, **{channel.quantity: values})
+
+
+def _moved(record: Record, channel: Channel, dof: int) -> Record:
+    """With a channel on another DOF, from 0."""
+    values, unforced = getattr(record, channel.quantity).copy(), record.unforced.copy()
+    values[:, dof] = channel.measured
+    if channel.quantity == FORCE:
+        values[:, channel.dof], unforced[[channel.dof, dof]] = 0.0, (True, False)
+    else:
+        values[:, channel.dof] = np.nan
+    return replace(record, **{channel.quantity: values}, unforced=unforced)
+
+
+def _always(finding: Finding) -> Callable[[Candidate], Finding]:
+    return lambda _: finding
+
+
+def _calibrated(channel: Channel, sign: float, step: float) -> Callable[[Candidate], Finding | None]:
+    """That a channel has a gain, or a delay."""
+
+    def told(found: Candidate) -> Finding | None:
+        own = found.calibration[channel.name]
+        gain = sign * own["gain"]
+        if gain < 0 or not 1.0 / LEAST_FACTOR < gain < LEAST_FACTOR:
+            return factor_finding(
+                channel, gain, ACTS if channel.quantity in (FORCE, GROUND) else MOVES, TOLD * abs(gain)
+            )
+        return None if abs(own["delay"]) < LEAST_DELAY * step else late_finding(channel, own["delay"], step)
+
+    return told
+
+
+def _other(structure: Structure, given: Parameter) -> Callable[[Candidate], Finding | None]:
+    """That a mass or a spring is another one."""
+
+    def told(found: Candidate) -> Finding | None:
+        value = float(found.parameters[given.kind][given.index])
+        factor = value / given.prescribed
+        if 1.0 / LEAST_FACTOR < factor < LEAST_FACTOR:
+            return None
+        reason = f"with {given.name} = {value:.4g} {given.unit}, {factor:.3g} times what is prescribed, the structure"
+        check = f"check {structure.labels.setting(given)}"
+        kind = "mass" if given.kind == MASS else "stiffness"
+        return Finding(kind, given.name, f"{reason} does what was measured; {check}")
+
+    return told
+
+
+def _damping(found: Candidate) -> Finding:
+    """That dampers are others."""
+    reason = "with other dampers than the prescribed ones the structure does what was measured"
+    return Finding("damping", "c", f"{reason}: the model of damping is wrong; let c be unknown (scheme.unknown)")

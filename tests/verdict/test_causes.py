@@ -1,0 +1,87 @@
+"""What is wrong with a record or a structure is named by the structure that is right: prescribed, unknown, shaken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frame_records import altered
+
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.verdict.causes import causes
+
+
+@pytest.fixture(params=["prescribed", "unknown"])
+def problem(request, frame, frame_record):
+    """A frame whose stiffnesses are right, or unknown and started 5 times too low."""
+    if request.param == "prescribed":
+        return Problem(frame, frame_record, ())
+    unknown = tuple(Parameter("k", dof, 3.0, 30.0, unknown=True, positive=True) for dof in range(3))
+    return Problem(frame.with_parameters(k=frame.parameters["k"] / 5.0), frame_record, unknown)
+
+
+def found(problem, excused=()):
+    return causes(problem, problem.structure, excused)
+
+
+def test_a_good_record_has_no_cause(problem):
+    assert found(problem) == []
+
+
+RUINED = {
+    "unit": lambda x: x / 9.80665,
+    "gain": lambda x: 2.0 * x,
+    "sign": lambda x: -x,
+    "delay": lambda x: np.roll(x, 3),
+}
+
+
+@pytest.mark.parametrize("kind", RUINED)
+def test_a_ruined_channel(problem, kind):
+    (cause,) = found(replace(problem, record=altered(problem.record, 3, RUINED[kind])))
+    assert (cause.kind, cause.suspect) == (kind, "acceleration of DOF 3")
+
+
+def test_an_excused_channel_is_not_asked(problem):
+    spoilt = replace(problem, record=altered(problem.record, 3, RUINED["sign"]))
+    assert all(cause.suspect != "acceleration of DOF 3" for cause in found(spoilt, ["acceleration of DOF 3"]))
+
+
+def test_exchanged_sensors(problem):
+    acceleration = problem.record.acceleration[:, [2, 1, 0]]
+    (cause,) = found(replace(problem, record=replace(problem.record, acceleration=acceleration)))
+    assert (cause.kind, cause.suspect) == ("swap", "acceleration of DOFs 1 and 3")
+
+
+@pytest.mark.parametrize(("dof", "factor"), [(1, 5.0), (2, 0.5), (3, 2.0)])
+def test_a_wrong_mass(problem, dof, factor):
+    m = problem.structure.parameters["m"].clone()
+    m[dof - 1] *= factor
+    (cause,) = found(replace(problem, structure=problem.structure.with_parameters(m=m)))
+    assert (cause.kind, cause.suspect) == ("mass", f"m_{dof}")
+    assert abs(float(cause.text.split()[3]) - 10.0) < 0.5
+
+
+def test_wrong_dampers(problem):
+    wrong = problem.structure.with_parameters(c=10.0 * problem.structure.parameters["c"])
+    (cause,) = found(replace(problem, structure=wrong))
+    assert cause.kind == "damping"
+
+
+@pytest.mark.parametrize(("scale", "told"), [(1e3, "milliseconds"), (1 / 60, "minutes")])
+def test_a_time_axis_in_another_unit(frame, frame_record, scale, told):
+    (cause,) = found(Problem(frame, replace(frame_record, time=frame_record.time * scale), ()))
+    assert (cause.kind, cause.word) == ("time_unit", "failed")
+    assert told in cause.text
+
+
+def test_a_structure_that_is_wrong_in_many_ways_has_no_one_cause(frame, frame_record):
+    wrong = frame.with_parameters(k=frame.parameters["k"] * frame.parameters["k"].new_tensor([0.3, 3.0, 0.2]))
+    assert found(Problem(wrong, frame_record, ())) == []
+
+
+def test_a_structure_that_is_released_has_no_spectra_to_compare(problem):
+    record = replace(problem.record, force=np.zeros_like(problem.record.force))
+    assert found(replace(problem, record=record)) == []
