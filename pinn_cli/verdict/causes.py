@@ -39,6 +39,8 @@ UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds"
 NOTHING, LEFT, EXPLAINED = 0.01, 0.3, 0.7
 # Logarithm of how many times as probable a record must be with one cause as with another.
 DECISIVE = 5.0
+# Standard deviation, as a logarithm, of how far off what a person says is where it is wrong.
+WRONG = 1.5
 # A factor that is nearer to one is no mistake of a person's; neither is a shorter delay, in samples.
 LEAST_FACTOR, LEAST_DELAY = 1.1, 0.5
 # Part of itself to which a fit to spectra tells a factor.
@@ -58,12 +60,14 @@ class Cause:
     Attributes:
         record: Put right.
         told: The finding, of the structure that was fitted with it; None: then it is none.
+        factor: How many times what was said what is free comes out, of that structure.
         doubted: Channel whose gain and delay are free.
         free: Kind and places of masses, dampers or springs that are held; dampers have one ratio.
     """
 
     record: Record
     told: Callable[[Candidate], Finding | None]
+    factor: Callable[[Candidate], float] = lambda _: 1.0
     doubted: Channel | None = None
     free: tuple[str, Sequence[int]] = (MASS, ())
 
@@ -73,24 +77,25 @@ class Cause:
         return 2 * (self.doubted is not None) + len(self.free[1][:1])
 
 
-def causes(problem: Problem, estimated: Structure, excused: Sequence[str] = ()) -> list[Finding]:
+def causes(problem: Problem, believed: Structure, estimated: Structure, excused: Sequence[str] = ()) -> list[Finding]:
     """The most probable cause; none where the structure misses little, or where none explains most of that.
 
     Args:
-        problem: Whose structure does not do what was measured. Of a nonlinear one the linear part is looked at.
+        problem: Whose structure does not do what was measured.
+        believed: What was said of it. Of a nonlinear one the linear part is looked at.
         estimated: Where what is unknown of it is looked for first.
         excused: Names of channels whose fault is known already.
     """
-    structure, record = problem.structure, _in_columns(problem.record)
-    if record is None or structure.shapes is not None or structure.coordinates > MOST_COORDINATES:
+    record = _in_columns(problem.record)
+    if record is None or believed.shapes is not None or believed.coordinates > MOST_COORDINATES:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
-    fits = _Fits(structure, linear_parts(structure, unknown), estimated)
+    fits = _Fits(believed, linear_parts(believed, unknown), estimated)
     without, _ = fits.fitted(Cause(record, lambda _: None))
     if without.misfit < NOTHING:
         return []
     most, found = min(LEFT, EXPLAINED * without.misfit), []
-    for cause in every_cause(structure, record, unknown, excused):
+    for cause in every_cause(believed, record, unknown, excused):
         fitted, minus_log = fits.fitted(cause)
         finding = cause.told(fitted) if fitted.misfit < most else None
         if finding is not None:
@@ -149,8 +154,9 @@ class _Fits:
         fit = LinearFit(spectra, stretch.toarray(), known, guess["k"], self.structure.with_ground, doubts)
         model = JointFit([fit])
         found = nearest(model, grid_of_starts(model, [cause.record], guess), SURVIVORS)[0]
-        values = fit.common.size
-        return found, float(0.5 * (values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values)))
+        values, off = fit.common.size, np.log(abs(cause.factor(found))) / WRONG
+        minus_log = values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
+        return found, 0.5 * float(minus_log)
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:
@@ -170,8 +176,8 @@ def every_cause(
         told = Finding("time_unit", "time", f"{reason}; multiply the time column by {seconds:.6g}", "failed")
         yield Cause(replace(record, time=record.time * seconds), _always(told))
     for channel in (*sensors, *acting):
-        yield Cause(record, _calibrated(channel, 1.0, record.step), channel)
-        yield Cause(_with(record, channel, -channel.measured), _calibrated(channel, -1.0, record.step), channel)
+        yield _calibrated(record, channel, 1.0)
+        yield _calibrated(_with(record, channel, -channel.measured), channel, -1.0)
     for one, other in combinations(sensors, 2):
         if one.quantity == other.quantity:
             exchanged = _with(_with(record, one, other.measured), other, one.measured)
@@ -182,10 +188,10 @@ def every_cause(
                 yield Cause(_moved(record, channel, dof), _always(misplaced_finding(channel, record.dof_name(dof))))
     for parameter in structure.every_parameter():
         if parameter.kind in (MASS, "k") and parameter.prescribed > 0 and parameter not in unknown:
-            yield Cause(record, _other(structure, parameter), free=(parameter.kind, [parameter.index]))
+            yield _other(record, structure, parameter)
     dampers = [i for i, c in enumerate(structure.parameters["c"]) if structure.parameter("c", i) not in unknown]
     if dampers and not structure.is_damped_as_whole:
-        yield Cause(record, _damping, free=("c", dampers))
+        yield _damping(record, structure, dampers)
 
 
 def _with(record: Record, channel: Channel, samples: np.ndarray) -> Record:
@@ -212,38 +218,48 @@ def _always(finding: Finding) -> Callable[[Candidate], Finding]:
     return lambda _: finding
 
 
-def _calibrated(channel: Channel, sign: float, step: float) -> Callable[[Candidate], Finding | None]:
-    """That a channel has a gain, or a delay."""
+def _calibrated(record: Record, channel: Channel, sign: float) -> Cause:
+    """A channel has a gain, or a delay."""
+
+    def gain(found: Candidate) -> float:
+        return sign * found.calibration[channel.name]["gain"]
 
     def told(found: Candidate) -> Finding | None:
-        own = found.calibration[channel.name]
-        gain = sign * own["gain"]
-        if gain < 0 or not 1.0 / LEAST_FACTOR < gain < LEAST_FACTOR:
-            return factor_finding(
-                channel, gain, ACTS if channel.quantity in (FORCE, GROUND) else MOVES, TOLD * abs(gain)
-            )
-        return None if abs(own["delay"]) < LEAST_DELAY * step else late_finding(channel, own["delay"], step)
+        value, delay = gain(found), found.calibration[channel.name]["delay"]
+        if not 1.0 / LEAST_FACTOR < value < LEAST_FACTOR:
+            of = ACTS if channel.quantity in (FORCE, GROUND) else MOVES
+            return factor_finding(channel, value, of, TOLD * abs(value))
+        return None if abs(delay) < LEAST_DELAY * record.step else late_finding(channel, delay, record.step)
 
-    return told
+    return Cause(record, told, gain, channel)
 
 
-def _other(structure: Structure, given: Parameter) -> Callable[[Candidate], Finding | None]:
-    """That a mass or a spring is another one."""
+def _other(record: Record, structure: Structure, given: Parameter) -> Cause:
+    """A mass or a spring is another one."""
+
+    def factor(found: Candidate) -> float:
+        return float(found.parameters[given.kind][given.index]) / given.prescribed
 
     def told(found: Candidate) -> Finding | None:
-        value = float(found.parameters[given.kind][given.index])
-        factor = value / given.prescribed
-        if 1.0 / LEAST_FACTOR < factor < LEAST_FACTOR:
+        times = factor(found)
+        if 1.0 / LEAST_FACTOR < times < LEAST_FACTOR:
             return None
-        reason = f"with {given.name} = {value:.4g} {given.unit}, {factor:.3g} times what is prescribed, the structure"
-        check = f"check {structure.labels.setting(given)}"
+        value = f"{given.name} = {times * given.prescribed:.4g} {given.unit}"
+        reason = f"with {value}, {times:.3g} times what is prescribed, the structure does what was measured"
         kind = "mass" if given.kind == MASS else "stiffness"
-        return Finding(kind, given.name, f"{reason} does what was measured; {check}")
+        return Finding(kind, given.name, f"{reason}; check {structure.labels.setting(given)}")
 
-    return told
+    return Cause(record, told, factor, free=(given.kind, [given.index]))
 
 
-def _damping(found: Candidate) -> Finding:
-    """That dampers are others."""
+def _damping(record: Record, structure: Structure, dampers: Sequence[int]) -> Cause:
+    """The dampers are others."""
+    given = linear_parts(structure, ())["c"][dampers]
     reason = "with other dampers than the prescribed ones the structure does what was measured"
-    return Finding("damping", "c", f"{reason}: the model of damping is wrong; let c be unknown (scheme.unknown)")
+    told = Finding("damping", "c", f"{reason}: the model of damping is wrong; let c be unknown (scheme.unknown)")
+
+    def factor(found: Candidate) -> float:
+        times = found.parameters["c"][dampers][given > 0] / given[given > 0]
+        return float(np.exp(np.mean(np.log(times)))) if times.size else 1.0
+
+    return Cause(record, _always(told), factor, free=("c", dampers))

@@ -79,7 +79,7 @@ def judge(
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
     causes = lacks if told and follows else []
     if not causes and not is_sound:
-        causes = fitted_causes(problem, structure, excused)
+        causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
     # Elsewhere it is what explains most of what the model leaves out, or wrong damping.
     if told and not causes and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED):
         causes = lacks

@@ -23,7 +23,7 @@ def problem(request, frame, frame_record):
 
 
 def found(problem, excused=()):
-    return causes(problem, problem.structure, excused)
+    return causes(problem, problem.structure, problem.structure, excused)
 
 
 def test_a_good_record_has_no_cause(problem):

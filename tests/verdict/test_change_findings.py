@@ -61,7 +61,7 @@ def test_a_contradiction_is_told_once():
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_a_change_that_is_named_is_no_wrong_mass(named):
+def test_a_change_that_is_named_is_no_wrong_mass_or_spring(named):
     """The earlier structure does with another mass what a spring of four fifths does; the present one is not it."""
     k = K * np.array([1.0, 0.8, 1.0])
     made = measured(Storeys(M, C, k, np.zeros(3)), response(1, k, 20.0), {"acceleration": (1, 3)}, 30.0, 1)
@@ -76,4 +76,4 @@ def test_a_change_that_is_named_is_no_wrong_mass(named):
     stopped = {"stop_reason": "iteration limit"}  # a reason to look for causes
     given = Estimate(made.truth, std, found, pd.DataFrame(), stopped, changes=changes)
     reasons = judge(Problem(structure, made.record, uncertain), given).reasons
-    assert any(reason.kind == "mass" for reason in reasons) != named
+    assert any(reason.kind in ("mass", "stiffness") for reason in reasons) != named

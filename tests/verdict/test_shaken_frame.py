@@ -111,10 +111,10 @@ def test_the_ground_s_channel_is_looked_at_by_itself(record, kind, change):
 
 def test_a_wrong_mass_is_found_under_an_earthquake(record):
     wrong = LINEAR.with_parameters(m=LINEAR.parameters["m"] * LINEAR.parameters["m"].new_tensor([1.0, 3.0, 1.0]))
-    (found,) = causes(Problem(wrong, record, ()), wrong)
+    (found,) = causes(Problem(wrong, record, ()), wrong, wrong)
     assert found.suspect == "m_2"
     assert "0.33" in found.text
-    assert causes(Problem(LINEAR, record, ()), LINEAR) == []
+    assert causes(Problem(LINEAR, record, ()), LINEAR, LINEAR) == []
 
 
 def estimate(found: Measurements, **summary) -> Estimate:
