@@ -33,6 +33,7 @@ class LeastSquares:
         records: Of one structure.
 
     Attributes:
+        each: The equations of every record.
         members: The records, where they are computed.
         uncertain: The parameters, p of them.
         columns: Of every record, the places of its own parameters among those.
