@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from one_record import evidence_of, levels_of
 from small_problems import excitation
 
 from pinn_cli.network.spline import Spline
@@ -14,8 +15,8 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.discrepancy_search import searched, widened_for_colour
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, sensor_noise
@@ -34,7 +35,7 @@ class Example:
 
     @property
     def equations(self) -> NormalEquations:
-        return self.evidence.equations
+        return self.evidence.equations.each[0]
 
 
 def source(
@@ -64,8 +65,8 @@ def posed(chain: Structure, scheme: Bayesian | None = None, **settings) -> Probl
 def solved(problem: Problem, intervals: int | None = None) -> Example:
     """As training=gauss_newton solves it, only to the last digit."""
     network = Spline(intervals=intervals).refined().build(problem.record)
-    evidence = Evidence(NormalEquations(network, problem), 40, PRECISE, lambda losses, noise: None)
+    evidence = evidence_of(NormalEquations(network, problem), 40, PRECISE)
     force, _ = force_and_velocity_scale(problem)
-    noise = NoiseModel(*sensor_noise(network, problem.record), force, 1.0)
-    found = settled(evidence, evidence.search(noise, force, lambda: None))
-    return Example(problem, evidence, evidence.widen_for_colour(found))
+    noise = levels_of(NoiseModel(*sensor_noise(network, problem.record), force, 1.0))
+    found = settled(evidence, searched(evidence, noise, force, lambda: None))
+    return Example(problem, evidence, widened_for_colour(evidence, found))

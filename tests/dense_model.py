@@ -20,7 +20,7 @@ class DenseModel:
     """
 
     def __init__(self, example: Example, s: float = 0.0) -> None:
-        self.problem, self.noise = example.problem, example.trained.noise
+        self.problem, self.noise = example.problem, example.trained.noise.records[0]
         record, network = self.problem.record, example.equations.network
         degree, width = network.degree, network.spacing
         knots = network.start + width * np.arange(-degree, network.intervals + degree + 1)

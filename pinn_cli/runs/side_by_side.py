@@ -18,6 +18,7 @@ import traceback
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import count
 from multiprocessing import Pipe, current_process
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -28,6 +29,8 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 
 R = TypeVar("R")
 T = TypeVar("T")
+# Which item, the arguments, and the number under which the answer is kept; None: it is sent.
+_Task = tuple[int, tuple[Any, ...], int | None]
 
 # Of Linux's prctl; and how much less of a busy core such copies take: two thirds of what this process does.
 _PR_SET_PDEATHSIG, _BEHIND = 1, 2
@@ -38,10 +41,14 @@ class Items(Generic[T]):
 
     Args:
         items: Which.
+
+    Attributes:
+        held: They, as arguments of :meth:`map`.
     """
 
     def __init__(self, items: Sequence[T]) -> None:
         self.items = list(items)
+        self.held: list[Any] = self.items
         self.close: Callable[[], object] = lambda: None  # ends what works on them, whatever it is about
 
     def each(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
@@ -55,7 +62,34 @@ class Items(Generic[T]):
 
     def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
         """Begin with what :meth:`each` does; what is returned waits for the answers, and is to be called."""
-        return lambda: [function(*given) for given in zip(self.items, *arguments, strict=True)]
+        return lambda: self.map(function, self.items, *arguments)
+
+    def map(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
+        """What a function makes of arguments where the items are; each has one entry for every item."""
+        return [function(*given) for given in zip(*arguments, strict=True)]
+
+    def keep(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
+        """What :meth:`map` makes, which stays with the items: as an argument it is there what it was."""
+        return self.map(function, *arguments)
+
+
+class Kept:
+    """Something that a copy keeps for as long as this object lives.
+
+    Args:
+        number: Which.
+        forgotten: Takes the number then.
+    """
+
+    def __init__(self, number: int, forgotten: list[int] | None = None) -> None:
+        self.number, self.forgotten = number, forgotten
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Kept, (self.number,)
+
+    def __del__(self) -> None:
+        if self.forgotten is not None:
+            self.forgotten.append(self.number)
 
 
 # The ends of all pipes to copies that are alive: a copy must not keep those of others open.
@@ -78,6 +112,8 @@ class SharedOutItems(Items[T]):
         super().__init__(items)
         self.niceness = _BEHIND if behind else 0
         self.shares = shared_out([1] * len(items) if sizes is None else sizes, copies)
+        self.held = [Kept(i) for i in range(len(items))]
+        self._numbers, self._forgotten = count(len(items)), list[int]()
         self.ends: list[Connection] = []
         pids: list[int] = []
         for _ in self.shares:
@@ -88,11 +124,31 @@ class SharedOutItems(Items[T]):
 
     def begin(self, function: Callable[..., R], *arguments: Sequence[Any]) -> Callable[[], list[R]]:
         """See :meth:`Items.begin`; what the copies do meanwhile goes on at once."""
-        tasks = list(zip(*arguments, strict=True)) if arguments else [()] * len(self.items)
+        self._ask(function, (self.held, *arguments), [None] * len(self.items))
+        return self._answers
+
+    def map(self, function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
+        """See :meth:`Items.map`."""
+        self._ask(function, arguments, [None] * len(self.items))
+        return self._answers()
+
+    def keep(self, function: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
+        """See :meth:`Items.keep`."""
+        kept = [Kept(next(self._numbers), self._forgotten) for _ in self.items]
+        self._ask(function, arguments, [own.number for own in kept])
+        self._answers()
+        return kept
+
+    def _ask(
+        self, function: Callable[..., Any], arguments: Sequence[Sequence[Any]], numbers: Sequence[int | None]
+    ) -> None:
+        """Ask the copies, and tell them what to forget; what has a number is kept."""
+        tasks = list(zip(*arguments, strict=True))
+        forgotten = [self._forgotten.pop() for _ in range(len(self._forgotten))]
         with self._answering():
             for end, share in zip(self.ends, self.shares, strict=True):
-                end.send_bytes(pickle.dumps((function, [(i, tasks[i]) for i in share]), pickle.HIGHEST_PROTOCOL))
-        return self._answers
+                own = [(i, tasks[i], numbers[i]) for i in share]
+                end.send_bytes(pickle.dumps((function, own, forgotten), pickle.HIGHEST_PROTOCOL))
 
     def _answers(self) -> list[Any]:
         found: dict[int, Any] = {}
@@ -177,9 +233,12 @@ def _serve(
         gc.freeze()
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(1)  # other threads are not copied
+        kept = dict(enumerate(items))
         with suppress(EOFError, BrokenPipeError):
-            for function, tasks in _asked(questions):
-                questions.send_bytes(_answer(items, function, tasks))
+            for function, tasks, forgotten in _asked(questions):
+                for gone in forgotten:
+                    kept.pop(gone, None)
+                questions.send_bytes(_answer(kept, function, tasks))
         status = 0
     finally:
         os._exit(status)
@@ -193,14 +252,18 @@ def _end_with(owner: int) -> None:
         os._exit(1)
 
 
-def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[tuple[int, tuple[Any, ...]]]]]:
+def _asked(questions: Connection) -> Iterator[tuple[Callable[..., Any], list[_Task], list[int]]]:
     while True:
         yield pickle.loads(questions.recv_bytes())
 
 
-def _answer(items: Sequence[Any], function: Callable[..., Any], tasks: Sequence[tuple[int, Any]]) -> bytes:
+def _answer(kept: dict[int, Any], function: Callable[..., Any], tasks: Sequence[_Task]) -> bytes:
     try:
-        return pickle.dumps([(i, function(items[i], *given)) for i, given in tasks], pickle.HIGHEST_PROTOCOL)
+        found = []
+        for i, given, number in tasks:
+            own = function(*(kept[one.number] if isinstance(one, Kept) else one for one in given))
+            found.append((i, own if number is None else kept.update({number: own})))
+        return pickle.dumps(found, pickle.HIGHEST_PROTOCOL)
     except (InputError, DivergenceError, WriteError, MemoryError) as error:
         return pickle.dumps(error)
     except Exception as error:

@@ -105,8 +105,7 @@ class Bayesian(Scheme):
         structure = at_starts(prescribed, unknown)
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
         problem = Problem.of_records(structure, records, unknown, *settings)
-        own_and_further = (_with_priors(each) for each in (problem, *problem.further))
-        return replace(next(own_and_further), further=tuple(own_and_further))
+        return Problem.together([_with_priors(each) for each in problem.by_record])
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

@@ -109,14 +109,14 @@ class Problem:
 
         Args:
             structure: See above.
-            records: The first one's problem has the others' as ``further``.
+            records: See :meth:`together`.
             uncertain: Of the structure.
             acceleration_through: Likewise.
             initial_motion: Likewise.
             unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
         """
         believed: dict[tuple[str, str], Parameter] = {}
-        first, *further = (
+        each = [
             cls(
                 structure,
                 record,
@@ -126,7 +126,13 @@ class Problem:
                 inputs=inputs_of(structure, record, unknown_force),
             )
             for record in records
-        )
+        ]
+        return cls.together(each)
+
+    @classmethod
+    def together(cls, each: Sequence[Problem]) -> Problem:
+        """That of all records from that of each: the first one's has the others' as ``further``."""
+        first, *further = each
         return replace(first, further=tuple(further)) if further else first
 
     def present(self, values: Mapping[str, np.ndarray]) -> Problem:

@@ -38,7 +38,7 @@ from pinn_cli.training.base import Training, built
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
@@ -102,7 +102,7 @@ class GaussNewton(Training):
         )
         with history:
             if self.weights:
-                found = self._weighed(settings.solved_by(problem, network, run.device, history))
+                found = self._weighed(settings.solved_by(problem, [network], run.device, history))
             else:
                 found = inferred(problem, design, settings, run.device, history)
             handed = None if problem.hand_over is None else handed_over(found, settings, run.device, history)
@@ -156,9 +156,9 @@ class GaussNewton(Training):
 
     def _weighed(self, evidence: Evidence) -> Inferred:
         """The solution under weights that the user has fixed."""
-        problem = evidence.equations.problem
-        force, velocity = force_and_velocity_scale(problem)
-        noise = self._fixed(starting_noise(evidence), problem.record, force, velocity)
+        force, velocity = force_and_velocity_scale(evidence.problem)
+        starting = starting_noise(evidence.equations.each[0])
+        noise = NoiseLevels((self._fixed(starting, evidence.problem.record, force, velocity),))
         trained = evidence.train(noise, evidence.equations.start())
         if trained is None:
             raise InputError(

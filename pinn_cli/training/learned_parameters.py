@@ -18,6 +18,7 @@ class LearnedParameters(nn.Module):
     Attributes:
         moved: (p,), distance of each uncertain parameter from its prescribed value, over its order of magnitude: a step
             of 0.01 is about one per cent, whatever the unit.
+        spread: Prior standard deviation of the believed ones, in common, over the one that was prescribed.
     """
 
     unit: Tensor
@@ -27,7 +28,7 @@ class LearnedParameters(nn.Module):
 
     def __init__(self, problem: Problem, dtype: torch.dtype) -> None:
         super().__init__()
-        self.uncertain = problem.uncertain
+        self.uncertain, self.spread = problem.uncertain, 1.0
         self.vector = ParameterVector(problem.structure.parameters, self.uncertain)
         for name, values in self.vector.nominal.items():
             self.register_buffer(f"nominal_{name}", values.detach().to(dtype))
@@ -56,9 +57,10 @@ class LearnedParameters(nn.Module):
         """Put parameters that a step has taken below their least value back onto it."""
         self.moved.clamp_(min=self.lower)
 
-    def prior_deviation(self, spread: float = 1.0) -> Tensor:
-        """(p,) prior standard deviations; those of believed parameters times a common spread."""
-        return torch.where(self.unknown, self.prior_std, spread * self.prior_std)
+    @property
+    def prior_deviation(self) -> Tensor:
+        """(p,) prior standard deviations; those of believed parameters times their common spread."""
+        return torch.where(self.unknown, self.prior_std, self.spread * self.prior_std)
 
     def prior(self) -> Tensor:
         """Sum of squared distances from the prescribed values, in prior standard deviations."""

@@ -8,8 +8,9 @@ sampled.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -45,7 +46,6 @@ class NoiseModel:
             NaN of all other functions; None where there are none.
         continuity: Of d(displacement)/dt - velocity, m/s, for networks with separate outputs.
         occupied: Share of the features' band that the discrepancy fills, 1 where it is taken for white.
-        spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
         points_per_sample: Collocation points for every force sample: between the samples lies the noise of the samples,
             in the same band, and a point's own is so many times as large in variance.
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
@@ -53,37 +53,18 @@ class NoiseModel:
         pushes: Quantity of the ground or of supports to the least that a unit of its sensor's noise puts into an
             equation of motion: of the ground the least mass that it moves, kg.
         earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
-        further: Of further records that are solved together with this one; they share its ``spread``.
     """
 
     response: dict[str, np.ndarray]
     force: np.ndarray
     discrepancy: float
     continuity: float
-    spread: float = 1.0
     occupied: float = 1.0
     points_per_sample: int = 1
     innovation: np.ndarray | None = None
     taken_up: np.ndarray | None = None
     pushes: Mapping[str, float] = field(default_factory=dict)
     earlier_misfit: float = 1.0
-    further: tuple[NoiseModel, ...] = ()
-
-    @property
-    def by_record(self) -> tuple[NoiseModel, ...]:
-        """That of every record, this one's first."""
-        return (replace(self, further=()) if self.further else self, *self.further)
-
-    @classmethod
-    def of_records(cls, each: Sequence[NoiseModel]) -> NoiseModel:
-        """That of several records together."""
-        return replace(each[0], further=tuple(each[1:]))
-
-    def with_discrepancy(self, discrepancy: float) -> NoiseModel:
-        """The same sensors under another model error; that of further records changes by the same factor."""
-        factor = discrepancy / self.discrepancy
-        further = tuple(other.with_discrepancy(factor * other.discrepancy) for other in self.further)
-        return replace(self, discrepancy=discrepancy, further=further)
 
     def driven_by(self, level: float, functions: slice) -> NoiseModel:
         """The same with some functions that white noise of this standard deviation drives."""
@@ -101,34 +82,21 @@ class NoiseModel:
 
     def pooled(self) -> NoiseModel:
         """The same with one noise level for all sensors of a quantity: the root mean square of theirs."""
-        one = {q: _pooled(sigma) for q, sigma in self.response.items()}
-        further = tuple(other.pooled() for other in self.further)
-        return replace(self, response=one, force=_pooled(self.force), further=further)
+        return replace(self, response={q: _pooled(x) for q, x in self.response.items()}, force=_pooled(self.force))
 
     def noisier(self, factor: float) -> NoiseModel:
         """The same with response sensors whose noise is so many times as large."""
-        response = {quantity: factor * level for quantity, level in self.response.items()}
-        return replace(self, response=response, further=tuple(other.noisier(factor) for other in self.further))
+        return replace(self, response={quantity: factor * level for quantity, level in self.response.items()})
 
     def with_force_scale(self, factor: float) -> NoiseModel:
         """The same with force sensors whose noise is so many times as large."""
-        further = tuple(other.with_force_scale(factor) for other in self.further)
-        return replace(self, force=self.force * factor, further=further)
-
-    def with_spread(self, spread: float) -> NoiseModel:
-        """The same under another prior of the parameters."""
-        return replace(self, spread=spread, further=tuple(other.with_spread(spread) for other in self.further))
+        return replace(self, force=self.force * factor)
 
     @property
     def least_of_inputs(self) -> float:
-        """The least noise, N, that any measured input of any record puts into an equation; 0 where none is measured."""
-        each = [
-            level
-            for own in self.by_record
-            for level in (*own.force, *(push * x for q, push in own.pushes.items() for x in own.response[q]))
-            if math.isfinite(level)
-        ]
-        return float(min(each, default=0.0))
+        """The least noise, N, that any measured input puts into an equation; 0 where none is measured."""
+        each = (*self.force, *(push * x for q, push in self.pushes.items() for x in self.response[q]))
+        return float(min(filter(math.isfinite, each), default=0.0))
 
     @property
     def physics_variance(self) -> np.ndarray:
@@ -158,6 +126,40 @@ class NoiseModel:
         else:
             variance = self.response[name] ** 2
         return np.nan_to_num(1.0 / variance)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevels:
+    """Noise levels of all records that are solved together, one as well, and how far their parameters may be off.
+
+    Attributes:
+        records: Of every record.
+        spread: Prior standard deviation of the uncertain parameters, in common, over the one that was prescribed.
+    """
+
+    records: tuple[NoiseModel, ...]
+    spread: float = 1.0
+
+    def each(self, function: Callable[..., NoiseModel], *arguments: Any) -> NoiseLevels:
+        """What a function makes of every record's, with the same arguments."""
+        return replace(self, records=tuple(function(own, *arguments) for own in self.records))
+
+    @property
+    def discrepancy(self) -> float:
+        """Of the first record."""
+        return self.records[0].discrepancy
+
+    def with_discrepancy(self, discrepancy: float) -> NoiseLevels:
+        """The same sensors under another model error of the first record; that of the others changes by its factor."""
+        factor, (first, *others) = discrepancy / self.discrepancy, self.records
+        changed = (replace(own, discrepancy=factor * own.discrepancy) for own in others)
+        return replace(self, records=(replace(first, discrepancy=discrepancy), *changed))
+
+    @property
+    def least_of_inputs(self) -> float:
+        """N, see :attr:`NoiseModel.least_of_inputs`; 0 where none is measured in any record."""
+        each = (own.least_of_inputs for own in self.records)
+        return min((level for level in each if level > 0.0), default=0.0)
 
 
 def _pooled(sigma: np.ndarray) -> np.ndarray:

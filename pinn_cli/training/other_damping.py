@@ -67,8 +67,7 @@ def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Pr
     def extended(own: Problem) -> Problem:
         return replace(own, structure=structure, uncertain=(*own.uncertain, *added))
 
-    further = tuple(extended(own) for own in problem.further)
-    return replace(extended(problem), further=further, alternatives=())
+    return Problem.together([extended(own) for own in problem.by_record])
 
 
 def damping_doubt(

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from pinn_cli.runs import side_by_side as page
-from pinn_cli.runs.side_by_side import Items, SharedOutItems, shared_out, side_by_side
+from pinn_cli.runs.side_by_side import Items, Kept, SharedOutItems, shared_out, side_by_side
 from pinn_cli.runs.writing import WriteError
 from pinn_cli.settings.errors import DivergenceError, InputError
 
@@ -40,6 +40,28 @@ def test_answers_come_in_the_order_of_the_items(copies):
     assert len(processes) == copies
     assert os.getpid() not in processes
     assert Items((5, 50)).each(size_and_process, (1, 2)) == [(6, os.getpid()), (52, os.getpid())]
+
+
+def counted(item: int, *others: object) -> list[object]:
+    return [item, *others]
+
+
+@pytest.mark.parametrize("copied", [False, True])
+def test_what_is_kept_is_there_what_it_was(copied):
+    items = SharedOutItems((5, 50), 2) if copied else Items((5, 50))
+    kept = items.keep(counted, items.held, ("a", "b"))
+    assert items.map(counted, kept, (1, 2)) == [[[5, "a"], 1], [[50, "b"], 2]]
+    assert items.each(counted, kept) == [[5, [5, "a"]], [50, [50, "b"]]]
+
+
+def test_what_nobody_holds_is_forgotten():
+    shared = SharedOutItems((5, 50), 2)
+    kept = shared.keep(counted, shared.held)
+    same = Kept(kept[0].number), Kept(kept[1].number)
+    assert shared.map(len, same) == [1, 1]
+    del kept
+    with pytest.raises(RuntimeError, match="KeyError"):
+        shared.map(len, same)
 
 
 def test_shares_are_of_about_the_same_size():

@@ -82,8 +82,6 @@ def test_weights_are_inverse_variances():
     np.testing.assert_allclose(
         noise.observation_weight("observer", np.array([10.0, 10.0])), [1 / (1.5**2 + 0.0025), 0.0]
     )
-    assert noise.with_discrepancy(2.0).with_spread(3.0).discrepancy == 2.0
-    assert noise.with_discrepancy(2.0).with_spread(3.0).spread == 3.0
 
 
 def test_pooled_sensors_share_the_root_mean_square_of_their_levels():

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
 from scipy.sparse import csr_matrix
 
 from pinn_cli.training.band.band_elimination import BandElimination
@@ -15,9 +14,6 @@ from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.front_elimination import FrontElimination
 from pinn_cli.training.band.front_tree import FrontTree
 from pinn_cli.training.band.readout_factor import ReadoutFactor
-
-# Steps that a bounded solution may take per parameter; one or two is the rule.
-NNLS_STEPS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +36,8 @@ class BorderedSystem:
     corner_gradient: np.ndarray
     tree: FrontTree | None = None
 
-    def factor(self, damping: float = 0.0) -> BorderedFactor | None:
-        """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
-        eliminated = self.eliminated(damping)
-        return None if eliminated is None else eliminated.factor(eliminated.complement)
-
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
-        """The readout weights eliminated, damped likewise; None if A is not positive definite."""
+        """The readout weights eliminated, the diagonal times 1 + ``damping``; None if A is not positive definite."""
         readout = _eliminated(self.band, self.border, self.tree, damping)
         if readout is None:
             return None
@@ -94,99 +85,52 @@ class Eliminated:
     readout: ReadoutFactor
     complement: np.ndarray
 
-    def factor(self, complement: np.ndarray) -> BorderedFactor | None:
-        """With the complement's Cholesky factor; None if it is not positive definite.
-
-        Args:
-            complement: (p, p), its own, or that of several systems which share their parameters.
-        """
-        try:
-            schur = np.linalg.cholesky((complement + complement.T) / 2.0)
-        except np.linalg.LinAlgError:
-            return None
-        return BorderedFactor(self.readout, schur)
-
-
-@dataclass(frozen=True, eq=False)
-class BorderedFactor:
-    """A factored :class:`BorderedSystem`.
-
-    Attributes:
-        readout: Of A.
-        schur: Cholesky factor of C - B^T A^-1 B, (p, p).
-    """
-
-    readout: ReadoutFactor
-    schur: np.ndarray
-
-    @property
-    def size(self) -> int:
-        """Of all unknowns."""
-        return self.readout.size + len(self.schur)
-
-    def step(self, system: BorderedSystem, lower: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Solution (w, x) of the system: the least of its quadratic form, with x >= lower if that is given.
-
-        With the readout weights eliminated the bounded problem is as small as the parameters are few, so the bounds
-        are met exactly and not by a penalty or a transformation.
-        """
-        half, right = self.reduced(system)
-        x = self.of_parameters(right, lower)
-        return self.readout_step(half, x), x
-
     def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
         """Half solved gradient (size,), and the parameters' right-hand side (p,), the readout weights eliminated."""
         half, right = self.readout.half_solved(system.gradient)
         return half, right - system.corner_gradient
 
-    def readout_step(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """W (size,) that goes with x (p,), from the half solved gradient."""
-        return -self.readout.solved(half, x)
+    def readout_step(self, reduced: tuple[np.ndarray, np.ndarray], x: np.ndarray) -> np.ndarray:
+        """W (size,) that goes with x (p,), from the reduced gradient."""
+        return -self.readout.solved(reduced[0], x)
 
-    def of_parameters(self, right: np.ndarray, lower: np.ndarray | None = None) -> np.ndarray:
-        """X (p,) of that right-hand side, with x >= lower if that is given."""
-        x: np.ndarray = self.corner_covariance @ right
-        return self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
 
-    def _bounded(self, right: np.ndarray, lower: np.ndarray) -> np.ndarray:
-        """The x >= lower (lower <= 0) that makes |R^T x - R^-1 right| least, R R^T the Schur complement.
+@dataclass(frozen=True, eq=False)
+class ParameterFactor:
+    """What is known of the parameters, readout weights marginalised.
 
-        With the unbounded x first and R^T = Q T, T upper triangular, the others are a non-negative least-squares
-        problem in the rows of T below. Lawson and Hanson's method ends at its solution; scipy's bounded one (bvls)
-        stops short where a freed variable is blocked at once.
-        """
-        lower, unit = np.minimum(lower, 0.0), 1.0 / np.linalg.norm(self.schur, axis=1)
-        order = np.argsort(np.isfinite(lower), kind="stable")
-        free, bound = np.split(order, [int(np.isinf(lower).sum())])
-        q, t = np.linalg.qr((self.schur.T * unit)[:, order])
-        target = q.T @ solve_triangular(self.schur, right, lower=True)
-        n, least = len(free), lower[bound] / unit[bound]
-        above, _ = nnls(t[n:, n:], target[n:] - t[n:, n:] @ least, maxiter=NNLS_STEPS * len(order))
-        x = np.empty(len(order))
-        x[bound] = lower[bound] + unit[bound] * above
-        x[free] = unit[free] * solve_triangular(t[:n, :n], target[:n] - t[:n, n:] @ (least + above))
-        return x
+    Attributes:
+        schur: Cholesky factor of the Schur complement C - B^T A^-1 B, (p, p).
+    """
+
+    schur: np.ndarray
 
     @property
     def corner_covariance(self) -> np.ndarray:
-        """(p, p), covariance of the parameters, readout weights marginalised: the Schur complement's inverse."""
+        """(p, p), covariance of the parameters: the Schur complement's inverse."""
         inverse = solve_triangular(self.schur, np.eye(len(self.schur)), lower=True)
         return inverse.T @ inverse
-
-    @property
-    def readout_log_determinant(self) -> float:
-        """Logarithm of the determinant of A."""
-        return self.readout.log_determinant
-
-    @property
-    def log_determinant(self) -> float:
-        """Logarithm of the determinant of the whole matrix."""
-        return self.readout_log_determinant + self.parameter_log_determinant
 
     @property
     def parameter_log_determinant(self) -> float:
         """Logarithm of the determinant of the Schur complement."""
         return 2.0 * float(np.log(np.diag(self.schur)).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class BorderedFactor(ParameterFactor):
+    """A factored :class:`BorderedSystem`; other records may say something of its parameters as well.
+
+    Attributes:
+        readout: Of A.
+    """
+
+    readout: ReadoutFactor
+
+    @property
+    def size(self) -> int:
+        """Of all unknowns."""
+        return self.readout.size + len(self.schur)
 
     def draws(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Readout weights (size, count) and parameters (p, count) with the inverse as covariance.

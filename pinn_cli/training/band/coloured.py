@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.driving import Drive, level_in_band, spectrum_in_band
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
-from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels
 
 # Rounds of the spectrum of unknown forces, of the noise levels under each, and of the forces' level at the end.
 COLOUR_ROUNDS, CORRELATION_ROUNDS, LEVEL_ROUNDS = 3, 3, 2
@@ -42,9 +40,9 @@ def _driven(
 ) -> Inferred | None:
     """The solution with other spectra; None of a record: as before. None where there is no solution."""
     before = replace(found.evidence.problem, alternatives=())
-    first, *others = [_of_spectrum(own, drive) for own, drive in zip(before.by_record, drives, strict=True)]
-    networks = [own.equations.network for own in found.evidence.records]
-    evidence = settings.all_solved_by(replace(first, further=tuple(others)), networks, device, history)
+    problem = Problem.together([_of_spectrum(own, drive) for own, drive in zip(before.by_record, drives, strict=True)])
+    networks = [own.network for own in found.evidence.equations.each]
+    evidence = settings.solved_by(problem, networks, device, history)
     levels = [None if drive is None else drive.level for drive in drives]
     again = evidence.train(_with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point)
     if again is None or not again.solution.converged:
@@ -54,22 +52,22 @@ def _driven(
 
 def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
     if drive is None:
-        return replace(problem, further=())
+        return problem
     inputs = replace(problem.inputs, correlation_time=drive.correlation_time, damping_ratio=drive.damping_ratio)
-    return replace(problem, inputs=inputs, further=())
+    return replace(problem, inputs=inputs)
 
 
-def _with_levels(evidence: Evidence | JointEvidence, noise: NoiseModel, levels: Sequence[float | None]) -> NoiseModel:
+def _with_levels(evidence: Evidence, noise: NoiseLevels, levels: Sequence[float | None]) -> NoiseLevels:
     """The same noise with unknown forces of every record that are driven so much; None: as before."""
-    forces = [own.equations.dynamics.forces for own in evidence.records]
-    each = [
+    forces = [own.dynamics.forces for own in evidence.equations.each]
+    each = (
         own if level is None else own.driven_by(level, at)
-        for own, level, at in zip(noise.by_record, levels, forces, strict=True)
-    ]
-    return NoiseModel.of_records(each)
+        for own, level, at in zip(noise.records, levels, forces, strict=True)
+    )
+    return replace(noise, records=tuple(each))
 
 
-def driven_in_band(evidence: Evidence | JointEvidence, trained: Trained) -> Trained:
+def driven_in_band(evidence: Evidence, trained: Trained) -> Trained:
     """The solution with unknown forces as large as they are in the record's band."""
     if not has_forces(evidence.problem):
         return trained

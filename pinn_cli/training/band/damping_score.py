@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 
@@ -26,15 +24,15 @@ def scored_damping(found: Inferred, settings: InferenceSettings, device: str, hi
     extended = with_other_damping(problem, values)
     if extended is None:
         return None
-    networks = [own.equations.network for own in found.evidence.records]
-    evidence = settings.all_solved_by(extended, networks, device, history)
+    networks = [own.network for own in found.evidence.equations.each]
+    evidence = settings.solved_by(extended, networks, device, history)
     points = []
-    for (own, at), more in zip(found.by_record, (one.equations for one in evidence.records), strict=True):
+    for (own, at), more in zip(found.by_record, evidence.equations.each, strict=True):
         known = dict(zip(own.uncertain, at.parameters, strict=True))
         distances = [known.get(p, at.parameters.new_zeros(())) for p in more.uncertain]
         points.append(Point(more.layout.unknowns(own.layout.weights(at.unknowns)), torch.stack(distances)))
-    joint: Any = evidence.equations  # each kind's factor takes a step of its own system
-    start: Point = joint.joined(points)
+    joint = evidence.equations
+    start = joint.joined(points)
     system = joint.assemble(start, trained.noise)
     factor = system.factor()
     if factor is None:
@@ -42,6 +40,6 @@ def scored_damping(found: Inferred, settings: InferenceSettings, device: str, hi
     step = factor.step(system)
     told, before = (np.linalg.slogdet(one.corner_covariance)[1] for one in (factor, trained.factor))
     log_odds = 0.5 * (system.decrease(step) + float(told - before))
-    scale, first = joint.scale.cpu().numpy(), start.parameters.cpu().numpy()
+    scale, first = joint.scale, start.parameters.cpu().numpy()
     moved = scale * first, scale * (first + np.asarray(step[1]))
     return damping_doubt(problem, extended, joint.uncertain, moved, log_odds)

@@ -21,13 +21,12 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
 from pinn_cli.system.natural_modes import frequency_with_oscillator
 from pinn_cli.system.parameters import MASS
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.force_doubts import ForceTerm, connection_force, force_border, force_terms
 from pinn_cli.training.band.left_spectra import Fit, LeftSpectra, left_spectra
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.readout_factor import ReadoutFactor
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.band.sensor_doubts import (
     DELAY,
     GAIN,
@@ -61,31 +60,31 @@ SPANS = (0.75, 0.25, 0.08)
 MOST_NUMBERS = 1e8
 
 
-def doubts(evidence: Evidence, trained: Trained, std: Response) -> tuple[Doubt, ...]:
+def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) -> tuple[Doubt, ...]:
     """What makes a record far more probable, the most probable one first; nothing where the model holds.
 
     Args:
         evidence: Of one record.
-        trained: Its solution.
+        solution: Its part of a solution.
         std: Standard deviation of the motion.
     """
-    equations, point = evidence.equations, trained.solution.point
+    equations, point = evidence.equations, solution.point
     problem = evidence.problem
     # Where nobody measured a force, it is free to be what the model lacks.
     if equations.known is not None or problem.inputs.forces or not len(problem.structure.added):
         return ()
-    solution = _Solution.of(evidence, trained)
-    forces, sensors = force_terms(equations, point), sensor_terms(solution.channels) if solution else []
-    if solution is None or equations.layout.size * (len(forces) + len(sensors)) > MOST_NUMBERS:
+    reduced = _Solution.of(evidence, solution)
+    forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
+    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) > MOST_NUMBERS:
         return ()
-    told, gains = _told(solution, forces, sensors)
+    told, gains = _told(reduced, forces, sensors)
     if not told:
         return ()
-    asked = solution.asked(told)
+    asked = reduced.asked(told)
     fits = asked.fits(len(told))
-    moved = solution.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
+    moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
     found = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
-    return tuple(solution.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, told, strict=True))
+    return tuple(reduced.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, told, strict=True))
 
 
 def _told(
@@ -118,6 +117,7 @@ class _Solution:
         channels: Of the record.
         gradient: (size, 1), of the readout weights.
         readout: Factored.
+        prior: (p, p), precision of what is believed of the parameters.
     """
 
     equations: NormalEquations
@@ -126,18 +126,20 @@ class _Solution:
     channels: list[Shown]
     gradient: np.ndarray
     readout: ReadoutFactor
+    prior: np.ndarray
 
     @classmethod
-    def of(cls, evidence: Evidence, trained: Trained) -> _Solution | None:
+    def of(cls, evidence: RecordEvidence, solution: RecordSolution) -> _Solution | None:
         """None where the equations cannot be solved."""
-        equations, point = evidence.equations, trained.solution.point
-        noise = _softened(evidence, trained.noise, _rms_force(equations, point))
+        equations, point = evidence.equations, solution.point
+        noise = _softened(evidence, solution.noise, _rms_force(equations, point))
         system = equations.assemble(point, noise)
         eliminated = system.eliminated()
         if eliminated is None:
             return None
         channels = channels_shown(equations, point, noise)
-        return cls(equations, point, noise, channels, system.gradient[:, None], eliminated.readout)
+        gradient = system.gradient[:, None]
+        return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
     def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
         """Further parameters; forces come first."""
@@ -154,7 +156,8 @@ class _Solution:
         own = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
         # Products with sparse rows take it by rows.
         moved = np.ascontiguousarray(-np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:])))
-        spectra = left_spectra(equations, self.point, self.noise, self.channels, (forces, sensors), moved)
+        terms_of = forces, sensors
+        spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior)
         free = np.flatnonzero(self.point.parameters.cpu().numpy() > equations.lower).tolist()
         places = {id(one): i for i, one in enumerate([*forces, *sensors], start=p)}
         return _Asked(terms, [places[id(one)] for one in terms], spectra, moved[:, 1:], free)
@@ -247,7 +250,7 @@ class _Asked:
         return Doubt(own.kind, own.of, float(value), float(std), own.unit, gain, *moved, own.shape, share)
 
 
-def _softened(evidence: Evidence, noise: NoiseModel, force: float) -> NoiseModel:
+def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> NoiseModel:
     """Noise levels of which none is below `LEAST`; ``force`` is that of the connections, N, rms."""
     record = evidence.problem.record
     largest: defaultdict[str, float] = defaultdict(float)
@@ -261,7 +264,7 @@ def _softened(evidence: Evidence, noise: NoiseModel, force: float) -> NoiseModel
         quantity: np.maximum(sigma, LEAST * (of_gauges if quantity == GAUGE else largest[quantity]))
         for quantity, sigma in noise.response.items()
     }
-    softer = noise.with_discrepancy(max(noise.discrepancy, LEAST * force))
+    softer = replace(noise, discrepancy=max(noise.discrepancy, LEAST * force))
     return replace(softer, response=response)
 
 

@@ -15,8 +15,7 @@ import torch
 
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION
 from pinn_cli.system.functions import FLAT, Inputs
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 
 # Draws from the posterior that tell how much of what drives the forces the record has told.
 DRAWS = 8
@@ -74,18 +73,18 @@ class Told:
         return math.sqrt(float(self.power.sum() / self.told.sum())) if self.is_enough else None
 
 
-def level_in_band(evidence: Evidence, trained: Trained) -> float | None:
+def level_in_band(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
     """:attr:`Told.level` of the unknown forces; None without any."""
-    seen = _of_forces(evidence, trained)
+    seen = _of_forces(evidence, solution)
     return None if seen is None else seen.level
 
 
-def spectrum_in_band(evidence: Evidence, trained: Trained) -> Drive | None:
+def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
     """The drive of the most probable spectrum of the unknown forces; None where that is the present one.
 
     Flat up to the band's edge, or falling off from a corner below it.
     """
-    seen = _of_forces(evidence, trained)
+    seen = _of_forces(evidence, solution)
     if seen is None or not seen.is_enough:
         return None
     inputs = evidence.equations.problem.inputs
@@ -120,21 +119,21 @@ def _gain(correlation_time: float, damping_ratio: float, frequency: np.ndarray) 
     return np.hypot(1.0 - (omega * correlation_time / (2.0 * damping_ratio)) ** 2, omega * correlation_time)
 
 
-def reaches_beyond(evidence: Evidence, trained: Trained) -> float:
+def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     """How many times the band the unknown forces reach; 1 where it is as far as they do.
 
     Forces that are white shake a mass at all frequencies. What a sensor shows above the frequencies of the structure is
     then flat, and passes for its noise. It is the forces' own where these, as large as they are in the band, would give
     it just that.
     """
-    level, equations = level_in_band(evidence, trained), evidence.equations
+    level, equations = level_in_band(evidence, solution), evidence.equations
     record, inputs, shapes = equations.problem.record, equations.problem.inputs, equations.dynamics.structure.shapes
     usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
     wider = 2.0 * np.pi * usable / inputs.edge
     if level is None or shapes is not None or wider < 1.1:
         return 1.0
     mass = equations.prescribed["m"].cpu().numpy()[list(inputs.forces)]
-    noise = trained.noise.response["acceleration"][list(inputs.forces)]
+    noise = solution.noise.response["acceleration"][list(inputs.forces)]
     with np.errstate(invalid="ignore"):
         # White noise of the points has so much power per frequency less than that of the samples.
         share = (level / mass) ** 2 / equations.refinement / noise**2
@@ -142,23 +141,23 @@ def reaches_beyond(evidence: Evidence, trained: Trained) -> float:
     return wider if share.size and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
 
-def _of_forces(evidence: Evidence, trained: Trained) -> Told | None:
+def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> Told | None:
     """What drives the unknown forces, in the record's band; None without any."""
     equations = evidence.equations
-    return told_below(evidence, trained, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
+    return told_below(evidence, solution, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
 
 
-def told_below(evidence: Evidence, trained: Trained, functions: slice, top: float) -> Told | None:
+def told_below(evidence: RecordEvidence, solution: RecordSolution, functions: slice, top: float) -> Told | None:
     """What drives some functions alike, up to a frequency (Hz); None without any, or without averages over intervals.
 
     Args:
         evidence: Of one record.
-        trained: Its solution.
+        solution: Its solution.
         functions: Which.
         top: The frequency.
     """
-    equations, point = evidence.equations, trained.solution.point
-    innovation, averages = trained.noise.innovation, equations.averages
+    equations, point = evidence.equations, solution.point
+    innovation, averages = solution.noise.innovation, equations.averages
     if functions.start == functions.stop or innovation is None or averages is None:
         return None
     rate = equations.network.free_intervals
@@ -168,7 +167,7 @@ def told_below(evidence: Evidence, trained: Trained, functions: slice, top: floa
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
     found = power(equations.physics_residual(point))
-    moved = [functions_moved for _, functions_moved in equations.moved_forces(point, trained.drawn(DRAWS))]
+    moved = [functions_moved for _, functions_moved in equations.moved_forces(point, solution.drawn(DRAWS))]
     scatter = np.zeros_like(found)
     for of_draw in zip(*moved, strict=True):
         scatter += power(torch.cat(of_draw)) / DRAWS

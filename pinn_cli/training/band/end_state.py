@@ -8,20 +8,20 @@ from scipy.linalg import solve_triangular
 from torch import Tensor
 
 from pinn_cli.model.knowledge import EndState
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 
 
-def end_state(equations: NormalEquations, trained: Trained) -> EndState:
+def end_state(evidence: RecordEvidence, solution: RecordSolution) -> EndState:
     """Displacements, velocities and hidden forces of the coordinates at the last sample.
 
     The rows touch the last features alone, so the triangular solve begins there.
 
     Args:
-        equations: Of one record.
-        trained: Their solution; its factor may know of parameters from other records as well.
+        evidence: Of one record.
+        solution: Its part of a solution; the factor may know of parameters from other records as well.
     """
-    dynamics, factor, time = equations.dynamics, trained.factor, equations.target.observation_time
+    equations, factor = evidence.equations, solution.factor
+    dynamics, time = equations.dynamics, equations.target.observation_time
     segments = equations.network.segments(time[-1:])
     alive = segments.mask[:, 0] > 0
     feature = segments.feature[alive][0].cpu().numpy()
@@ -40,7 +40,7 @@ def end_state(equations: NormalEquations, trained: Trained) -> EndState:
     with_parameters = (-unit[:, None] * (factor.corner_covariance @ crossed))[: len(equations.problem.uncertain)]
     return EndState(
         float(equations.problem.record.time[-1]),
-        rows.T @ _tail_of(trained.solution.point.unknowns, first),
+        rows.T @ _tail_of(solution.point.unknowns, first),
         own + through.T @ through,
         with_parameters.T,
     )

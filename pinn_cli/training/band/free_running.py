@@ -22,11 +22,11 @@ import torch
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, SCAN_FACTOR, Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, SCAN_FACTOR
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import floor
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.noise_model import NoiseModel
 
 # A load cell's noise would take up as much of a model error as it may: a free run is one under the measured force.
@@ -56,7 +56,7 @@ class FreeRunning:
     varying: np.ndarray
 
 
-def running_free(evidence: Evidence | JointEvidence, trained: Trained) -> list[FreeRunning]:
+def running_free(evidence: Evidence, trained: Trained) -> list[FreeRunning]:
     """Solutions whose structure runs free, each with less of a discrepancy; none where the motion does already.
 
     A spline does not follow every motion of a structure that runs free, so the last one need not be the best.
@@ -69,7 +69,7 @@ def running_free(evidence: Evidence | JointEvidence, trained: Trained) -> list[F
     out: list[FreeRunning] = []
     if not _is_misled(evidence, trained, floors):
         return out
-    first, found = trained.noise.by_record, trained
+    first, found = trained.noise.records, trained
     for part in PARTS_LEFT:
         ends = [max(part * own.discrepancy, least.discrepancy) for own, least in zip(first, floors, strict=True)]
         followed = _followed(evidence, found, ends, first)
@@ -81,16 +81,14 @@ def running_free(evidence: Evidence | JointEvidence, trained: Trained) -> list[F
     return out
 
 
-def _followed(
-    evidence: Evidence | JointEvidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]
-) -> Trained | None:
+def _followed(evidence: Evidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:
     """The solution with a discrepancy that has come down to its end, step by step; None where it cannot be solved."""
     for _ in range(ROUNDS):
-        levels = evidence.each_record(_stiffer, found, ends, first)
-        again = evidence.train(NoiseModel.of_records(levels), found.solution.point)
+        levels = tuple(evidence.each_record(_stiffer, found, ends, first))
+        again = evidence.train(replace(found.noise, records=levels), found.solution.point)
         if again is None or not np.isfinite(again.log_evidence):
             return None
-        pairs = zip(again.noise.by_record, found.noise.by_record, strict=True)
+        pairs = zip(again.noise.records, found.noise.records, strict=True)
         moved = [np.abs(_log_response(new) - _log_response(old)) for new, old in pairs]
         found = again
         settled = float(np.nanmax(np.concatenate(moved), initial=0.0)) < SETTLED
@@ -99,37 +97,37 @@ def _followed(
     return found
 
 
-def _is_misled(evidence: Evidence | JointEvidence, trained: Trained, least: list[NoiseModel]) -> bool:
+def _is_misled(evidence: Evidence, trained: Trained, least: list[NoiseModel]) -> bool:
     """Whether the record is far less probable without any discrepancy; or far more, where the search went astray."""
-    levels = list(zip(trained.noise.by_record, least, strict=True))
+    levels = list(zip(trained.noise.records, least, strict=True))
     if all(level.discrepancy <= SCAN_FACTOR * own.discrepancy for level, own in levels):
         return False
-    without = NoiseModel.of_records([replace(level, discrepancy=own.discrepancy) for level, own in levels])
-    stiff = evidence.train(without, trained.solution.point)
+    without = tuple(replace(level, discrepancy=own.discrepancy) for level, own in levels)
+    stiff = evidence.train(replace(trained.noise, records=without), trained.solution.point)
     return stiff is None or not abs(stiff.log_evidence - trained.log_evidence) < DECISIVE_DROP
 
 
-def _stiffer(evidence: Evidence, trained: Trained, end: float, first: NoiseModel) -> NoiseModel:
+def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, first: NoiseModel) -> NoiseModel:
     """Less of a discrepancy, and what is left of the response's sensors as an error that is as large a part of each.
 
     On top of the sensor's own noise. If each had a level of its own, one would be followed at the cost of the others.
 
     Args:
         evidence: Of one record.
-        trained: The solution before.
+        solution: The solution before.
         end: Of the discrepancy.
         first: Noise of the sensors, and of the inputs, which keep theirs.
     """
-    left, size = _left_and_size(evidence, trained.solution.point)
+    left, size = _left_and_size(evidence, solution.point)
     beyond = [np.maximum(left[q] - first.response[q] ** 2, 0.0) / size[q] for q in left]
     part = np.nanmean(np.concatenate(beyond)) if beyond else 0.0
     response = {q: np.sqrt(level**2 + part * size[q]) if q in left else level for q, level in first.response.items()}
-    discrepancy = max(trained.noise.discrepancy / SCAN_FACTOR, end)
+    discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
     of_force = np.clip(discrepancy / (PARTS_LEFT[0] * first.discrepancy), FORCE_LEFT, 1.0)
-    return replace(trained.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
+    return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
 
 
-def _left_and_size(evidence: Evidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def _left_and_size(evidence: RecordEvidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Mean squares of what a point leaves of the response's sensors, and of these, by quantity; NaN of no sensor."""
     equations, record = evidence.equations, evidence.problem.record
     left, size = {}, {}
@@ -152,7 +150,7 @@ def _log_response(noise: NoiseModel) -> np.ndarray:
     return np.log(np.concatenate(list(noise.response.values())))
 
 
-def _deviations(evidence: Evidence | JointEvidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def _deviations(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
     """Covariance (p, p) and standard deviation (p,), see :class:`FreeRunning`."""
     white = trained.factor.corner_covariance
     scores, varying = np.zeros((len(white), len(white))), np.zeros(len(white))
@@ -160,21 +158,21 @@ def _deviations(evidence: Evidence | JointEvidence, trained: Trained) -> tuple[n
     for columns, (of_score, of_condition) in zip(evidence.equations.columns, found, strict=True):
         scores[np.ix_(columns, columns)] += of_score
         varying[columns] += of_condition / len(found)
-    prior = evidence.equations.precision(trained.noise).cpu().numpy()
+    prior = evidence.equations.precision(trained.noise).numpy()
     covariance = white @ (scores + np.diag(prior)) @ white
     # No residual tells more than white noise of its size.
     wider = np.sqrt(np.maximum(np.diag(white) / np.diag(covariance), 1.0))
     return covariance * np.outer(wider, wider), np.sqrt(varying)
 
 
-def _score_covariance(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def _score_covariance(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
     """(p, p) covariance of one record's score; (p,) variance of parameters over how loud it is, and when.
 
     Both from parts of the record. The parameters of a part are a step away, its own score and information tell which;
     their slope by a condition counts for what is beyond chance.
     """
-    white = trained.factor.corner_covariance
-    scores, information = (_in_parts(x) for x in _scores(evidence, trained))
+    white = solution.factor.corner_covariance
+    scores, information = (_in_parts(x) for x in _scores(evidence, solution))
     # Of a fit to the whole record the parts know, and few of them tell a variance roughly (Student 1908).
     each = CELLS / IN_A_ROW / (1.0 - IN_A_ROW / CELLS) * FREEDOM / (FREEDOM - 2.0) / len(scores)
     of_score = each * scores.T @ scores
@@ -201,16 +199,16 @@ def _in_parts(cells: np.ndarray) -> np.ndarray:
     return total[IN_A_ROW:] - total[:-IN_A_ROW]
 
 
-def _scores(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
     """(CELLS, p) slope of -log density by every parameter with the motion that follows it, (CELLS, p, p) information.
 
     In parts of the record.
     """
-    equations, noise, point = evidence.equations, trained.noise, trained.solution.point
+    equations, noise, point = evidence.equations, solution.noise, solution.point
     count = len(point.parameters)
-    still = np.zeros(trained.factor.readout.size)
+    still = np.zeros(solution.factor.readout.size)
     steps = [
-        Point(torch.as_tensor(trained.factor.readout_step(still, own)).to(point.unknowns), torch.as_tensor(own))
+        Point(torch.as_tensor(-solution.factor.readout.solved(still, own)).to(point.unknowns), torch.as_tensor(own))
         for own in np.eye(count)
     ]
     weights = equations.weights(noise)

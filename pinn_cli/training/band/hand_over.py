@@ -36,7 +36,7 @@ def handed_over(found: Inferred, settings: InferenceSettings, device: str, histo
     Raises:
         DivergenceError: The samples before that time have no solution.
     """
-    equations, problem = found.evidence.records[0].equations, found.evidence.problem
+    equations, problem = found.evidence.equations.each[0], found.evidence.problem
     assert problem.hand_over is not None
     network, record = equations.network, problem.record
     assert isinstance(network, SplineNetwork)
@@ -49,14 +49,15 @@ def handed_over(found: Inferred, settings: InferenceSettings, device: str, histo
         network.ndof, network.start, network.start + intervals * network.spacing, intervals, network.degree,
         network.continuity, network.readout.dtype,
     )  # fmt: skip
-    evidence = replace(settings, known=equations.known).solved_by(early, shorter, device, history)
+    evidence = replace(settings, known=equations.known).solved_by(early, [shorter], device, history)
     point = found.trained.solution.point
-    start = Point(point.unknowns[: evidence.equations.layout.size], point.parameters)
+    start = Point(point.unknowns[: evidence.equations.each[0].layout.size], point.parameters)
     if early.uncertain:
         start = softer_point(evidence, found.trained.noise, start)
     trained = evidence.train(found.trained.noise, start)
     if trained is None or not torch.isfinite(trained.solution.point.unknowns).all():
         raise DivergenceError(f"the samples up to {problem.hand_over:g} s alone have no solution to hand over")
-    told = coherent_misfit(evidence.equations.columns, [parameter_force(evidence, trained)])
+    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
     _, _, known = parameter_posterior(evidence.equations, trained, told)
-    return HandOver(known, end_state(evidence.equations, trained), found.told)
+    (end,) = evidence.each_record(end_state, trained)
+    return HandOver(known, end, found.told)

@@ -17,12 +17,11 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import FACTOR, ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.coloured import coloured, driven_in_band, has_forces
-from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, Trained
+from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, searched, widened_for_colour
 from pinn_cli.training.band.driving import reaches_beyond
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.free_running import running_free
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
-from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.marginal_peak import at_marginal_peak
 from pinn_cli.training.band.near_levels import near_known_levels, softer_point
 from pinn_cli.training.band.noise_levels import settled
@@ -36,7 +35,7 @@ from pinn_cli.training.band.turns import at_turns, has_turns
 from pinn_cli.training.band.windows_discrepancy import of_all_windows
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, first_level, starting_levels
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
@@ -94,9 +93,9 @@ def inferred(
     told = settings.known is not None or problem.prior is not None  # by spectra, or by earlier records
     choice = Choice(found.trained) if told else weighed(evidence, found.trained, settle)
     trained, windows = choice.trained, None
-    if isinstance(evidence, Evidence) and _is_window(evidence):
+    if _is_window(evidence):
         trained, windows = of_all_windows(evidence, trained)
-    widened = driven_in_band(evidence, evidence.widen_for_colour(trained))
+    widened = driven_in_band(evidence, widened_for_colour(evidence, trained))
     widened = widened if told else at_marginal_peak(evidence, widened)
     # Where a force is free nothing tells it from what the model leaves out; windows and samplers go on from the first.
     told = told or problem.hand_over is not None or bool(problem.priors) or has_forces(problem)
@@ -106,14 +105,14 @@ def inferred(
 
 def _narrowed(coarse: Inferred, fine: Inferred) -> float:
     """How many times as large the deviation of an unknown parameter was in coarser features; of all the most."""
-    unknown = fine.evidence.unknown
+    unknown = fine.evidence.equations.unknown
     before, after = (np.diag(found.trained.factor.corner_covariance)[unknown] for found in (coarse, fine))
     return float(np.sqrt(np.max(before / after, initial=0.0)))
 
 
 def _is_window(evidence: Evidence) -> bool:
     """Whether windows before it say something of its discrepancy, or it does to those after it."""
-    problem, known = evidence.problem, evidence.equations.known
+    problem, known = evidence.problem, evidence.equations.each[0].known
     goes_on = problem.prior is not None and problem.prior.levels.told is not None
     return (problem.hand_over is not None or goes_on) and known is None and not has_forces(problem)
 
@@ -154,7 +153,7 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
         response, force = starting_levels(problem.record)
         gauges = [first_level(gauge) for gauge in problem.record.gauges]
         return (response | {GAUGE: np.array(gauges)} if gauges else response), force
-    noise = found.trained.noise
+    noise = found.trained.noise.records[0]
     return noise.response, noise.response.get(FORCE, noise.force[: problem.dynamics.ndof])
 
 
@@ -173,7 +172,7 @@ def _best_start(
     failure: DivergenceError | None = None
     for start in (problem, *problem.alternatives):
         networks = [_built(design, own) for design, own in zip(designs, start.by_record, strict=True)]
-        evidence = settings.all_solved_by(start, networks, device, history)
+        evidence = settings.solved_by(start, networks, device, history)
         noise = _starting_noise(evidence, settings)
         try:
             trained = near_known_levels(evidence, noise) or _searched(evidence, noise)
@@ -196,7 +195,8 @@ def _through_part(
         part = part_of_record(start, network)
         if part is None:
             return None
-        evidence = settings.solved_by(*part, device, history)
+        own, shorter = part
+        evidence = settings.solved_by(own, [shorter], device, history)
         noise = _starting_noise(evidence, settings)
         try:
             trained = _searched(evidence, noise)
@@ -209,7 +209,7 @@ def _through_part(
     for start, network, of_part, largest, trained in found:
         if trained.log_evidence < best - DECISIVE_DROP:
             continue
-        evidence = settings.solved_by(start, network, device, history)
+        evidence = settings.solved_by(start, [network], device, history)
         try:
             whole = whole_from(trained, of_part, largest, evidence, _starting_noise(evidence, settings))
         except DivergenceError:
@@ -220,34 +220,35 @@ def _through_part(
     return max(solutions, key=lambda one: one.trained.log_evidence, default=None)
 
 
-def _starting_noise(evidence: Evidence | JointEvidence, settings: InferenceSettings) -> NoiseModel:
-    noise = NoiseModel.of_records([starting_noise(own) for own in evidence.records])
-    noise = noise.pooled() if settings.pooled else noise
-    return noise if settings.known is None else noise.with_spread(settings.known.spread)
+def _starting_noise(evidence: Evidence, settings: InferenceSettings) -> NoiseLevels:
+    noise = NoiseLevels(tuple(map(starting_noise, evidence.equations.each)))
+    noise = noise.each(NoiseModel.pooled) if settings.pooled else noise
+    return noise if settings.known is None else replace(noise, spread=settings.known.spread)
 
 
-def _searched(evidence: Evidence | JointEvidence, noise: NoiseModel) -> Trained:
+def _searched(evidence: Evidence, noise: NoiseLevels) -> Trained:
     """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
 
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
     second = partial(_simulated_start, evidence)
-    best = evidence.search(noise, noise.discrepancy, second, refined=False)
+    best = searched(evidence, noise, noise.discrepancy, second, refined=False)
     for factor in NOISIER:
         if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
             break
         try:
-            again = evidence.search(noise.noisier(factor), noise.discrepancy, second, refined=False)
+            noisier = noise.each(NoiseModel.noisier, factor)
+            again = searched(evidence, noisier, noise.discrepancy, second, refined=False)
         except DivergenceError:
             break
         best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))
     return best
 
 
-def _simulated_start(evidence: Evidence | JointEvidence) -> Point | None:
+def _simulated_start(evidence: Evidence) -> Point | None:
     """See :func:`simulated_start`; None where there is none of any record."""
-    points = [simulated_start(own.equations) for own in evidence.records]
+    points = [simulated_start(own) for own in evidence.equations.each]
     return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
 
 
@@ -267,8 +268,7 @@ def _in_their_band(
 
     def widened(one: Problem) -> Problem:
         own = [_of_wider_band(own, factor) for own, factor in zip(one.by_record, factors, strict=True)]
-        others = tuple(widened(other) for other in one.alternatives)
-        return replace(own[0], further=tuple(own[1:]), alternatives=others)
+        return replace(Problem.together(own), alternatives=tuple(map(widened, one.alternatives)))
 
     return _best_start(widened(problem), [one for one in wider if one], settings, device, history)
 
@@ -276,7 +276,7 @@ def _in_their_band(
 def _of_wider_band(problem: Problem, factor: float) -> Problem:
     inputs = problem.inputs
     wider = replace(inputs, edge=inputs.edge * factor, correlation_time=inputs.correlation_time / factor)
-    return replace(problem, inputs=wider, further=())
+    return replace(problem, inputs=wider)
 
 
 def _in_present_modes(
@@ -328,20 +328,18 @@ def _refined(
     """The same solution in finer features; None where they cannot be solved."""
     problem = at_turns(found, replace(_present(found), alternatives=()))
     networks = [_built(design, own) for design, own in zip(designs, problem.by_record, strict=True)]
-    evidence = settings.all_solved_by(problem, networks, device, history)
+    evidence = settings.solved_by(problem, networks, device, history)
     levels, points = [], []
-    for (coarse, point), noise, own in zip(
-        found.by_record, found.trained.noise.by_record, evidence.records, strict=True
-    ):
-        fine = own.equations
+    before, now = zip(found.by_record, found.trained.noise.records, strict=True), evidence.equations
+    for ((coarse, point), noise), fine in zip(before, now.each, strict=True):
         more = (fine.refinement / coarse.refinement) ** 0.5
         discrepancy, per_sample = more * noise.discrepancy, fine.refinement
         levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
         points.append(carried_over(point, coarse, fine))
-    noise, point = NoiseModel.of_records(levels), evidence.equations.joined(points)
-    if problem.structure.nonlinearity_name != "linear" or evidence.equations.uncertain:
-        point = softer_point(evidence, noise, point)
-    again = evidence.train(noise, point)
+    every, point = replace(found.trained.noise, records=tuple(levels)), now.joined(points)
+    if problem.structure.nonlinearity_name != "linear" or now.uncertain:
+        point = softer_point(evidence, every, point)
+    again = evidence.train(every, point)
     # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
     if again is None or not (again.solution.converged or problem.turns is not None):
         return None
@@ -349,11 +347,11 @@ def _refined(
     return None if _is_noisier(again.noise, found.trained.noise) else Inferred(evidence, again)
 
 
-def _is_noisier(fine: NoiseModel, coarse: NoiseModel) -> bool:
+def _is_noisier(fine: NoiseLevels, coarse: NoiseLevels) -> bool:
     """Whether any response sensor is far noisier in finer features, which can only follow it better."""
     return any(
         bool((new.response[quantity] > SUSPECT * level).any())
-        for new, old in zip(fine.by_record, coarse.by_record, strict=True)
+        for new, old in zip(fine.records, coarse.records, strict=True)
         for quantity, level in old.response.items()
     )
 

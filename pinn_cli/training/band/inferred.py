@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pinn_cli.model.knowledge import DiscrepancyTold
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.free_running import FreeRunning
-from pinn_cli.training.band.joint.evidence import JointEvidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.estimate import Rival
@@ -27,7 +25,7 @@ class Inferred:
     where the model does not quite hold, solutions whose structure runs free.
     """
 
-    evidence: Evidence | JointEvidence
+    evidence: Evidence
     trained: Trained
     rivals: tuple[Rival, ...] = ()
     told: DiscrepancyTold | None = None
@@ -38,8 +36,7 @@ class Inferred:
     def by_record(self) -> list[tuple[NormalEquations, Point]]:
         """Of every record its equations, and the point where they are solved."""
         equations = self.evidence.equations
-        points = equations.split(self.trained.solution.point)
-        return list(zip([own.equations for own in self.evidence.records], points, strict=True))
+        return list(zip(equations.each, equations.split(self.trained.solution.point), strict=True))
 
 
 @dataclass(frozen=True)
@@ -56,15 +53,8 @@ class InferenceSettings:
     pooled: bool
     known: KnownParameters | None = None
 
-    def solved_by(self, problem: Problem, network: LinearReadout, device: str, history: History) -> Evidence:
-        """What finds the solutions of one network."""
-        equations = NormalEquations(network, problem, device, self.known)
-        return Evidence(equations, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
-
-    def all_solved_by(
-        self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History
-    ) -> Evidence | JointEvidence:
+    def solved_by(self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History) -> Evidence:
         """What finds the solutions of one network for every record."""
         pairs = zip(problem.by_record, networks, strict=True)
-        records = [self.solved_by(own, network, device, history) for own, network in pairs]
-        return records[0] if len(records) == 1 else JointEvidence(problem, records)
+        each = [NormalEquations(network, own, device, self.known) for own, network in pairs]
+        return Evidence(each, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)

@@ -143,6 +143,7 @@ def left_spectra(
     channels: Sequence[Shown],
     terms: tuple[Sequence[ForceTerm], Sequence[SensorTerm]],
     moved: np.ndarray,
+    believed: np.ndarray,
 ) -> LeftSpectra:
     """Of the parameters and of forces and of what sensors may show, in this order.
 
@@ -153,6 +154,7 @@ def left_spectra(
         channels: Of the record.
         terms: Columns beside the parameters.
         moved: (size, 1 + W), how the motion moves with the residual, and with one of every column.
+        believed: (p, p), precision of the parameters' prior.
     """
     p, (forces, sensors) = len(point.parameters), terms
     length = equations.problem.record.duration
@@ -171,8 +173,8 @@ def left_spectra(
     # The process behind an input is a prior, and no measure of what the model leaves out: its level stays.
     prior = np.zeros((1 + columns, 1 + columns)) + sum(every[function].sum(axis=0) for function in smooth)
     prior[1:, 1:] += np.eye(columns)
-    prior[1 : 1 + p, 1 : 1 + p] += equations.prior_precision(noise).cpu().numpy() - np.eye(p)
-    prior[1 : 1 + p, 0] += equations.prior_force(point.parameters, noise).cpu().numpy()
+    prior[1 : 1 + p, 1 : 1 + p] += believed - np.eye(p)
+    prior[1 : 1 + p, 0] += believed @ point.parameters.cpu().numpy()
     values = len(enforced) - len(smooth) + len(channels) - equations.dynamics.size
     freedom = max(values, 1) * 2.0 * length * np.diff(edges)
     seen, moving = _seen(channels, edges), _moving(equations, point, edges)

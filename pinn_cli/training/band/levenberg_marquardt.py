@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
 
 import numpy as np
 
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.band.bordered import BorderedFactor
+from pinn_cli.training.band.least_squares import LeastSquares
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.band.shared_border import SharedFactor, SharedSystem
+from pinn_cli.training.noise_model import NoiseLevels
 
 # Damping of the scaled matrix (unit diagonal): where it starts once a step has failed, and where trying is given up.
 FIRST_DAMPING, LARGEST_DAMPING = 1e-9, 1e6
@@ -24,42 +24,6 @@ NEGLIGIBLE = 0.1
 QUICK, KEPT = 0.1, 0.5
 # Relative rise of the loss that may be rounding.
 ROUNDING = 1e-12
-
-
-class Linearised(Protocol):
-    """Normal equations at a point."""
-
-    def factor(self, damping: float = 0.0) -> BorderedFactor | None:
-        """Of the damped matrix; None if it is not positive definite."""
-
-    def readout_step(self) -> np.ndarray | None:
-        """Of the readout weights, with the parameters held; None if their matrix is not positive definite."""
-
-    def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
-        """Of the loss, by the undamped, unbounded step, as the linearised problem has it."""
-
-
-class LeastSquares(Protocol):
-    """A weighted least-squares problem: of one record, or of several together."""
-
-    is_plain: bool
-    is_linear: bool
-    keeps_factors: bool
-
-    def start(self) -> Point:
-        """At rest, with the prescribed parameters."""
-
-    def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
-        """Weighted sum of squares of every term."""
-
-    def assemble(self, point: Point, noise: NoiseModel) -> Any:  # each kind's factor takes a step of its own system
-        """Normal equations at a point, :class:`Linearised`."""
-
-    def room_below(self, point: Point) -> np.ndarray:
-        """(p,), the most negative step of every parameter."""
-
-    def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
-        """The point after a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,20 +47,20 @@ class Solution:
     iterations: int
     converged: bool
     factorisations: int
-    factor: BorderedFactor | None = None
+    factor: SharedFactor | None = None
     cautious: bool = False
-    chord: BorderedFactor | None = None
+    chord: SharedFactor | None = None
 
 
 def minimise(
     equations: LeastSquares,
-    noise: NoiseModel,
+    noise: NoiseLevels,
     start: Point,
     iterations: int,
     tolerance: float,
     watch: Callable[[dict[str, float]], None],
     cautious: bool = False,
-    near: BorderedFactor | None = None,
+    near: SharedFactor | None = None,
 ) -> Solution:
     """Levenberg-Marquardt from a starting point.
 
@@ -140,12 +104,12 @@ class _Descent:
     def __init__(
         self,
         equations: LeastSquares,
-        noise: NoiseModel,
+        noise: NoiseLevels,
         start: Point,
         tolerance: float,
         watch: Callable[[dict[str, float]], None],
         cautious: bool,
-        near: BorderedFactor | None,
+        near: SharedFactor | None,
     ) -> None:
         self.equations, self.noise, self.tolerance, self.watch = equations, noise, tolerance, watch
         self.point, self.cautious, self.damping = start, cautious, FIRST_DAMPING if cautious else 0.0
@@ -165,7 +129,7 @@ class _Descent:
         """Decrease of the loss that another step is not worth."""
         return max(self.tolerance * self.loss, 0.0 if self.equations.is_plain else NEGLIGIBLE)
 
-    def ended(self, converged: bool, factor: BorderedFactor | None = None) -> Solution:
+    def ended(self, converged: bool, factor: SharedFactor | None = None) -> Solution:
         """The solution as it stands, with the undamped factor of its Hessian."""
         return Solution(
             self.point, self.loss, self.steps, converged, self.factorisations, factor, self.cautious, self.chord
@@ -187,7 +151,7 @@ class _Descent:
             system, room = self._assembled()
         return self._factored(system, room)
 
-    def _settled(self, system: Any, room: np.ndarray) -> Solution | None:
+    def _settled(self, system: SharedSystem, room: np.ndarray) -> Solution | None:
         """The end, with the Hessian there; None where its own whole step gains more after all."""
         factor = self._factor(system, 0.0)
         if factor is None:
@@ -203,7 +167,7 @@ class _Descent:
         self.chord, self.damping = None, 0.0  # whole steps are refused here: with care from here on
         return None
 
-    def _factored(self, system: Any, room: np.ndarray) -> Solution | None:
+    def _factored(self, system: SharedSystem, room: np.ndarray) -> Solution | None:
         """A step with a factor of its own, as little damped as can be; the end, if it is."""
         undamped, tried = None, False
         while True:
@@ -242,15 +206,14 @@ class _Descent:
         self.damping = self.damping / 10.0 if self.damping > FIRST_DAMPING else FIRST_DAMPING
         return None
 
-    def _assembled(self) -> tuple[Any, np.ndarray]:
+    def _assembled(self) -> tuple[SharedSystem, np.ndarray]:
         return self.equations.assemble(self.point, self.noise), self.equations.room_below(self.point)
 
-    def _factor(self, system: Any, damping: float) -> BorderedFactor | None:
+    def _factor(self, system: SharedSystem, damping: float) -> SharedFactor | None:
         self.factorisations += 1
-        factor: BorderedFactor | None = system.factor(damping)
-        return factor
+        return system.factor(damping)
 
-    def _trial(self, system: Any, factor: BorderedFactor, room: np.ndarray) -> _Trial:
+    def _trial(self, system: SharedSystem, factor: SharedFactor, room: np.ndarray) -> _Trial:
         step = factor.step(system, room)
         moved = self.equations.moved(self.point, step)
         terms = self.equations.losses(moved, self.noise)
@@ -293,7 +256,7 @@ class _Trial:
     gain: float
 
 
-def followed(equations: LeastSquares, point: Point, noise: NoiseModel) -> Point:
+def followed(equations: LeastSquares, point: Point, noise: NoiseLevels) -> Point:
     """The point whose motion has made a step of its own, parameters held.
 
     Where physics is stiff, a step of motion and parameters together leaves the narrow valley of what solves it by the

@@ -14,10 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.model_evidence import of_motion
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 
 # Rounds at most, and the pull, in standard deviations that it moves a parameter, that is not worth one.
 ROUNDS, NEGLIGIBLE = 4, 0.1
@@ -25,7 +24,7 @@ ROUNDS, NEGLIGIBLE = 4, 0.1
 LARGEST, STEP = 2.0, 0.1
 
 
-def at_marginal_peak(evidence: Evidence | JointEvidence, trained: Trained) -> Trained:
+def at_marginal_peak(evidence: Evidence, trained: Trained) -> Trained:
     """The solution whose parameters are the most probable ones with the motion integrated out."""
     held = [np.zeros(0) for _ in evidence.records]
     for _ in range(ROUNDS):
@@ -41,14 +40,14 @@ def at_marginal_peak(evidence: Evidence | JointEvidence, trained: Trained) -> Tr
     return trained
 
 
-def pull_on(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, float]:
+def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, float]:
     """(p,) slope of the logarithm of that factor by each parameter of one record, and how far the change moves any.
 
     By a small step of each unknown parameter of the equations; 0 of the others. In prior standard deviations, the
     change in the parameter's own.
     """
-    equations, point, noise = evidence.equations, trained.solution.point, trained.noise
-    std = np.sqrt(np.diag(trained.factor.corner_covariance))[: len(equations.uncertain)]
+    equations, point, noise = evidence.equations, solution.point, solution.noise
+    std = np.sqrt(np.diag(solution.factor.corner_covariance))[: len(equations.uncertain)]
     before = np.zeros(len(std)) if equations.pull is None else equations.pull
     alone = of_motion(evidence, noise)
 
@@ -67,6 +66,6 @@ def pull_on(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, float]:
     return pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
 
 
-def pulled(evidence: Evidence, trained: Trained, pull: np.ndarray) -> None:
+def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray) -> None:
     """Let it pull at the parameters of one record from now on; nothing where it is empty."""
     evidence.equations.pull = pull if len(pull) else None

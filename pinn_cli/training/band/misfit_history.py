@@ -29,17 +29,16 @@ from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 
 # Parts of a record whose spectra are averaged, and the share of a coordinate's power at the frequencies of its motion.
 PARTS, MOVING = 16, 0.95
 
 
-def misfit_history(evidence: Evidence, trained: Trained) -> Misfit:
+def misfit_history(evidence: RecordEvidence, solution: RecordSolution) -> Misfit:
     """Of one record."""
-    equations, noise, record = evidence.equations, trained.noise, evidence.problem.record
-    n, point = equations.dynamics.ndof, trained.solution.point
+    equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
+    n, point = equations.dynamics.ndof, solution.point
     jet = Jet(*equations.flat_states(equations.forces, point)[:3])
     measured_force = equations.target.force[:: equations.refinement]
     enforced = equations.target.equation[:n]
@@ -47,7 +46,7 @@ def misfit_history(evidence: Evidence, trained: Trained) -> Misfit:
     missing = (lacking * enforced).detach().cpu().numpy()
     discrepancy = noise.discrepancy / equations.refinement**0.5
     columns, shares = [], []
-    for column, sigma, measured, function in _inputs(evidence, trained):
+    for column, sigma, measured, function in _inputs(evidence, solution):
         if function is not None:  # the equations hold the input as it was estimated
             estimated = jet.value[..., function].detach().cpu().numpy()
             missing += np.outer(np.nan_to_num(estimated - measured), column)
@@ -80,9 +79,11 @@ def _at_motion(missing: np.ndarray, velocity: np.ndarray) -> float:
     return math.sqrt(float((force * inside).sum() / force.sum())) if force.any() else 0.0
 
 
-def _inputs(evidence: Evidence, trained: Trained) -> Iterator[tuple[np.ndarray, float, np.ndarray, int | None]]:
+def _inputs(
+    evidence: RecordEvidence, solution: RecordSolution
+) -> Iterator[tuple[np.ndarray, float, np.ndarray, int | None]]:
     """Of every measured input: what one unit puts into the equations (n,), its noise, its samples, its function."""
-    equations, noise, record = evidence.equations, trained.noise, evidence.problem.record
+    equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
     dynamics = equations.dynamics
     structure, loads = dynamics.structure, dynamics.inputs.loads
     felt = np.eye(dynamics.ndof) if structure.shapes is None else structure.shapes.matrix
@@ -94,5 +95,5 @@ def _inputs(evidence: Evidence, trained: Trained) -> Iterator[tuple[np.ndarray, 
     if dynamics.inputs.ground and record.ground_acceleration is not None:
         sigma = noise.response[GROUND][0]
         if np.isfinite(sigma) and sigma > 0.0:
-            mass = equations.parameters(trained.solution.point)[MASS].detach().cpu().numpy()
+            mass = equations.parameters(solution.point)[MASS].detach().cpu().numpy()
             yield -mass * structure.with_ground, float(sigma), record.ground_acceleration, dynamics.ground.start

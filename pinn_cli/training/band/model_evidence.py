@@ -20,39 +20,36 @@ import numpy as np
 
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import OF_PARAMETERS, Evidence, parameter_term
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.record_evidence import OF_PARAMETERS, RecordEvidence, RecordSolution
 from pinn_cli.training.noise_model import NoiseModel
 
 
-def model_log_evidence(evidence: Evidence | JointEvidence, trained: Trained) -> float:
+def model_log_evidence(evidence: Evidence, trained: Trained) -> float:
     """Natural logarithm of the density of all sensors' samples, SI units, with motion and parameters integrated out.
 
     NaN where the equations alone cannot be solved, or a sensor is compared with what the equations say of it.
     """
     each = evidence.each_record(sensors_term, trained)
-    point, noise = trained.solution.point, trained.noise
-    pull = evidence.prior_pull(point, noise)
-    return float(sum(each)) + parameter_term(evidence.unknown, point, noise, trained.factor, pull)
+    return float(sum(each)) + evidence.parameter_term(trained.solution.point, trained.noise, trained.factor)
 
 
-def sensors_term(evidence: Evidence, trained: Trained) -> float:
+def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
     """One record's part; see :func:`model_log_evidence`."""
-    equations, point, noise = evidence.equations, trained.solution.point, trained.noise
+    equations, point, noise = evidence.equations, solution.point, solution.noise
     losses, forces = equations.losses(point, noise), evidence.force_residuals(point, noise)
     if forces.observer is not None:
         return math.nan
-    alone = equations.assemble(point, of_motion(evidence, noise)).factor()
+    alone = equations.assemble(point, of_motion(evidence, noise)).eliminated()
     if alone is None:
         return math.nan
     physics = float((forces.seen / noise.physics_variance)[forces.enforced].sum())
     rest = sum(value for name, value in losses.items() if name not in ("physics", *OF_PARAMETERS))
-    change = trained.factor.readout_log_determinant - alone.readout_log_determinant
+    change = solution.factor.readout.log_determinant - alone.readout.log_determinant
     return -0.5 * (physics + rest + evidence.log_variances(noise) + _count(evidence) * math.log(2.0 * math.pi) + change)
 
 
-def _count(evidence: Evidence) -> int:
+def _count(evidence: RecordEvidence) -> int:
     """Samples of all response sensors."""
     equations, record = evidence.equations, evidence.problem.record
     masks = observation_masks(equations.target, evidence.problem.acceleration_through)
@@ -60,7 +57,7 @@ def _count(evidence: Evidence) -> int:
     return samples + sum(rows.samples for rows in equations.gauge_rows)
 
 
-def of_motion(evidence: Evidence, noise: NoiseModel) -> NoiseModel:
+def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:
     """Sensors that together say of the motion how large it is, and no more."""
     record = evidence.problem.record
     response = {}

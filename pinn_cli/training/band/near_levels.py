@@ -12,13 +12,12 @@ from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY, Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import floor, updated
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.windows_discrepancy import discrepancy_unit
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Part of the force below which a discrepancy is not begun with: the first solution starts at rest.
@@ -29,7 +28,7 @@ WORTHWHILE = 1.1
 ON_THE_WAY = 1e-2
 
 
-def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> Trained | None:
+def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
     """The solution under the levels of the problem's model; None where it has none, or they explain nothing.
 
     The discrepancy is taken for as large a part of the force as it was. A structure that is not linear is first solved
@@ -40,13 +39,11 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
         noise: Where its levels would start without a model; the discrepancy is the force that acts.
     """
     problem = evidence.problem
-    if isinstance(evidence, JointEvidence):
-        return None
     if problem.told is not None:
         return _under_told_levels(evidence, noise, problem.told.levels)
     if problem.prior is None:
         return None
-    levels, equations = problem.prior.levels, evidence.equations
+    levels, equations = problem.prior.levels, evidence.equations.each[0]
     if not np.isfinite(levels.discrepancy) or not levels.force > 0:
         return None
     force, _ = force_and_velocity_scale(problem)
@@ -57,20 +54,21 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     discrepancy = max(known, LEAST_START * force)
     if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
         return None
-    response = {quantity: _known_where(own, levels.sensors.get(quantity)) for quantity, own in noise.response.items()}
-    own = replace(noise, response=response, force=_known_where(noise.force, levels.sensors.get("force")))
-    point = equations.start()
+    of_force = levels.sensors.get("force")
+    own = noise.each(_with_known_response, levels.sensors).with_discrepancy(discrepancy)
+    own = own.each(lambda own: replace(own, force=_known_where(own.force, of_force)))
+    point = evidence.equations.start()
     try:
         # Uncertain springs times a motion are no linear force either: physics is stiff after a window, and where
         # forces or the ground are functions that are found with the motion.
         stiff = levels.told is not None or not equations.dynamics.is_plain
         bilinear = stiff and len(problem.uncertain) > 0
         if problem.structure.nonlinearity_name != "linear" or bilinear:
-            softer = evidence.train(softened(own.with_discrepancy(discrepancy), force), point, ON_THE_WAY)
+            softer = evidence.train(softened(own, force), point, ON_THE_WAY)
             if softer is None or not softer.solution.converged:
                 return None
             point = softer.solution.point
-        trained = evidence.train(own.with_discrepancy(discrepancy), point)
+        trained = evidence.train(own, point)
         if trained is not None and trained.solution.converged:
             trained = _as_driven(evidence, trained, known) or trained
     except DivergenceError:
@@ -78,20 +76,20 @@ def near_known_levels(evidence: Evidence | JointEvidence, noise: NoiseModel) -> 
     return trained if trained is not None and trained.solution.converged else None
 
 
-def _under_told_levels(evidence: Evidence, noise: NoiseModel, told: Mapping[str, np.ndarray]) -> Trained | None:
+def _under_told_levels(evidence: Evidence, noise: NoiseLevels, told: Mapping[str, np.ndarray]) -> Trained | None:
     """The solution under levels that spectra have told; what disturbs the motion is no more than the load cell's."""
-    response = {quantity: _known_where(own, told.get(quantity)) for quantity, own in noise.response.items()}
     least = LEAST_START * force_and_velocity_scale(evidence.problem)[0]
     discrepancy = float(max(np.nanmax(told[FORCE]), least))
-    return evidence.train(replace(noise, response=response).with_discrepancy(discrepancy), evidence.equations.start())
+    known = noise.each(_with_known_response, told).with_discrepancy(discrepancy)
+    return evidence.train(known, evidence.equations.start())
 
 
-def softened(noise: NoiseModel, force: float) -> NoiseModel:
+def softened(noise: NoiseLevels, force: float) -> NoiseLevels:
     """The same with physics so soft that it forgives where a solution begins; the force that acts is ``force`` (N)."""
     return noise.with_discrepancy((noise.discrepancy * force) ** 0.5)
 
 
-def softer_point(evidence: Evidence | JointEvidence, noise: NoiseModel, point: Point) -> Point:
+def softer_point(evidence: Evidence, noise: NoiseLevels, point: Point) -> Point:
     """Where a solution under stiff physics begins: at that under softer physics, found from a point on.
 
     Parameters that are uncertain times a motion are no linear force: from elsewhere stiff physics may get stuck. Where
@@ -108,10 +106,11 @@ def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trai
     Sensors come after that: under another drive they would be taken for noisier or better than they are, and a short
     record does not tell enough of them to find back.
     """
-    if trained.noise.innovation is None:
+    if trained.noise.records[0].innovation is None:
         return None
-    driven = updated(evidence, trained, floor(evidence, trained)).innovation
-    return evidence.train(replace(trained.noise, discrepancy=discrepancy, innovation=driven), trained.solution.point)
+    (driven,) = evidence.each_record(updated, trained, evidence.each_record(floor, trained))
+    noise = trained.noise.each(lambda own: replace(own, discrepancy=discrepancy, innovation=driven.innovation))
+    return evidence.train(noise, trained.solution.point)
 
 
 def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearReadout) -> NetworkDesign:
@@ -126,6 +125,10 @@ def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearRe
     factor = problem.prior.levels.features * problem.record.duration / network.count
     finer = design.finer(factor) if factor >= WORTHWHILE else None
     return design if finer is None else finer
+
+
+def _with_known_response(noise: NoiseModel, known: Mapping[str, np.ndarray]) -> NoiseModel:
+    return replace(noise, response={q: _known_where(own, known.get(q)) for q, own in noise.response.items()})
 
 
 def _known_where(start: np.ndarray, known: np.ndarray | None) -> np.ndarray:

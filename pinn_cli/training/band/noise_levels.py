@@ -17,11 +17,12 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
-from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN, DiscrepancySearch, Trained
+from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN
 from pinn_cli.training.band.driving import told_below
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.force_residuals import ForceResiduals
-from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseModel, finest_level
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseLevels, NoiseModel, finest_level
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
@@ -55,7 +56,7 @@ LOUDEST = 1.5
 LONGEST_STRIDE = 5.0
 
 
-def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False, rounds: int = ROUNDS) -> Trained:
+def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: int = ROUNDS) -> Trained:
     """Alternate noise levels and solution until neither moves, or until the record gets no more probable.
 
     Args:
@@ -64,7 +65,7 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
         pooled: Whether the sensors of one quantity share one level.
         rounds: At most.
     """
-    if isinstance(evidence, Evidence) and evidence.problem.told is not None:  # spectra have told the levels, too
+    if evidence.problem.told is not None:  # spectra have told the levels, too
         return trained
     floors = evidence.each_record(floor, trained)
     before: list[np.ndarray | None] = [None] * len(floors)
@@ -72,13 +73,12 @@ def settled(evidence: DiscrepancySearch, trained: Trained, pooled: bool = False,
     for _ in range(rounds):
         found = evidence.each_record(updated, trained, floors)
         found = [noise.pooled() for noise in found] if pooled else found
-        levels = trained.noise.by_record
+        levels = trained.noise.records
         change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
         strides = list(map(_stride, before, change))
         moves = zip(levels, strides, floors, strict=True)
-        noise = NoiseModel.of_records(
-            [replace(_moved(*each), taken_up=new.taken_up) for each, new in zip(moves, found, strict=True)]
-        ).with_spread(evidence.learned_spread(trained))
+        each = (replace(_moved(*own), taken_up=new.taken_up) for own, new in zip(moves, found, strict=True))
+        noise = NoiseLevels(tuple(each), evidence.learned_spread(trained))
         moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
         again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR))
         # One that is still on its way is followed as long as it is the more probable one already.
@@ -108,17 +108,17 @@ class Taken:
     physics: np.ndarray
 
 
-def values_taken(evidence: Evidence, trained: Trained) -> Taken:
+def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> Taken:
     """Effective number of parameters, gamma, of every response channel and equation of motion, by draws.
 
     Each draw from the posterior gives all of them at once, and scaled to the length that a draw has on average, they
     add up to what they must; a few draws tell each to some per cent.
     """
-    equations, noise, point = evidence.equations, trained.noise, trained.solution.point
+    equations, noise, point = evidence.equations, solution.noise, solution.point
     physics = equations.weights(noise)["physics"]
     response = {quantity: np.zeros(len(sigma)) for quantity, sigma in noise.response.items()}
     enforced = np.zeros(equations.dynamics.size)
-    draws = trained.drawn(DRAWS, of_mean_length=True)
+    draws = solution.drawn(DRAWS, of_mean_length=True)
     for drawn in draws:
         for part in equations.windows(equations.observation):
             seen = equations.jet(equations.observation, drawn, part)
@@ -139,24 +139,24 @@ def values_taken(evidence: Evidence, trained: Trained) -> Taken:
     return Taken({q: square / noise.response[q] ** 2 for q, square in response.items()}, enforced)
 
 
-def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseModel:
+def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseModel) -> NoiseModel:
     """The noise levels that the residuals ask for, none below its floor; those that repeats tell stay."""
-    equations, noise = evidence.equations, trained.noise
-    taken = values_taken(evidence, trained)
-    force, discrepancy, innovation = _forces(evidence, trained, taken.physics)
+    equations, noise = evidence.equations, solution.noise
+    taken = values_taken(evidence, solution)
+    force, discrepancy, innovation = _forces(evidence, solution, taken.physics)
     discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), least.discrepancy)
     if noise.innovation is not None:
         noise = replace(noise, innovation=_limited(innovation, noise.innovation))
     if equations.problem.record.repeats is not None:
-        return noise.with_discrepancy(discrepancy)
-    squares, samples = equations.squares(trained.solution.point), len(equations.problem.record.time)
+        return replace(noise, discrepancy=discrepancy)
+    squares, samples = equations.squares(solution.point), len(equations.problem.record.time)
     response = dict(noise.response)
     for name, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
         if name == "observer":  # its residual holds the force's noise as well
             continue
         there, square = mask.cpu().numpy(), squares[name].cpu().numpy()
         if name in equations.inputs:
-            square = _left_of_input(evidence, trained, name)
+            square = _left_of_input(evidence, solution, name)
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
         usual, share = _usual_level(evidence, name, noise), np.clip(taken.response[name] / samples, 0.0, 1.0)
         under_forces = bool(equations.problem.inputs.forces)
@@ -166,7 +166,7 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
         response[name] = np.where(there, np.maximum(level, least.response[name]), noise.response[name])
     if GAUGE in response:
         noise = replace(noise, taken_up=taken.response[GAUGE])
-        square = np.array([float(r.square().sum()) for r in equations.gauge_residuals(trained.solution.point)])
+        square = np.array([float(r.square().sum()) for r in equations.gauge_residuals(solution.point)])
         shown = np.array([rows.samples for rows in equations.gauge_rows])
         left = np.maximum(shown - taken.response[GAUGE], FEWEST_LEFT * shown)
         level = _limited(np.sqrt(square / left), noise.response[GAUGE])
@@ -179,10 +179,10 @@ def updated(evidence: Evidence, trained: Trained, least: NoiseModel) -> NoiseMod
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 
-def _left_of_input(evidence: Evidence, trained: Trained, quantity: str) -> np.ndarray:
+def _left_of_input(evidence: RecordEvidence, solution: RecordSolution, quantity: str) -> np.ndarray:
     """(channels,) sum of squares of what the solution leaves of an input's samples."""
     equations = evidence.equations
-    rows, point = equations.inputs[quantity], trained.solution.point
+    rows, point = equations.inputs[quantity], solution.point
     left = rows.target.new_zeros((rows.segments.samples, rows.target.shape[-1]))
     for part in equations.windows(rows.segments):
         states = equations.states(rows.segments, point, part)
@@ -190,7 +190,7 @@ def _left_of_input(evidence: Evidence, trained: Trained, quantity: str) -> np.nd
     return rows.in_band(left).square().sum(0).cpu().numpy() / rows.refinement
 
 
-def _usual_level(evidence: Evidence, quantity: str, noise: NoiseModel) -> np.ndarray:
+def _usual_level(evidence: RecordEvidence, quantity: str, noise: NoiseModel) -> np.ndarray:
     """(n,) noise that each sensor would have if the record left it open; 0 where nothing is known.
 
     What its spectrum shows above its band, or as much as others of its kind. A lone accelerometer beside a load cell,
@@ -211,10 +211,12 @@ def _usual_level(evidence: Evidence, quantity: str, noise: NoiseModel) -> np.nda
     return out
 
 
-def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+def _forces(
+    evidence: RecordEvidence, solution: RecordSolution, taken: np.ndarray
+) -> tuple[np.ndarray, float, np.ndarray]:
     """(functions,) force sensors' noise, the discrepancy, and (functions,) what drives unknown forces."""
-    noise = trained.noise
-    split = evidence.force_residuals(trained.solution.point, noise)
+    noise = solution.noise
+    split = evidence.force_residuals(solution.point, noise)
     left = np.maximum(split.count - taken, FEWEST_LEFT * split.count)
     variance, enforced = noise.physics_variance, split.enforced & ~noise.driven
     misfit = (split.seen / variance)[enforced]
@@ -224,7 +226,7 @@ def _forces(evidence: Evidence, trained: Trained, taken: np.ndarray) -> tuple[np
         discrepancy *= float(np.sqrt((share * misfit).sum() / (share * left[enforced]).sum()))
     squares, values = _of_force_sensors(noise, split, left)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, trained, split.seen, left)
+        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, solution, split.seen, left)
 
 
 def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -242,16 +244,16 @@ def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray
     return own * split.seen / variance + beyond, own * left + split.beyond
 
 
-def force_noise_told(evidence: Evidence, trained: Trained) -> tuple[float, float]:
+def force_noise_told(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float]:
     """Squares over variance of all force sensors of one record, repeats included, and how many values they are.
 
     The most probable noise is that of the solution times the root of their ratio, with a relative standard deviation of
     1 / sqrt(2 values) (MacKay 1992). A sensor at its floor stays there.
     """
-    noise, record, least = trained.noise, evidence.equations.problem.record, floor(evidence, trained)
+    noise, record, least = solution.noise, evidence.equations.problem.record, floor(evidence, solution)
     there = np.flatnonzero(noise.force_variance > 0.0)
-    split = evidence.force_residuals(trained.solution.point, noise)
-    left = split.count - values_taken(evidence, trained).physics
+    split = evidence.force_residuals(solution.point, noise)
+    left = split.count - values_taken(evidence, solution).physics
     squares, values = _of_force_sensors(noise, split, np.maximum(left, FEWEST_LEFT * split.count))
     squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[there]
     told = float(squares.sum()), float(values[there].sum())
@@ -261,7 +263,7 @@ def force_noise_told(evidence: Evidence, trained: Trained) -> tuple[float, float
     return told[0] + float(scatter.sum()), told[1] + record.repeats.freedom * there.size
 
 
-def _driving(evidence: Evidence, trained: Trained, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
+def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
     """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
 
     Alike for all unknown forces: few sensors tell them apart.
@@ -271,16 +273,16 @@ def _driving(evidence: Evidence, trained: Trained, seen: np.ndarray, left: np.nd
     for i in range(dynamics.smooth.start, dynamics.smooth.stop):
         level[i] = np.sqrt(seen[i] / left[i])
         if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
-            told = told_below(evidence, trained, slice(i, i + 1), nyquist)
+            told = told_below(evidence, solution, slice(i, i + 1), nyquist)
             level[i] = level[i] if told is None or told.level is None else told.level
     if dynamics.inputs.forces:
         level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / left[dynamics.forces].sum())
     return level
 
 
-def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
+def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     """The least levels that are looked for."""
-    record, noise = evidence.equations.problem.record, trained.noise
+    record, noise = evidence.equations.problem.record, solution.noise
     finest = {
         q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in noise.response if q != GAUGE
     }
@@ -290,7 +292,7 @@ def floor(evidence: Evidence, trained: Trained) -> NoiseModel:
     if np.isfinite(noise.force).any():
         of_force[: record.ndof] = FINEST_SENSOR * np.sqrt(np.mean(record.force**2, axis=0))
     force = float(np.nanmax(of_force)) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
-    of_noise = FINEST_OF_NOISE * replace(noise, further=()).least_of_inputs
+    of_noise = FINEST_OF_NOISE * noise.least_of_inputs
     discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), of_noise)
     response = {q: np.fmin(finest[q], level) for q, level in noise.response.items()}
     # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load

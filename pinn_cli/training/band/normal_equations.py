@@ -26,7 +26,6 @@ from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.filter_rows import FilterRows
 from pinn_cli.training.band.front_tree import FrontTree
 from pinn_cli.training.band.initial_motion import states_known
-from pinn_cli.training.band.known_border import KnownBorderSystem
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.residuals import Residuals
 from pinn_cli.training.band.ridge import ridge_loss, ridge_of
@@ -44,8 +43,6 @@ class NormalEquations(Residuals):
         pull: (p,), a constant force on the parameters, see :mod:`pinn_cli.training.band.marginal_peak`; None: there is
             none.
     """
-
-    keeps_factors = True
 
     def __init__(
         self,
@@ -114,12 +111,17 @@ class NormalEquations(Residuals):
             out["continuity"] = torch.full_like(like[0], 1.0 / noise.continuity**2)
         return out
 
-    def losses(self, point: Point, noise: NoiseModel) -> dict[str, float]:
+    def losses(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> dict[str, float]:
         """Weighted sum of squares of every residual, of the parameters' prior and of the ridge.
 
         And ``gain``: what is most probable together with one motion is a gain that is too large, since smaller motions
         are more probable by their prior. Over all motions the density of a gain has a factor gain^-taken, with the
         values of its sensor that the motion has taken up (the determinant of the motion's Hessian).
+
+        Args:
+            point: Where.
+            noise: The weights.
+            prior: (p, p), precision of what is believed of the parameters; None: nothing is.
         """
         weights = self.weights(noise)
         out = {name: float((weights[name] * square).sum()) for name, square in self.squares(point).items()}
@@ -131,7 +133,8 @@ class NormalEquations(Residuals):
             parameters = self.parameters(point)
             left = ((f.weight, f.residual(point.unknowns, parameters)) for f in self.filter_rows)
             out["filter"] = float(sum(weight * residual.square().sum() for weight, residual in left))
-        out["prior"] = float((point.parameters * self.prior_force(point.parameters, noise)).sum())
+        if prior is not None:
+            out["prior"] = float((point.parameters * (torch.as_tensor(prior).to(self.scale) @ point.parameters)).sum())
         if self.pull is not None:
             out["marginal"] = -2.0 * float(self.pull @ point.parameters.cpu().numpy())
         if self.states_known:
@@ -157,14 +160,14 @@ class NormalEquations(Residuals):
             if "gain" in rows.places
         )
 
-    def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
-        """Normal matrix and gradient at a point."""
+    def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:
+        """Normal matrix and gradient at a point; arguments as of :meth:`losses`."""
         weights, sums = self.weights(noise), self._sums()
         for part, residuals in self.in_windows(point):
             for name, residual in residuals.items():
                 self._add(sums, name, residual, weights[name], point, part)
         self._add_gauges(sums, point, noise)
-        return self._system(sums, point, noise)
+        return self._system(sums, point, prior)
 
     def _add(self, sums: RowSums, name: str, residual: Tensor, weight: Tensor, point: Point, part: slice) -> None:
         """Add the rows of one residual in some groups; the weight is (n,), or (I, S, n) of all groups."""
@@ -209,38 +212,23 @@ class NormalEquations(Residuals):
             return kind(self.network.channels, features, self.physics.count, self.pattern)
         return DofMajorSums(self.layout, features, self.pattern, self.target.force)
 
-    def precision(self, noise: NoiseModel) -> Tensor:
-        """(p,), prior precision of the uncertain parameters, in their units: believed ones share one spread."""
-        return torch.where(self.unknown, 1.0, noise.spread**-2)
-
-    def prior_precision(self, noise: NoiseModel) -> Tensor:
-        """(p, p), of all uncertain parameters together."""
-        alone, joint = self.precision(noise), self._joint_precision
-        if joint is None:
-            return torch.diag(alone)
-        return torch.as_tensor(joint).to(self.scale) * torch.outer(alone, alone).sqrt()
-
     @property
-    def _joint_precision(self) -> np.ndarray | None:
-        """(p, p), of what earlier records say; None where there are none."""
+    def joint_precision(self) -> np.ndarray | None:
+        """(p, p), of what earlier records say of the parameters together, in their units; None where there are none."""
         if self.beginning is not None:
             return self.beginning.precision
         return None if self.problem.prior is None else self.problem.prior.precision
 
-    def prior_force(self, parameters: Tensor, noise: NoiseModel) -> Tensor:
-        """(p,), the prior's precision times parameters (p,): what pulls them back."""
-        if self._joint_precision is None:
-            return self.precision(noise) * parameters
-        return self.prior_precision(noise) @ parameters
-
-    def _system(self, sums: RowSums, point: Point, noise: NoiseModel) -> BorderedSystem:
+    def _system(self, sums: RowSums, point: Point, prior: np.ndarray | None) -> BorderedSystem:
         pick, band = self.vector.column, sums.band
         if self.ridge is None:
             self.ridge = ridge_of(band.main, self.dynamics, self.layout)
         band.main[:] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
-        corner = sums.corner[np.ix_(pick, pick)] + self.prior_precision(noise).cpu().numpy()
-        slope = sums.slope[pick] + self.prior_force(point.parameters, noise).cpu().numpy()
+        corner, slope = sums.corner[np.ix_(pick, pick)], sums.slope[pick]
+        if prior is not None:
+            corner = corner + prior
+            slope = slope + (torch.as_tensor(prior).to(self.scale) @ point.parameters).cpu().numpy()
         slope = slope if self.pull is None else slope - self.pull
         # Fronts have a border's entries one by one; within a band it is dense as soon as it is half solved.
         by_fronts = self.layout.dissection is not None
@@ -252,8 +240,7 @@ class NormalEquations(Residuals):
                 rows.add_numbers(corner, slope, *at)
                 of_state = rows.border(len(slope))
                 border = border + (of_state if by_fronts else of_state.toarray())
-        system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
-        return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)
+        return BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
 
     def _order_of_elimination(self, border: csr_matrix) -> FrontTree | None:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from pinn_cli.record.record import Record
 from pinn_cli.system.functions import Jet
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.equations import JointEquations
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.least_squares import LeastSquares
 from pinn_cli.training.band.noise_levels import force_noise_told
-from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
 from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, S_REACH, MarginalLikelihood
+from pinn_cli.training.noise_model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +36,14 @@ class ParameterLikelihoods:
     force_by_parameter: np.ndarray
 
 
-def parameter_likelihoods(evidence: Evidence | JointEvidence, trained: Trained) -> ParameterLikelihoods:
+def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLikelihoods:
     """Both likelihoods of the unknown parameters about a trained network, or about those of several records.
 
     What they say about the force is that of the first record.
     """
     equations = evidence.equations
     marginal = marginal_likelihood(evidence, trained)
-    point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
+    point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
     force, own = evidence.each_record(force_of_motion, trained)[0]
     slope = np.zeros((*own.shape[:2], len(scale)))
     slope[..., equations.columns[0]] = own
@@ -53,17 +51,17 @@ def parameter_likelihoods(evidence: Evidence | JointEvidence, trained: Trained) 
     return ParameterLikelihoods(marginal, conditional_likelihood(evidence, trained), moved, slope)
 
 
-def force_of_motion(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def force_of_motion(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
     """(N, n) force that the most probable motion of one record takes, and (N, n, p) its change with the parameters."""
     equations = evidence.equations
-    posterior = ReadoutPosterior(equations, trained.solution.point, trained.factor)
+    posterior = ReadoutPosterior(equations, solution.point, solution.factor)
     slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
-    states = equations.flat_states(equations.forces, trained.solution.point)
-    force = equations.dynamics.external_force(Jet(*states[:3]), equations.parameters(trained.solution.point))
+    states = equations.flat_states(equations.forces, solution.point)
+    force = equations.dynamics.external_force(Jet(*states[:3]), equations.parameters(solution.point))
     return force.cpu().numpy(), slope
 
 
-def marginal_likelihood(evidence: Evidence | JointEvidence, trained: Trained) -> MarginalLikelihood:
+def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelihood:
     """The marginal likelihood, tabulated over the scale of the force noise; each point is a solution of its own.
 
     The noise of the force sensors of all records has one scale; its standard deviations are those of the first. Its
@@ -71,13 +69,14 @@ def marginal_likelihood(evidence: Evidence | JointEvidence, trained: Trained) ->
     """
     record = evidence.records[0].problem.record
     names = tuple(p.name for p in evidence.equations.uncertain)
-    sigma = trained.noise.force[: record.ndof] * np.sqrt(_repeats(record))
+    sigma = trained.noise.records[0].force[: record.ndof] * np.sqrt(_repeats(record))
     squares, values = np.sum(evidence.each_record(force_noise_told, trained), axis=0)
     s_mean, s_std = (0.5 * np.log(squares / values), 1.0 / np.sqrt(2.0 * values)) if values > 0.0 else (0.0, 1.0)
     reach = min(S_RANGE * s_std, S_REACH) if values > 0.0 else 0.0
     rows = []
     for s in np.linspace(-reach, reach, S_POINTS if reach else 1):
-        found = evidence.train(trained.noise.with_force_scale(float(np.exp(s))), trained.solution.point) or trained
+        louder = trained.noise.each(NoiseModel.with_force_scale, float(np.exp(s)))
+        found = evidence.train(louder, trained.solution.point) or trained
         # With the parameters integrated out again, s is the Gaussian.
         level = 0.5 * (found.factor.parameter_log_determinant - trained.factor.parameter_log_determinant)
         rows.append((s, level, *_without_prior(evidence.equations, found)))
@@ -89,14 +88,13 @@ def _repeats(record: Record) -> int:
     return 1 if record.repeats is None else record.repeats.count
 
 
-def _without_prior(equations: NormalEquations | JointEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def _without_prior(equations: LeastSquares, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
     """Peak (p,) and precision (p, p) of the likelihood alone, in the parameters' units.
 
     Gauss-Newton worked under wide Gaussians, which the sampler replaces by the user's priors.
     """
-    system: Any = equations.assemble(trained.solution.point, trained.noise)
-    _, step = trained.factor.step(system)
-    prior = np.diag(equations.precision(trained.noise).cpu().numpy())
+    _, step = trained.factor.step(equations.assemble(trained.solution.point, trained.noise))
+    prior = np.diag(equations.precision(trained.noise).numpy())
     posterior = np.linalg.inv(trained.factor.corner_covariance)
     values, vectors = np.linalg.eigh(posterior - prior)
     # What the record does not determine at all must not come out negative by rounding.
@@ -104,17 +102,17 @@ def _without_prior(equations: NormalEquations | JointEquations, trained: Trained
     precision = (vectors * values) @ vectors.T
     moved = trained.solution.point.parameters.cpu().numpy() + step
     peak = np.linalg.solve(precision, posterior @ moved)
-    scale = equations.scale.cpu().numpy()
+    scale = equations.scale
     return _physical(equations, peak), precision / np.outer(scale, scale)
 
 
-def _physical(equations: NormalEquations | JointEquations, x: np.ndarray) -> np.ndarray:
+def _physical(equations: LeastSquares, x: np.ndarray) -> np.ndarray:
     """(p,) parameters in their own units."""
     start = np.array([p.prescribed for p in equations.uncertain])
-    return start + equations.scale.cpu().numpy() * x
+    return start + equations.scale * x
 
 
-def conditional_likelihood(evidence: Evidence | JointEvidence, trained: Trained) -> ConditionalLikelihood:
+def conditional_likelihood(evidence: Evidence, trained: Trained) -> ConditionalLikelihood:
     """The conditional likelihood at the most probable motion, of every DOF whose equation of motion is enforced."""
     equations = evidence.equations
     p = len(equations.uncertain)
@@ -149,9 +147,9 @@ class ForceRegression:
     count: int
 
 
-def force_regression(evidence: Evidence, trained: Trained) -> ForceRegression:
+def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> ForceRegression:
     """Of one record."""
-    equations, record, point = evidence.equations, evidence.problem.record, trained.solution.point
+    equations, record, point = evidence.equations, evidence.problem.record, solution.point
     at_samples = slice(None, None, equations.refinement)
     residual = equations.physics.scatter(equations.force_residual(point))[at_samples]
     rows = equations.rows(equations.forces, point)

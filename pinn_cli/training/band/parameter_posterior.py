@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from pinn_cli.model.knowledge import ParameterKnowledge
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
-from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.equations import JointEquations
-from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.system.quantities import INITIAL_STATE
+from pinn_cli.training.band.evidence import Trained
+from pinn_cli.training.band.least_squares import LeastSquares
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import ParameterEstimate
 
@@ -25,7 +23,7 @@ LARGEST_RATIO = 1e100
 
 
 def parameter_posterior(
-    equations: NormalEquations | JointEquations,
+    equations: LeastSquares,
     trained: Trained,
     told: tuple[np.ndarray, np.ndarray],
     covariance: np.ndarray | None = None,
@@ -43,11 +41,12 @@ def parameter_posterior(
         told: Both (p,), see :func:`coherent_misfit`.
         covariance: (p, p), of that Gaussian; None: by the Hessian.
     """
-    mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
+    mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
     peak = mode + _newton_step(equations, trained)
     covariance = trained.factor.corner_covariance if covariance is None else covariance
-    uncertain, lower = _parameters(equations), equations.lower
-    own = slice(len(uncertain))  # what follows is about these alone: a first state is integrated out
+    # What follows is about parameters alone: a first state is integrated out.
+    uncertain, lower = [p for p in equations.uncertain if p.kind != INITIAL_STATE], equations.lower
+    own = slice(len(uncertain))
     mode, scale, peak, covariance, lower = mode[own], scale[own], peak[own], covariance[own, own], lower[own]
     known = ParameterKnowledge(
         np.array([p.prescribed for p in uncertain]) + scale * peak,
@@ -55,12 +54,12 @@ def parameter_posterior(
         told[0][own] / scale,
         told[1][own] / scale**2,
         scale,
-        np.where(equations.unknown.cpu().numpy(), np.nan, [p.prescribed for p in equations.uncertain]),
+        np.where(equations.unknown, np.nan, [p.prescribed for p in equations.uncertain]),
         trained.noise.spread,
     )
-    prior = None if isinstance(equations, JointEquations) else equations.problem.prior
+    prior = equations.each[0].problem.prior
     if prior is not None:
-        then = trained.noise.earlier_misfit
+        then = trained.noise.records[0].earlier_misfit
         known = replace(
             known,
             told=known.told + then * prior.told,
@@ -104,40 +103,31 @@ def coherent_misfit(
     return weighed, weights
 
 
-def parameter_force(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, int]:
+def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, int]:
     """(p,) rms force of one prior standard deviation of every parameter over that of the misfit; how many values tell.
 
     Args:
         evidence: Of one record.
-        trained: Its solution.
+        solution: Its solution.
     """
     equations = evidence.equations
     if not equations.vector.kinds:
         return np.zeros(0), 0
     segments, total = equations.physics, np.zeros(equations.vector.places)
     for part in equations.windows(segments):
-        per_std = equations.own_by_parameter(segments, trained.solution.point, part)
+        per_std = equations.own_by_parameter(segments, solution.point, part)
         total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
     force = np.sqrt(total / segments.samples)[equations.vector.column]
     # What spectra have told holds what the model leaves out already.
     told = equations.problem.told is not None
-    misfit = 0.0 if told else trained.noise.misfit(equations.network.count, len(equations.problem.record.time))
+    misfit = 0.0 if told else solution.noise.misfit(equations.network.count, len(equations.problem.record.time))
     return force / max(misfit, LEAST_MISFIT), equations.network.count
 
 
-def _parameters(equations: NormalEquations | JointEquations) -> Sequence[Parameter]:
-    """The uncertain numbers that are parameters."""
-    if isinstance(equations, JointEquations) or equations.beginning is None:
-        return equations.uncertain
-    return equations.uncertain[: equations.beginning.parameters]
-
-
-def _newton_step(equations: NormalEquations | JointEquations, trained: Trained) -> np.ndarray:
+def _newton_step(equations: LeastSquares, trained: Trained) -> np.ndarray:
     """(p,) from the solution to the peak that the Gaussian would have without bounds; zero where none is active."""
     point = trained.solution.point.parameters.cpu().numpy()
     held = point <= equations.lower
     if not held.any():
         return np.zeros(len(point))
-    system: Any = equations.assemble(trained.solution.point, trained.noise)
-    _, step = trained.factor.step(system)
-    return step
+    return trained.factor.step(equations.assemble(trained.solution.point, trained.noise))[1]

@@ -18,14 +18,14 @@ from pinn_cli.training.band.discrepancy_search import (
     FINEST_OF_NOISE,
     SCAN_FACTOR,
     SUSPICIOUS_DISCREPANCY,
-    Trained,
+    scanned,
 )
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.levenberg_marquardt import followed
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.residuals import collocation_refinement
 from pinn_cli.training.band.ridge import carried_ridge
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels
 
 # Samples of a part, at least; a share of the record, at least. Levels of 20 000 samples are right to half a percent.
 FEWEST_SAMPLES, SHARE = 20_000, 1 / 16
@@ -86,7 +86,7 @@ def is_trustworthy(part: Trained, force: float) -> bool:
 
 
 def whole_from(
-    part: Trained, of_part: Evidence, largest: float, evidence: Evidence, noise: NoiseModel
+    part: Trained, of_part: Evidence, largest: float, evidence: Evidence, noise: NoiseLevels
 ) -> Trained | None:
     """The most probable discrepancy of the whole record, looked for where its part has it; None where it is not there.
 
@@ -99,15 +99,15 @@ def whole_from(
         evidence: Of the whole.
         noise: Where a search of the whole would begin.
     """
-    equations, before = evidence.equations, of_part.equations
-    equations.ridge = carried_ridge(before.ridge, before.layout, equations.layout)
-    noise, largest_of_whole = noise.with_spread(part.noise.spread), noise.discrepancy
+    equations, own, before = evidence.equations, evidence.equations.each[0], of_part.equations.each[0]
+    own.ridge = carried_ridge(before.ridge, before.layout, own.layout)
+    noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
     steps = min(_steps(largest, part.noise.discrepancy), _steps_to_indifference(noise))
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
     point = followed(equations, point, begin)
-    found = evidence.scan(noise, begin.discrepancy, point, refined=False)
+    found = scanned(evidence, noise, begin.discrepancy, point, refined=False)
     return found if found.solution.converged and _are_near(begin, found.noise) else None
 
 
@@ -116,12 +116,12 @@ def _steps(largest: float, discrepancy: float) -> int:
     return round(float(np.log(largest / discrepancy) / np.log(SCAN_FACTOR)))
 
 
-def _steps_to_indifference(noise: NoiseModel) -> int:
+def _steps_to_indifference(noise: NoiseLevels) -> int:
     """Of a scan to the first discrepancy that makes no motion better known: how far beyond it goes is chance."""
     least = FINEST_OF_NOISE * noise.least_of_inputs
     return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_STEPS
 
 
-def _are_near(begin: NoiseModel, found: NoiseModel) -> bool:
+def _are_near(begin: NoiseLevels, found: NoiseLevels) -> bool:
     """Whether the discrepancy was found near the place where it was looked for first."""
     return found.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR + 0.5)

@@ -17,25 +17,24 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.acting_force import acting_force, sensor_share
+from pinn_cli.training.band.agreement import disagreements
 from pinn_cli.training.band.connection_forces import connection_forces
-from pinn_cli.training.band.discrepancy_search import Trained
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
 from pinn_cli.training.band.doubts import doubts
 from pinn_cli.training.band.end_state import end_state
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.agreement import disagreements
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.misfit_history import misfit_history
 from pinn_cli.training.band.model_evidence import model_log_evidence
 from pinn_cli.training.band.noise_levels import values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
 from pinn_cli.training.history import History
 
 
-def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, history: History) -> Estimate:
+def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
     """Means, standard deviations, parameters and summary of trained networks, one for every record."""
     told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
     found = {
@@ -43,7 +42,7 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
         "factorisations": history.factorisations,
         "stop_reason": "converged" if trained.solution.converged else "iteration limit",
         "log_evidence": trained.log_evidence,
-        **({"model_log_evidence": model_log_evidence(evidence, trained)} if evidence.unknown.any() else {}),
+        **({"model_log_evidence": model_log_evidence(evidence, trained)} if evidence.equations.unknown.any() else {}),
         "parameter_spread": trained.noise.spread,
     }
     table = history.table()
@@ -52,13 +51,13 @@ def posterior_estimate(evidence: Evidence | JointEvidence, trained: Trained, his
         for own in evidence.each_record(record_estimate, trained)
     ]
     estimate = with_parameters(evidence, each, parameter_posterior(evidence.equations, trained, told))
-    if isinstance(evidence, JointEvidence):
+    if len(each) > 1:
         return replace(estimate, disagreements=disagreements(evidence, trained))
-    return replace(estimate, end=end_state(evidence.equations, trained))
+    return replace(estimate, end=evidence.each_record(end_state, trained)[0])
 
 
 def with_parameters(
-    evidence: Evidence | JointEvidence,
+    evidence: Evidence,
     each: Sequence[Estimate],
     posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
 ) -> Estimate:
@@ -68,8 +67,6 @@ def with_parameters(
         replace(own, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
         for own, problem, columns in zip(each, evidence.problem.by_record, evidence.equations.columns, strict=True)
     )
-    if not isinstance(evidence, JointEvidence):
-        return replace(first, known=known)
     every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
     return replace(first, further=tuple(further), known=known, **every)
 
@@ -83,48 +80,48 @@ def _own_parameters(
     return {"parameters": parameters, "correlation": correlation[np.ix_(columns, columns)]}
 
 
-def record_estimate(evidence: Evidence, trained: Trained) -> Estimate:
+def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estimate:
     """Motion, forces, and the noise of one record; without the parameters, which other records may have in common."""
-    equations, point = evidence.equations, trained.solution.point
-    posterior = ReadoutPosterior(equations, point, trained.factor)
+    equations, point = evidence.equations, solution.point
+    posterior = ReadoutPosterior(equations, point, solution.factor)
     motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
     response = estimated_response(equations.problem.record, equations.dynamics, equations.parameters(point), *motion)
     std = _deviations(posterior, response)
-    response, std = _share_force(evidence, trained, response, std)
+    response, std = _share_force(evidence, solution, response, std)
     summary = {
         "features_per_dof": equations.network.count,
-        "operations_per_factorisation": trained.factor.readout.operations,
-        "effective_parameters": _effective_parameters(evidence, trained),
-        "sigma_discrepancy": trained.noise.discrepancy / equations.refinement**0.5,
-        "sigma_force": _listed(trained.noise.force[: equations.problem.record.ndof]),
-        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in _noise_felt(equations, trained).items()},
+        "operations_per_factorisation": solution.factor.readout.operations,
+        "effective_parameters": _effective_parameters(evidence, solution),
+        "sigma_discrepancy": solution.noise.discrepancy / equations.refinement**0.5,
+        "sigma_force": _listed(solution.noise.force[: equations.problem.record.ndof]),
+        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in _noise_felt(equations, solution).items()},
     }
-    summary |= _of_unknown_forces(equations, trained)
+    summary |= _of_unknown_forces(equations, solution)
     if equations.known is not None:
         summary["spectral_misfit"] = equations.known.misfit
-    connections, misfit = _connections(posterior, response), misfit_history(evidence, trained)
-    lacking = doubts(evidence, trained, std)
+    connections, misfit = _connections(posterior, response), misfit_history(evidence, solution)
+    lacking = doubts(evidence, solution, std)
     return Estimate(response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit, doubts=lacking)
 
 
-def _noise_felt(equations: NormalEquations, trained: Trained) -> dict[str, np.ndarray]:
+def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[str, np.ndarray]:
     """Quantity to the noise of its sensors; of a gauge over its gain, and as it shows it under a name of their own."""
-    levels = {quantity: sigma.copy() for quantity, sigma in trained.noise.response.items()}
+    levels = {quantity: sigma.copy() for quantity, sigma in solution.noise.response.items()}
     if GAUGE not in levels:
         return levels
-    gain = equations.parameters(trained.solution.point)["gain"].cpu().numpy()
+    gain = equations.parameters(solution.point)["gain"].cpu().numpy()
     for gauge, sigma, factor in zip(equations.problem.record.gauges, levels[GAUGE], gain, strict=True):
         if gauge.dof is not None:
             levels[gauge.quantity][gauge.dof] = sigma / abs(factor)
     return levels
 
 
-def _of_unknown_forces(equations: NormalEquations, trained: Trained) -> dict[str, float]:
+def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> dict[str, float]:
     """Correlation time (s) and standard deviation (N) of forces that nobody measured, where there are any.
 
     A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
     """
-    inputs, driving = equations.problem.inputs, trained.noise.innovation
+    inputs, driving = equations.problem.inputs, solution.noise.innovation
     if not inputs.forces or driving is None:
         return {}
     step = equations.problem.record.step / equations.refinement
@@ -180,9 +177,11 @@ def _of_supports(posterior: ReadoutPosterior) -> np.ndarray:
     return np.stack([std[:, dynamics.supports].numpy() for std in moved], axis=1)
 
 
-def _share_force(evidence: Evidence, trained: Trained, response: Response, std: Response) -> tuple[Response, Response]:
+def _share_force(
+    evidence: RecordEvidence, solution: RecordSolution, response: Response, std: Response
+) -> tuple[Response, Response]:
     """The force that acts, with its standard deviation."""
-    equations, noise = evidence.equations, trained.noise
+    equations, noise = evidence.equations, solution.noise
     forced = equations.problem.record.sensors("force")
     if not forced.any() or equations.dynamics.inputs.loads:
         return response, std
@@ -196,10 +195,10 @@ def _share_force(evidence: Evidence, trained: Trained, response: Response, std: 
     return acting_force(response, filtered, noise), replace(std, force=force_std)
 
 
-def _effective_parameters(evidence: Evidence, trained: Trained) -> dict[str, list[float | None]]:
+def _effective_parameters(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, list[float | None]]:
     """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
     record = evidence.equations.problem.record
-    taken = values_taken(evidence, trained).response
+    taken = values_taken(evidence, solution).response
     sensors = {
         quantity: record.sensors(quantity) & ~record.gauged(quantity)
         for quantity in evidence.equations.dynamics.observed

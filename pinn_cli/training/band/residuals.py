@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -30,7 +29,7 @@ from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_b
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.input_rows import InputRows
 from pinn_cli.training.band.layout import BandLayout
-from pinn_cli.training.band.point import Bounded, Point
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
@@ -58,7 +57,7 @@ def collocation_refinement(network: LinearReadout, record: Record) -> int:
     return max(1, math.ceil(POINTS_PER_INTERVAL * record.step / network.spacing - 1e-6))
 
 
-class Residuals(Bounded):
+class Residuals:
     """What a network, a structure and a record have to do with each other at a point.
 
     Residuals and states are grouped as the network's segments are, (I, S, n), and 0 at padding.
@@ -129,7 +128,6 @@ class Residuals(Bounded):
         self.uncertain = self.problem.uncertain if self.beginning is None else self.beginning.uncertain
         self.vector = ParameterVector(self.prescribed, self.uncertain)
         self.scale = torch.as_tensor(self.vector.each("prior_std"), dtype=like.dtype, device=like.device)
-        self.columns = [np.arange(len(self.uncertain))]
         # What is believed of a sensor, or of a first state, has nothing to do with how well the structure is known.
         alone = [p.unknown or p.kind in OUTSIDE_THE_EQUATIONS for p in self.uncertain]
         self.unknown = torch.as_tensor(alone, dtype=torch.bool, device=like.device)

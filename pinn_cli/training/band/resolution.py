@@ -8,10 +8,9 @@ import torch
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.spectrum import periodogram, record_band
 from pinn_cli.system.parameters import FACTOR
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 
 # The error of a spline's accelerations falls with this power of the knots.
@@ -29,7 +28,7 @@ DRAWS = 4
 LARGEST_FACTOR = 2.0
 
 
-def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
+def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
     """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2.
 
     Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
@@ -39,7 +38,7 @@ def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
     network = equations.network
     if not isinstance(network, SplineNetwork):
         return np.zeros(equations.problem.record.ndof)
-    motion = equations.flat_states(equations.physics, trained.solution.point).acceleration.cpu().numpy()
+    motion = equations.flat_states(equations.physics, solution.point).acceleration.cpu().numpy()
     motion = motion[:, : equations.dynamics.ndof]
     shapes = equations.dynamics.structure.shapes
     motion = motion if shapes is None else shapes.of_dofs(motion)
@@ -53,27 +52,27 @@ def acceleration_error(evidence: Evidence, trained: Trained) -> np.ndarray:
     return np.array(errors)
 
 
-def knots_wanted(evidence: Evidence, trained: Trained) -> float:
+def knots_wanted(evidence: RecordEvidence, solution: RecordSolution) -> float:
     """How many times the knots make the spline's error small against all that the record tells; at least 1."""
     if evidence.equations.averages is None:
         return 1.0
-    error = acceleration_error(evidence, trained)
+    error = acceleration_error(evidence, solution)
     wanted = max(
-        _for_the_sensors(evidence, trained, error),
-        _for_the_motion(evidence, trained, error),
-        _for_the_parameters(evidence, trained),
+        _for_the_sensors(evidence, solution, error),
+        _for_the_motion(evidence, solution, error),
+        _for_the_parameters(evidence, solution),
     )
     return float(np.clip(wanted, 1.0, LARGEST_FACTOR))
 
 
-def _for_the_motion(evidence: Evidence, trained: Trained, error: np.ndarray) -> float:
+def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: np.ndarray) -> float:
     """So many times the knots make the spline's error (dofs,) small against the deviation of every acceleration.
 
     Poor sensors of a structure that is known leave a motion that is known far better than they measure it.
     """
     equations = evidence.equations
     segments, square = equations.observation, np.zeros(len(error))
-    for drawn in trained.drawn(DRAWS, of_mean_length=True):
+    for drawn in solution.drawn(DRAWS, of_mean_length=True):
         for part in equations.windows(segments):
             values = equations.dynamics.sensed("acceleration", equations.jet(segments, drawn, part))
             square += values.square().sum((0, 1)).cpu().numpy() / DRAWS
@@ -83,7 +82,7 @@ def _for_the_motion(evidence: Evidence, trained: Trained, error: np.ndarray) -> 
     return float((worst / (TOLERATED if is_linear else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
 
 
-def _for_the_sensors(evidence: Evidence, trained: Trained, error: np.ndarray) -> float:
+def _for_the_sensors(evidence: RecordEvidence, solution: RecordSolution, error: np.ndarray) -> float:
     """So many times the knots make the spline's error (dofs,) small against every sensor's noise.
 
     An error of the accelerations is one of velocities and displacements at the record's highest frequencies.
@@ -92,16 +91,16 @@ def _for_the_sensors(evidence: Evidence, trained: Trained, error: np.ndarray) ->
     omega = 2.0 * np.pi * record_band(record)
     worst = 0.0
     for order, quantity in enumerate(("acceleration", "velocity", "displacement")):
-        ratio = error / omega**order / trained.noise.response[quantity]
+        ratio = error / omega**order / solution.noise.response[quantity]
         worst = max(worst, float(np.nanmax(ratio, initial=0.0)))
     return float((worst / TOLERATED) ** (1.0 / ORDER))
 
 
-def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
+def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> float:
     """So many times the knots make the error of the dynamic stiffness small against what is known of every spring."""
     equations = evidence.equations
-    parameters = equations.parameters(trained.solution.point)
-    std = np.sqrt(np.diag(trained.factor.corner_covariance)) * equations.scale.cpu().numpy()
+    parameters = equations.parameters(solution.point)
+    std = np.sqrt(np.diag(solution.factor.corner_covariance)) * equations.scale.cpu().numpy()
     known = [
         s / float(parameters[p.kind][p.index])
         for s, p in zip(std, equations.uncertain, strict=True)
@@ -111,13 +110,13 @@ def _for_the_parameters(evidence: Evidence, trained: Trained) -> float:
         return 1.0
     network = equations.network
     assert isinstance(network, SplineNetwork)
-    wanted = _highest_resonance(equations, trained) * (1.0 + (TOLERATED * min(known)) ** (-1.0 / network.degree))
+    wanted = _highest_resonance(equations, solution) * (1.0 + (TOLERATED * min(known)) ** (-1.0 / network.degree))
     return wanted * network.spacing
 
 
-def _highest_resonance(equations: NormalEquations, trained: Trained) -> float:
+def _highest_resonance(equations: NormalEquations, solution: RecordSolution) -> float:
     """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
-    parameters, point = equations.parameters(trained.solution.point), trained.solution.point
+    parameters, point = equations.parameters(solution.point), solution.point
     structure = equations.dynamics.structure
     stretch = structure.incidence.matrix.toarray()
     stiffness = equations.mean_tangent(equations.observation, point)[0][: len(stretch)].cpu().numpy()

@@ -19,9 +19,7 @@ from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
 from pinn_cli.system.twins import Seen, twins
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.levenberg_marquardt import followed
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.estimate import Rival
@@ -44,7 +42,7 @@ class Choice:
     rivals: tuple[Rival, ...] = ()
 
 
-def weighed(evidence: Evidence | JointEvidence, trained: Trained, settle: Callable[[Trained], Trained]) -> Choice:
+def weighed(evidence: Evidence, trained: Trained, settle: Callable[[Trained], Trained]) -> Choice:
     """The solution that lies nearest to the start among those that are as probable as any.
 
     Args:
@@ -67,7 +65,7 @@ def weighed(evidence: Evidence | JointEvidence, trained: Trained, settle: Callab
     return Choice(first, tuple(rivals))
 
 
-def _others(evidence: Evidence | JointEvidence, trained: Trained) -> list[dict[Parameter, float]]:
+def _others(evidence: Evidence, trained: Trained) -> list[dict[Parameter, float]]:
     """Values of the unknown parameters of structures that do the same."""
     problem, values = evidence.problem, _values(evidence, trained)
     unknown = [p for p in values if p.unknown and p.kind in (MASS, "k")]
@@ -119,12 +117,11 @@ def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     return Seen(np.reshape(sensing, shape), pushed, of_mass, low, high, carried)
 
 
-def _solved(evidence: Evidence | JointEvidence, trained: Trained, values: dict[Parameter, float]) -> Trained | None:
+def _solved(evidence: Evidence, trained: Trained, values: dict[Parameter, float]) -> Trained | None:
     """The solution next to these values, under the same noise; None where there is none."""
-    equations, point = evidence.least_squares, trained.solution.point
-    uncertain, scale = evidence.equations.uncertain, evidence.equations.scale
-    moved = point.parameters.clone()
-    for i, p in enumerate(uncertain):
+    equations, point = evidence.equations, trained.solution.point
+    scale, moved = equations.scale, point.parameters.clone()
+    for i, p in enumerate(equations.uncertain):
         if p in values:
             moved[i] = (values[p] - p.prescribed) / scale[i]
     try:
@@ -134,28 +131,27 @@ def _solved(evidence: Evidence | JointEvidence, trained: Trained, values: dict[P
     return again if again is not None and again.solution.converged else None
 
 
-def _values(evidence: Evidence | JointEvidence, trained: Trained) -> dict[Parameter, float]:
-    scaled = (trained.solution.point.parameters * evidence.equations.scale).cpu().numpy()
+def _values(evidence: Evidence, trained: Trained) -> dict[Parameter, float]:
+    scaled = trained.solution.point.parameters.cpu().numpy() * evidence.equations.scale
     return {p: p.value(float(x)) for p, x in zip(evidence.equations.uncertain, scaled, strict=True)}
 
 
-def _differ(evidence: Evidence | JointEvidence, a: Trained, b: Trained) -> bool:
+def _differ(evidence: Evidence, a: Trained, b: Trained) -> bool:
     """Whether two solutions are not one."""
     mine, theirs = (np.array(list(_values(evidence, one).values())) for one in (a, b))
     spread = sum(np.diag(one.factor.corner_covariance) for one in (a, b)) ** 0.5
-    scale = evidence.equations.scale.cpu().numpy()
-    apart = np.abs(mine - theirs)
+    scale, apart = evidence.equations.scale, np.abs(mine - theirs)
     relevant = np.array([p.unknown and p.kind in LINEAR_UNITS for p in evidence.equations.uncertain])
     return bool(((apart > APART * spread * scale) & (apart > LEAST_APART * np.abs(mine)) & relevant).any())
 
 
-def _distance(evidence: Evidence | JointEvidence, trained: Trained) -> float:
+def _distance(evidence: Evidence, trained: Trained) -> float:
     """Of the unknown masses and springs from what the user says, else from where they started, as logarithms."""
     springs = {p: x for p, x in _values(evidence, trained).items() if p.unknown and p.kind in (MASS, "k")}
     pairs = [(x, p.said if p.said > 0 else p.prescribed) for p, x in springs.items()]
     return sum(math.log(x / start) ** 2 for x, start in pairs if x > 0 and start > 0)
 
 
-def _rival(evidence: Evidence | JointEvidence, trained: Trained, log_odds: float) -> Rival:
+def _rival(evidence: Evidence, trained: Trained, log_odds: float) -> Rival:
     values = {p.name: x for p, x in _values(evidence, trained).items() if p.unknown and p.kind not in CALIBRATION_UNITS}
     return Rival(values, log_odds)

@@ -12,17 +12,17 @@ from pinn_cli.record.record import Record
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
 
 
-def starting_noise(evidence: Evidence) -> NoiseModel:
-    """Where the noise levels of a problem start; the discrepancy is the force that acts."""
-    problem = evidence.equations.problem
+def starting_noise(equations: NormalEquations) -> NoiseModel:
+    """Where the noise levels of one record start; the discrepancy is the force that acts."""
+    problem = equations.problem
     force, velocity = force_and_velocity_scale(problem)
     response, sensors = starting_levels(problem.record)
-    points, dynamics, shapes = evidence.equations.refinement, problem.dynamics, problem.structure.shapes
+    points, dynamics, shapes = equations.refinement, problem.dynamics, problem.structure.shapes
     driving = np.full(dynamics.size, np.nan)
     for quantity, levels in (*response.items(), (FORCE, sensors)):
         levels[problem.record.gauged(quantity)] = np.nan

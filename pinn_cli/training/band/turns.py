@@ -35,8 +35,8 @@ def at_turns(found: Inferred, problem: Problem) -> Problem:
     """The problem with the turns of a solution of it; the same where all laws are smooth."""
     if not has_turns(problem):
         return problem
-    each = [replace(one, turns=_turns(*own)) for one, own in zip(problem.by_record, found.by_record, strict=True)]
-    return replace(each[0], further=tuple(each[1:]))
+    each = zip(problem.by_record, found.by_record, strict=True)
+    return Problem.together([replace(one, turns=_turns(*own)) for one, own in each])
 
 
 def _turns(equations: NormalEquations, point: Point) -> Turns | None:

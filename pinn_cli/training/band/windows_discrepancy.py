@@ -17,8 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.model.knowledge import DiscrepancyTold
-from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, NEGLIGIBLE_GAIN, Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, NEGLIGIBLE_GAIN
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import floor
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
@@ -46,7 +46,8 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
     unit = discrepancy_unit(evidence)
     top = float(np.log10(trained.noise.discrepancy / unit))
     found_before = np.inf if before is None or not before.common else float(np.log10(before.start))
-    least = min(float(np.log10(floor(evidence, trained).discrepancy / unit)), found_before)
+    (lowest,) = evidence.each_record(floor, trained)
+    least = min(float(np.log10(lowest.discrepancy / unit)), found_before)
     own = _own(evidence, trained, unit, (least, top))
     places = _places(own, before)
     if own is None:
@@ -61,14 +62,14 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
     if found is None:
         chosen, found = top, trained
     factor = before.start / 10.0**chosen if before is not None and before.common and common else 1.0
-    found = replace(found, noise=replace(found.noise, earlier_misfit=factor))
+    found = replace(found, noise=found.noise.each(lambda own: replace(own, earlier_misfit=factor)))
     return found, DiscrepancyTold(10.0**chosen, common, places, total)
 
 
 def discrepancy_unit(evidence: Evidence) -> float:
     """N, of a discrepancy that is the force that acts, in a sample of one second."""
     force, _ = force_and_velocity_scale(evidence.problem)
-    return float(force * (evidence.equations.refinement / evidence.problem.record.step) ** 0.5)
+    return float(force * (evidence.equations.each[0].refinement / evidence.problem.record.step) ** 0.5)
 
 
 def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]) -> DiscrepancyTold | None:

@@ -66,8 +66,8 @@ class Linearisation:
         self.blocks: list[Block] = [observed, enforced]
         self.residual = torch.cat((first.flatten(), second.flatten()))
         self.time = target.physics_time
-        deviation = parameters.prior_deviation(noise.spread)
-        self.by_parameter = deviation * rows.by_parameter(parameters.uncertain, seen, felt, values, noise)
+        by_parameter = rows.by_parameter(parameters.uncertain, seen, felt, values, noise)
+        self.by_parameter = parameters.prior_deviation * by_parameter
         if rows.deviation is not None:
             self._add(*linearised(network, target.observation_time[:1], rows.initial)[:2])
 

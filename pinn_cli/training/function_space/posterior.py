@@ -45,7 +45,7 @@ class FunctionSpacePosterior:
     def __init__(self, search: FunctionSpaceSearch) -> None:
         self.search, self.precision = search, search.precision
         self.columns = search.parameters.uncertain
-        self.unit = search.parameters.prior_deviation(search.noise.spread)
+        self.unit = search.parameters.prior_deviation
         self.noise = search.noise.widened(self._occupied())
         self.linear = Linearisation(search.network, search.parameters, search.rows, self.noise)
         self.system = search.solution.for_bands(self.linear, self.precision, [self._acting()])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -139,7 +140,7 @@ class FunctionSpaceSearch(Stepwise):
     def _standardised(self) -> Tensor:
         """(p,), distances of the parameters from their prescribed values in prior standard deviations."""
         parameters = self.parameters
-        return parameters.moved.detach() * parameters.unit / parameters.prior_deviation(self.noise.spread)
+        return parameters.moved.detach() * parameters.unit / parameters.prior_deviation
 
     def _improve(self, linear: Linearisation, before: Loss) -> tuple[Step | None, Loss]:
         """Take the first step, or share of it, that lowers the loss.
@@ -180,7 +181,7 @@ class FunctionSpaceSearch(Stepwise):
             target[0].copy_(w + share * dw)
             target[1].copy_(b + share * db)
         parameters = self.parameters
-        proposed = step.parameters * parameters.prior_deviation(self.noise.spread) / parameters.unit
+        proposed = step.parameters * parameters.prior_deviation / parameters.unit
         parameters.moved.copy_(moved + share * (proposed - moved))
         parameters.respect_bounds()
 
@@ -198,10 +199,11 @@ class FunctionSpaceSearch(Stepwise):
         # Forces that the next step will balance say nothing against the model.
         excess = max(1.0, promised) if excess > 1.0 else excess
         unknowns = len(kept) - float(kept.sum())
-        before, noise = self.noise, self._following(self.noise, step.system, excess)
+        before, spread = self.noise.discrepancy, self.parameters.spread
+        self._follow(step.system, excess)
         growth = float(np.clip(unknowns / max(after.weights, 1e-12), LARGEST_FALL, 1.0 / LARGEST_FALL))
-        self.noise, self.precision = noise, growth * self.precision
-        changes = np.abs(np.log([growth, noise.discrepancy / before.discrepancy, noise.spread / before.spread]))
+        self.precision = growth * self.precision
+        changes = np.abs(np.log([growth, self.noise.discrepancy / before, self.parameters.spread / spread]))
         return bool(changes[:2].max() < LEVEL_TOLERANCE and changes[2] < SPREAD_TOLERANCE)
 
     def _judge(self, gained_nothing: bool, nothing_to_gain: bool, settled: bool) -> None:
@@ -210,25 +212,25 @@ class FunctionSpaceSearch(Stepwise):
         if self.idle >= PATIENCE or (nothing_to_gain and settled):
             self.stop_reason = "converged"
 
-    def _following(self, noise: NoiseModel, system: System, excess: float) -> NoiseModel:
-        """Discrepancy and spread as the residuals and the parameters ask for.
+    def _follow(self, system: System, excess: float) -> None:
+        """Take discrepancy and spread as the residuals and the parameters ask for.
 
         A discrepancy that is too large is squared down rather than rooted: the residuals shrink with it.
         """
         change = excess if excess < 1.0 else np.sqrt(excess)
-        level = noise.discrepancy * float(np.clip(change, LARGEST_FALL, LARGEST_RISE))
-        following = noise.with_discrepancy(max(level, self._finest(noise)))
-        believed = ~self.parameters.unknown
+        level = self.noise.discrepancy * float(np.clip(change, LARGEST_FALL, LARGEST_RISE))
+        self.noise = replace(self.noise, discrepancy=max(level, self._finest(self.noise)))
+        believed, before = ~self.parameters.unknown, self.parameters.spread
         if not self.learn_spread or not bool(believed.any()):
-            return following
-        x = (noise.spread * self._standardised())[believed].cpu().numpy()
-        variance = noise.spread**2 * system.parameter_covariance.diagonal()[believed].cpu().numpy()
-        change = updated_spread(x, variance, noise.spread) / noise.spread
+            return
+        x = (before * self._standardised())[believed].cpu().numpy()
+        variance = before**2 * system.parameter_covariance.diagonal()[believed].cpu().numpy()
+        change = updated_spread(x, variance, before) / before
         # Parameters that hardly move from where they are believed to be let their spread fall a little at a time.
-        spread = noise.spread * max(change**2 if change < 1.0 else change, LARGEST_FALL)
+        spread = before * max(change**2 if change < 1.0 else change, LARGEST_FALL)
         # How far off a search has the parameters that is far from its end says nothing about how far off they are.
         far = level > SUSPICIOUS_DISCREPANCY * self.largest
-        return following.with_spread(min(spread, max(1.0, noise.spread)) if far else spread)
+        self.parameters.spread = min(spread, max(1.0, before)) if far else spread
 
     def _finest(self, noise: NoiseModel) -> float:
         """The least discrepancy that is looked for, N."""
@@ -242,7 +244,6 @@ class FunctionSpaceSearch(Stepwise):
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`Stepwise.state_dict`; what training began with is the settings' and the seed's."""
-        noise = self.noise
         return {
             "iteration": self.iteration,
             "idle": self.idle,
@@ -250,8 +251,8 @@ class FunctionSpaceSearch(Stepwise):
             "damping": self.damping,
             "precision": self.precision,
             "dense": self.solution.dense,
-            "discrepancy": noise.discrepancy,
-            "spread": noise.spread,
+            "discrepancy": self.noise.discrepancy,
+            "spread": self.parameters.spread,
             "network": self.network.state_dict(),
             "parameters": self.parameters.state_dict(),
             "history": self.history.state_dict(),
@@ -262,7 +263,7 @@ class FunctionSpaceSearch(Stepwise):
         self.iteration, self.idle, self.stop_reason = state["iteration"], state["idle"], state["stop_reason"]
         self.damping, self.precision = state["damping"], state["precision"]
         self.solution.dense = state["dense"]
-        self.noise = self.noise.with_discrepancy(state["discrepancy"]).with_spread(state["spread"])
+        self.noise, self.parameters.spread = replace(self.noise, discrepancy=state["discrepancy"]), state["spread"]
         self.network.load_state_dict(state["network"])
         self.parameters.load_state_dict(state["parameters"])
         self.history.load_state_dict(state["history"])

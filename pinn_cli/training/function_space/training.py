@@ -103,7 +103,7 @@ def _parameters(
     if not parameters.uncertain:
         return [], None
     unit = parameters.unit.cpu().numpy()
-    deviation = (parameters.prior_deviation(search.noise.spread) / parameters.unit).cpu().numpy()
+    deviation = (parameters.prior_deviation / parameters.unit).cpu().numpy()
     mode, lower = parameters.moved.detach().cpu().numpy(), parameters.lower.cpu().numpy()
     covariance = posterior.covariance.cpu().numpy()
     cut_off = TruncatedGaussian(mode, covariance * np.outer(deviation, deviation), lower)
@@ -121,6 +121,6 @@ def _summary(search: FunctionSpaceSearch) -> dict[str, Any]:
         "collocation_points": search.rows.points,
         "solution": "dense" if search.solution.dense else "features",
         "sigma_discrepancy": noise.discrepancy,
-        "parameter_spread": noise.spread,
+        "parameter_spread": search.parameters.spread,
         "weight_precision": search.precision,
     }

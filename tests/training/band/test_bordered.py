@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from one_record import factored, shared
 
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.diagonals import Diagonals
@@ -39,11 +40,16 @@ def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSyst
     return BorderedSystem(Diagonals.of_band(band), whole[:size, size:], corner, gradient[:size], gradient[size:]), whole
 
 
+def solved(system: BorderedSystem, lower: np.ndarray | None = None, damping: float = 0.0):
+    whole = shared(system)
+    return whole.factor(damping).step(whole, lower)
+
+
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_step(half_width, size, border):
     system, whole = random_system(half_width, size, border)
     expected = -np.linalg.solve(whole, np.concatenate((system.gradient, system.corner_gradient)))
-    step = system.factor().step(system)
+    step = solved(system)
     assert [x.shape for x in step] == [(size,), (border,)]
     np.testing.assert_allclose(np.concatenate(step), expected, rtol=1e-8)
 
@@ -64,7 +70,7 @@ def test_there_is_no_step_of_an_indefinite_band():
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_draws_have_the_inverse_as_covariance(half_width, size, border):
     system, whole = random_system(half_width, size, border)
-    root = np.vstack(system.factor().draws(np.eye(size + border)))
+    root = np.vstack(factored(system).draws(np.eye(size + border)))
     expected = np.linalg.inv(whole)
     unit = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(root @ root.T / unit / unit[:, None], expected / unit / unit[:, None], atol=1e-8)
@@ -73,21 +79,23 @@ def test_draws_have_the_inverse_as_covariance(half_width, size, border):
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_log_determinant(half_width, size, border):
     system, whole = random_system(half_width, size, border)
-    assert system.factor().log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-8)
+    factor = shared(system).factor()
+    found = factor.parameter_log_determinant + factor.determinants[0]
+    assert found == pytest.approx(np.linalg.slogdet(whole)[1], abs=1e-8)
 
 
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_corner_covariance_is_the_inverse_of_the_whole(half_width, size, border):
     system, whole = random_system(half_width, size, border)
     expected = np.linalg.inv(whole)[size:, size:]
-    given, scale = system.factor().corner_covariance, np.sqrt(np.diag(expected))
+    given, scale = shared(system).factor().corner_covariance, np.sqrt(np.diag(expected))
     np.testing.assert_allclose(given / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-8)
 
 
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
 def test_inverse_band_is_the_inverse_of_the_band_alone(half_width, size, border):
     system, whole = random_system(half_width, size, border)
-    expected, given = np.linalg.inv(whole[:size, :size]), system.factor().readout.inverse()
+    expected, given = np.linalg.inv(whole[:size, :size]), system.eliminated().readout.inverse()
     scale = np.sqrt(np.diag(expected))
     row, column = np.nonzero(np.abs(np.subtract.outer(np.arange(size), np.arange(size))) <= half_width)
     off = scale[row] * scale[column]
@@ -100,7 +108,7 @@ def test_inverse_band_is_the_inverse_of_the_band_alone(half_width, size, border)
 @pytest.mark.parametrize("damping", [1e-3, 10.0])
 def test_damping_shortens_the_step_and_does_not_turn_it(damping):
     system, whole = random_system(5, 31, 4)
-    free, damped = (np.concatenate(system.factor(x).step(system)) for x in (0.0, damping))
+    free, damped = (np.concatenate(solved(system, damping=x)) for x in (0.0, damping))
     gradient, scale = np.concatenate((system.gradient, system.corner_gradient)), np.sqrt(np.diag(whole))
     assert np.linalg.norm(damped * scale) < np.linalg.norm(free * scale)
     assert gradient @ damped < 0
@@ -110,7 +118,7 @@ def test_damping_scales_the_diagonal():
     system, whole = random_system(3, 24, 0)
     damped = whole + 0.5 * np.diag(np.diag(whole))
     expected = -np.linalg.solve(damped, system.gradient)
-    np.testing.assert_allclose(system.factor(0.5).step(system)[0], expected, rtol=1e-8)
+    np.testing.assert_allclose(solved(system, damping=0.5)[0], expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize("spoil", ["indefinite band", "indefinite corner", "zero", "nan"])
@@ -122,7 +130,7 @@ def test_what_is_not_positive_definite_has_no_factor(spoil):
         system.corner[:] -= 10.0 * np.diag(np.diag(system.corner))
     else:
         system.band.main[3] = 0.0 if spoil == "zero" else np.nan
-    assert system.factor() is None
+    assert shared(system).factor() is None
 
 
 def coupled_system(border: int, seed: int, push: float) -> tuple[BorderedSystem, np.ndarray, np.ndarray]:
@@ -174,7 +182,7 @@ def bounded_minimum(hessian: np.ndarray, right: np.ndarray, lower: np.ndarray) -
 def test_a_bounded_step_is_the_least_within_its_bounds(seed, push):
     system, schur, right = coupled_system(7, seed, push)
     lower = random_bounds(schur, seed)
-    w, x = system.factor().step(system, lower)
+    w, x = solved(system, lower)
     expected, unit = bounded_minimum(schur, right, lower), 1.0 / np.sqrt(np.diag(schur))
     np.testing.assert_allclose(x / unit, expected / unit, rtol=1e-6, atol=1e-9 * np.abs(expected / unit).max())
     np.testing.assert_array_equal(x == lower, expected == lower)
@@ -189,7 +197,7 @@ def test_many_bounded_parameters(seed):
     """Too many to try every choice: the slope vanishes where x is free, and points outwards where it is held."""
     system, schur, right = coupled_system(50, seed, 3.0)
     lower = random_bounds(schur, seed)
-    _, x = system.factor().step(system, lower)
+    _, x = solved(system, lower)
     slope = (schur @ x - right) / np.sqrt(np.diag(schur))
     held, size = x == lower, np.abs(right / np.sqrt(np.diag(schur))).max()
     assert np.all(x >= lower)
@@ -200,17 +208,16 @@ def test_many_bounded_parameters(seed):
 
 def test_bounds_that_do_not_bind_change_nothing():
     system, _, _ = coupled_system(7, 0, 2.0)
-    factor = system.factor()
-    w, x = factor.step(system)
+    w, x = solved(system)
     for lower in (np.full(7, -np.inf), -2.0 * np.abs(x), np.where(x < 0, x, -0.0)):
-        for given, expected in zip(factor.step(system, lower), (w, x), strict=True):
+        for given, expected in zip(solved(system, lower), (w, x), strict=True):
             np.testing.assert_array_equal(given, expected)
 
 
 def test_a_damped_bounded_step_goes_downhill():
     system, schur, _ = coupled_system(7, 1, 2.0)
     lower = random_bounds(schur, 1)
-    w, x = system.factor(0.1).step(system, lower)
+    w, x = solved(system, lower, damping=0.1)
     assert np.all(x >= lower)
     assert np.any(x == lower)
     assert system.gradient @ w + system.corner_gradient @ x < 0
@@ -220,7 +227,7 @@ def test_a_damped_bounded_step_goes_downhill():
 def test_covariance_of_functions_of_the_last_weights(half_width, size, border):
     system, whole = random_system(half_width, size, border)
     rows = np.random.default_rng(1).standard_normal((max(1, size // 3), 3))
-    readout = system.factor().readout
+    readout = system.eliminated().readout
     every = np.vstack((np.zeros((size - len(rows), 3)), rows))
     solved = np.linalg.solve(whole[:size, :size], every)
     for gram, taken in (readout.last_covariance(rows), ReadoutFactor.last_covariance(readout, rows)):
@@ -237,4 +244,24 @@ def test_operations_are_those_of_elimination_entry_by_entry(half_width, size, bo
         below = min(width, size - 1 - column)
         counted += (below + 1) ** 2  # of every entry that the column changes an addition and a multiplication
         counted += border * (2 * below + 1) + border**2
-    assert system.factor().readout.operations == counted
+    assert system.eliminated().readout.operations == counted
+
+
+def test_parameters_that_are_told_stay_and_their_covariance_counts():
+    random = np.random.default_rng(0)
+    matrix = np.diag(np.arange(2.0, 8.0)) + np.diag(np.full(5, 0.5), 1) + np.diag(np.full(5, 0.5), -1)
+    band = np.vstack((np.diag(matrix), np.append(np.diag(matrix, -1), 0.0)))
+    border, root = random.standard_normal((6, 2)), random.standard_normal((2, 2))
+    covariance = root @ root.T + np.eye(2)
+    gradient = random.standard_normal(6)
+    system = BorderedSystem(Diagonals.of_band(band), border, np.eye(2), gradient, np.ones(2))
+    whole = shared(system, told=covariance)
+    factor = whole.factor()
+    weights, parameters = factor.step(whole, np.full(2, -np.inf))
+    assert np.array_equal(parameters, np.zeros(2))
+    assert np.allclose(weights, -np.linalg.solve(matrix, gradient))
+    assert np.allclose(factor.corner_covariance, covariance)
+    drawn, told = factored(system, told=covariance).draws(random.standard_normal((8, 200_000)))
+    moved = np.linalg.solve(matrix, border)
+    assert np.allclose(np.cov(told), covariance, rtol=0.05, atol=0.05)
+    assert np.allclose(np.cov(drawn), np.linalg.inv(matrix) + moved @ covariance @ moved.T, atol=0.05)

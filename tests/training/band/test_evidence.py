@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from one_record import evidence_of, levels_of
 from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -15,17 +16,18 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.band.discrepancy_search import scanned, widened_for_colour
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, sensor_noise
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
 
 
 def disturbed(
     level: float, seed: int, nonlinearity: str = "linear", share: float = 0.9, through: str = "derivative"
-) -> tuple[Evidence, NoiseModel, float]:
+) -> tuple[Evidence, NoiseLevels, float]:
     """A record with a force of rms ``level`` on every DOF that no sensor sees, over a share of the features' band."""
     structure, simulation = small_chain(nonlinearity), Simulation(DURATION, SAMPLES)
     known = excitation(structure, DURATION, SAMPLES)
@@ -43,14 +45,14 @@ def disturbed(
     # fills the band up to f, the mean of sinc^2 up to f times the interval.
     within = np.sinc(np.linspace(0.0, band[1] * equations.network.spacing, 101))
     put_in = level * np.sqrt(SAMPLES / INTERVALS * np.mean(within**2))
-    return Evidence(equations, 12, 1e-6, lambda losses, noise: None), noise, put_in
+    return evidence_of(equations), levels_of(noise), put_in
 
 
 @pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
 @pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
 def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
     evidence, noise, put_in = disturbed(level, 1, nonlinearity)
-    best = evidence.scan(noise, 1.0, evidence.equations.start())
+    best = scanned(evidence, noise, 1.0, evidence.equations.start())
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
 
@@ -60,7 +62,7 @@ def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
 def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
     """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
     evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
-    best = evidence.scan(noise, 1.0, evidence.equations.start())
+    best = scanned(evidence, noise, 1.0, evidence.equations.start())
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
 
@@ -76,7 +78,7 @@ def test_the_evidence_is_greatest_at_the_discrepancy_that_was_put_in(level, seed
 
 def test_the_derivative_of_the_evidence_is_that_of_its_formula():
     evidence, noise, put_in = disturbed(0.1, 1)
-    equations = evidence.equations
+    equations, (own,) = evidence.equations, evidence.equations.each
 
     middle, step = evidence.train(noise.with_discrepancy(put_in), equations.start()), 1e-3
 
@@ -87,14 +89,15 @@ def test_the_derivative_of_the_evidence_is_that_of_its_formula():
 
     numerical = (log_evidence(step) - log_evidence(-step)) / (2 * step)
     # Physics alone depends on the discrepancy: sum (x^2 - 1) + tr(H^-1 H_physics) per share of the discrepancy.
-    variance, squared = middle.noise.physics_variance, middle.noise.discrepancy**2
-    seen = equations.residuals(middle.solution.point)["physics"].square().sum((0, 1)).numpy()
+    (level,) = middle.noise.records
+    variance, squared = level.physics_variance, level.discrepancy**2
+    seen = own.residuals(middle.solution.point)["physics"].square().sum((0, 1)).numpy()
     share = squared / variance
-    size = equations.layout.size
-    inverse = np.linalg.inv(dense_band(equations, middle.solution.point, middle.noise))
-    change = dense_band(equations, middle.solution.point, middle.noise, step=1e-4)
+    size = own.layout.size
+    inverse = np.linalg.inv(dense_band(own, middle.solution.point, level))
+    change = dense_band(own, middle.solution.point, level, step=1e-4)
     trace = -0.5 * np.sum(inverse * change)
-    expected = float(((seen / variance - equations.averages.count) * share).sum() + trace)
+    expected = float(((seen / variance - own.averages.count) * share).sum() + trace)
     assert size == len(inverse)
     assert numerical == pytest.approx(expected, rel=0.01, abs=0.5)
 
@@ -103,7 +106,8 @@ def dense_band(equations: NormalEquations, point, noise: NoiseModel, step: float
     """The Hessian, or its derivative by the logarithm of the discrepancy."""
     if step is not None:
         ends = [
-            dense_band(equations, point, noise.with_discrepancy(noise.discrepancy * np.exp(s))) for s in (step, -step)
+            dense_band(equations, point, replace(noise, discrepancy=noise.discrepancy * np.exp(s)))
+            for s in (step, -step)
         ]
         return (ends[0] - ends[1]) / (2 * step)
     return equations.assemble(point, noise).band.dense()
@@ -112,10 +116,11 @@ def dense_band(equations: NormalEquations, point, noise: NoiseModel, step: float
 def test_the_evidence_prefers_the_right_stiffness():
     evidence, noise, put_in = disturbed(0.05, 1)
     right = evidence.train(noise.with_discrepancy(put_in), evidence.equations.start())
-    structure, record = small_chain("linear", k=12.0), evidence.equations.problem.record
-    wrong = Evidence(NormalEquations(evidence.equations.network, Problem(structure, record)), 12, 1e-6, lambda *a: None)
+    structure, record = small_chain("linear", k=12.0), evidence.problem.record
+    (right_one,) = evidence.equations.each
+    wrong = evidence_of(NormalEquations(right_one.network, Problem(structure, record)))
     # The ridge is relative to the first matrix: the same in both.
-    wrong.equations.ridge = evidence.equations.ridge
+    wrong.equations.each[0].ridge = right_one.ridge
     assert wrong.train(noise.with_discrepancy(put_in), wrong.equations.start()).log_evidence < right.log_evidence - 10.0
 
 
@@ -123,20 +128,20 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
     growth = {}
     for share in (0.1, 1.0):
         evidence, noise, _ = disturbed(0.1, 1, share=share)
-        best = evidence.scan(noise, 1.0, evidence.equations.start())
-        growth[share] = evidence.widen_for_colour(best).noise.discrepancy / best.noise.discrepancy
+        best = scanned(evidence, noise, 1.0, evidence.equations.start())
+        growth[share] = widened_for_colour(evidence, best).noise.discrepancy / best.noise.discrepancy
     assert growth[1.0] < 1.4
     assert growth[0.1] > 1.5 * growth[1.0]
 
 
 def test_without_parameters_the_spread_stays():
     evidence, noise, _ = disturbed(0.1, 1)
-    trained = evidence.scan(noise.with_spread(0.7), 1.0, evidence.equations.start())
+    trained = scanned(evidence, replace(noise, spread=0.7), 1.0, evidence.equations.start())
     assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
     assert isinstance(trained.solution.point.parameters, torch.Tensor)
 
 
-def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
+def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseLevels]:
     """Three believed stiffnesses of a Duffing chain and, unless it starts nowhere, one unknown cubic stiffness."""
     structure = small_chain()
     believed = [Parameter("k", dof, 15.0, 1.5) for dof in range(3)]
@@ -149,13 +154,13 @@ def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseModel]:
     problem = Problem(structure.with_parameters(kappa=kappa), record, (*believed, *unknown))
     equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
     noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
-    return Evidence(equations, 30, 1e-8, lambda losses, noise: None), noise
+    return evidence_of(equations, 30, 1e-8), levels_of(noise)
 
 
 def test_the_spread_is_learned_from_believed_parameters_alone():
     """The update by hand, and an unknown parameter at a thousand prior deviations leaves it alone."""
     evidence, noise = believed_and_unknown(1000.0)
-    trained = evidence.train(noise.with_spread(0.5), evidence.equations.start())
+    trained = evidence.train(replace(noise, spread=0.5), evidence.equations.start())
     x = trained.solution.point.parameters.numpy()
     variance = np.diag(trained.factor.corner_covariance)
     determined = np.sum(1.0 - variance[:3] / 0.5**2)
@@ -172,7 +177,7 @@ def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone(
     spreads = {}
     for start in (100.0, 10.0, 1000.0):
         evidence, noise = believed_and_unknown(start)
-        spreads[start] = evidence.scan(noise, 1.0, evidence.equations.start()).noise.spread
+        spreads[start] = scanned(evidence, noise, 1.0, evidence.equations.start()).noise.spread
     assert spreads[100.0] == pytest.approx((1.0 / (1.0 + 3.0)) ** 0.5, rel=0.01)  # three that are right, and the user
     for start in (10.0, 1000.0):
         assert spreads[start] == pytest.approx(spreads[100.0], rel=1e-3)
@@ -180,10 +185,10 @@ def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone(
 
 def test_with_unknown_parameters_alone_there_is_no_spread_to_learn():
     evidence, noise = believed_and_unknown(30.0)
-    problem = evidence.equations.problem
-    equations = NormalEquations(evidence.equations.network, replace(problem, uncertain=problem.uncertain[3:]))
-    alone = Evidence(equations, 30, 1e-8, lambda losses, noise: None)
-    trained = alone.train(noise.with_spread(0.7), equations.start())
+    problem = evidence.problem
+    equations = NormalEquations(evidence.equations.each[0].network, replace(problem, uncertain=problem.uncertain[3:]))
+    alone = evidence_of(equations, 30, 1e-8)
+    trained = alone.train(replace(noise, spread=0.7), equations.start())
     assert alone.learned_spread(trained) == 0.7
 
 
@@ -193,9 +198,11 @@ def test_the_evidence_counts_the_spread_once_per_believed_parameter():
     trained = evidence.train(noise, evidence.equations.start())
     point, levels = trained.solution.point, {}
     for spread in (0.5, 2.0):
-        under = noise.with_spread(spread)
+        under = replace(noise, spread=spread)
         factor = evidence.equations.assemble(point, under).factor()
-        levels[spread] = evidence.log_evidence(point, under, factor) + 0.5 * factor.log_determinant
+        levels[spread] = evidence.log_evidence(point, under, factor) + 0.5 * (
+            factor.parameter_log_determinant + sum(factor.determinants)
+        )
     x = float(point.parameters[:3].square().sum())
     expected = -0.5 * x * (0.5**-2.0 - 2.0**-2.0) - 3.0 * np.log(0.5 / 2.0)
     assert levels[0.5] - levels[2.0] == pytest.approx(expected, rel=1e-6)

@@ -88,10 +88,11 @@ def posed(kind: str) -> tuple[NormalEquations, NoiseModel]:
     inputs = inputs_of(structure, record)
     problem = Problem(structure, record, (*uncertain, *sensor_parameters(record)), inputs=inputs)
     settings = InferenceSettings(12, 1e-6, learn_spread=True, pooled=False)
-    evidence = settings.solved_by(problem, built(Spline(intervals=5), problem), "cpu", History(False))
-    noise = replace(starting_noise(evidence), taken_up=np.array([7.3]))
+    evidence = settings.solved_by(problem, [built(Spline(intervals=5), problem)], "cpu", History(False))
+    (equations,) = evidence.equations.each
+    noise = replace(starting_noise(equations), taken_up=np.array([7.3]))
     noise.response[GAUGE][:] = 0.6
-    return evidence.equations, noise
+    return equations, noise
 
 
 def somewhere(equations: NormalEquations, seed: int = 5, size: float = 0.3) -> Point:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from one_record import evidence_of, factored, levels_of, problem_of
 from small_problems import NONLINEARITIES, accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -15,13 +16,13 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.energy import dissipated_power
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.least_squares import LeastSquares
 from pinn_cli.training.band.levenberg_marquardt import FIRST_DAMPING, minimise
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.shared_border import SharedSystem
 from pinn_cli.training.noise_model import NoiseModel
 
 
@@ -39,9 +40,13 @@ def posed(nonlinearity: str, ndof: int = 3, uncertain: bool = False) -> tuple[No
     return NormalEquations(Spline(intervals=12).build(record), problem), noise
 
 
+def minimised(equations: NormalEquations, noise: NoiseModel, start: Point, *limits, **settings):
+    return minimise(problem_of(equations), levels_of(noise), start, *limits, **settings)
+
+
 def solved(equations: NormalEquations, noise: NoiseModel, **settings):
     options = {"iterations": 30, "tolerance": 1e-12, "watch": lambda terms: None, **settings}
-    return minimise(equations, noise, equations.start(), **options)
+    return minimised(equations, noise, equations.start(), **options)
 
 
 def weighted_residuals(equations: NormalEquations, noise: NoiseModel):
@@ -50,7 +55,7 @@ def weighted_residuals(equations: NormalEquations, noise: NoiseModel):
 
     def residuals(z):
         terms = equations.residuals(Point(z[:size], z[size:])).items()
-        return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in terms] + [z[size:] / noise.spread])
+        return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in terms] + [z[size:]])
 
     return residuals
 
@@ -88,7 +93,7 @@ def test_standard_deviations_are_those_of_the_dense_covariance(nonlinearity, unc
     z, size = joined(solution.point), equations.layout.size
     dense = jacobian(weighted_residuals(equations, noise), z)
     covariance = torch.linalg.inv(dense.T @ dense)
-    factor = equations.assemble(solution.point, noise).factor()
+    factor = factored(equations.assemble(solution.point, noise, np.eye(len(equations.uncertain))))
     posterior = ReadoutPosterior(equations, solution.point, factor)
 
     def states(x):
@@ -141,17 +146,16 @@ def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity, away):
     exact = NormalEquations(equations.network, replace(equations.problem, record=record))
     exact.ridge = 0.0  # it would move the solution away from the one that the record was made of
     level = np.full(3, 0.01)
-    noise = NoiseModel(
-        {"displacement": level, "velocity": np.full(3, np.nan), "acceleration": level}, level, 0.01, 1.0, 1e6
-    )
+    noise = NoiseModel({"displacement": level, "velocity": np.full(3, np.nan), "acceleration": level}, level, 0.01, 1.0)
+    whole, levels = problem_of(exact), levels_of(noise, spread=1e6)
     truth = joined(there)
     generator = torch.Generator().manual_seed(3)
     shift = away * truth.abs().mean() * torch.randn(len(truth), generator=generator, dtype=truth.dtype)
     point = there.moved((shift[: exact.layout.size], shift[exact.layout.size :]))
     errors = []
     for _ in range(7):
-        factor = exact.assemble(point, noise).factor()
-        point = point.moved(tuple(torch.as_tensor(x) for x in factor.step(exact.assemble(point, noise))))
+        system = whole.assemble(point, levels)
+        point = point.moved(tuple(torch.as_tensor(x) for x in system.factor().step(system)))
         errors.append(
             float((exact.flat_states(exact.physics, point).displacement - motion[0]).norm() / motion[0].norm())
         )
@@ -182,7 +186,7 @@ def test_it_says_that_it_ran_out_of_steps():
 def test_a_loss_that_is_not_finite_at_the_start_is_divergence():
     equations, noise = posed("linear")
     with pytest.raises(DivergenceError, match="not finite at the start"):
-        minimise(equations, noise, equations.start().moved((np.inf, 0.0)), 3, 1e-6, lambda terms: None)
+        minimised(equations, noise, equations.start().moved((np.inf, 0.0)), 3, 1e-6, lambda terms: None)
 
 
 def softening(positive: bool, prescribed: float = 50.0, prior_std: float = 100.0) -> tuple[NormalEquations, NoiseModel]:
@@ -213,7 +217,7 @@ def test_a_parameter_that_cannot_be_negative_ends_exactly_at_zero(prescribed):
     assert solution.point.parameters[1] == equations.lower[1]
     assert float(equations.parameters(solution.point)["kappa"][1]) == pytest.approx(0.0, abs=1e-13 * prescribed)
     # It would like to go on, and nothing else would.
-    slope = equations.assemble(solution.point, noise).corner_gradient
+    slope = equations.assemble(solution.point, noise, np.eye(2)).corner_gradient
     assert slope[1] > 0
     assert abs(slope[0]) < 1e-3 * slope[1]
 
@@ -239,9 +243,9 @@ def test_at_its_bound_a_parameter_is_one_that_is_held_at_zero():
 def counted_factorisations(monkeypatch) -> list[float]:
     """The dampings of all factorisations, -1 for those with the parameters held."""
     found: list[float] = []
-    factor, held = BorderedSystem.factor, BorderedSystem.readout_step
-    monkeypatch.setattr(BorderedSystem, "factor", lambda s, damping=0.0: found.append(damping) or factor(s, damping))
-    monkeypatch.setattr(BorderedSystem, "readout_step", lambda s: found.append(-1.0) or held(s))
+    factor, held = SharedSystem.factor, SharedSystem.readout_step
+    monkeypatch.setattr(SharedSystem, "factor", lambda s, damping=0.0: found.append(damping) or factor(s, damping))
+    monkeypatch.setattr(SharedSystem, "readout_step", lambda s: found.append(-1.0) or held(s))
     return found
 
 
@@ -251,7 +255,7 @@ def test_factorisations_are_counted(away, cautious, monkeypatch):
     equations, noise = posed("duffing", uncertain=True)
     start = equations.start().moved((away, 0.0))
     found = counted_factorisations(monkeypatch)
-    solution = minimise(equations, noise, start, 40, 1e-6, lambda terms: None, cautious)
+    solution = minimised(equations, noise, start, 40, 1e-6, lambda terms: None, cautious)
     assert solution.factorisations == len(found) > 0
     assert found[0] == (FIRST_DAMPING if cautious else 0.0)
 
@@ -259,7 +263,7 @@ def test_factorisations_are_counted(away, cautious, monkeypatch):
 def test_a_cautious_solution_is_the_same(monkeypatch):
     equations, noise = posed("duffing", uncertain=True)
     bold, careful = (
-        minimise(equations, noise, equations.start(), 40, 1e-9, lambda terms: None, cautious)
+        minimised(equations, noise, equations.start(), 40, 1e-9, lambda terms: None, cautious)
         for cautious in (False, True)
     )
     assert bold.converged
@@ -271,14 +275,14 @@ def test_a_cautious_solution_is_the_same(monkeypatch):
 def test_where_a_whole_step_promises_nothing_it_is_the_end(monkeypatch):
     equations, noise = posed("duffing", uncertain=True)
     there = solved(equations, noise).point
-    found, losses = counted_factorisations(monkeypatch), NormalEquations.losses
+    found, losses = counted_factorisations(monkeypatch), LeastSquares.losses
     # Every step is a little worse, as where rounding is all that is left.
     monkeypatch.setattr(
-        NormalEquations,
+        LeastSquares,
         "losses",
         lambda own, p, level: losses(own, p, level) | {"rounding": 0.0 if p is there else 1e-3},
     )
-    solution = minimise(equations, noise, there, 40, 1e-6, lambda terms: None)
+    solution = minimised(equations, noise, there, 40, 1e-6, lambda terms: None)
     assert solution.converged
     assert solution.point is there
     assert found == [0.0]
@@ -291,14 +295,15 @@ def test_a_factor_of_nearly_the_same_problem_serves_until_the_end(monkeypatch):
     assert before.chord is not None
     louder = replace(noise, force=1.05 * noise.force, discrepancy=1.05 * noise.discrepancy)
     found = counted_factorisations(monkeypatch)
-    quick = minimise(equations, louder, before.point, 40, 1e-6, lambda terms: None, near=before.chord)
+    quick = minimised(equations, louder, before.point, 40, 1e-6, lambda terms: None, near=before.chord)
     assert quick.converged
     assert found == [0.0]
-    afresh = minimise(equations, louder, before.point, 40, 1e-9, lambda terms: None)
+    afresh = minimised(equations, louder, before.point, 40, 1e-9, lambda terms: None)
     assert quick.loss == pytest.approx(afresh.loss, rel=3e-6)
     assert quick.factor is not None
-    expected = equations.assemble(quick.point, louder).factor()
-    assert quick.factor.log_determinant == pytest.approx(expected.log_determinant, abs=0.05)
+    expected = problem_of(equations).assemble(quick.point, levels_of(louder)).factor()
+    of_end, of_expected = (x.parameter_log_determinant + sum(x.determinants) for x in (quick.factor, expected))
+    assert of_end == pytest.approx(of_expected, abs=0.05)
 
 
 @pytest.mark.parametrize("factor", [1e-4, 1e4])
@@ -308,8 +313,8 @@ def test_a_factor_of_another_problem_misleads_nobody(factor):
     other = replace(noise, force=noise.force * factor, discrepancy=noise.discrepancy * factor)
     chord = solved(equations, other, tolerance=1e-6).chord
     start = equations.start()
-    found = minimise(equations, noise, start, 40, 1e-6, lambda terms: None, near=chord)
-    expected = minimise(equations, noise, start, 40, 1e-6, lambda terms: None)
+    found = minimised(equations, noise, start, 40, 1e-6, lambda terms: None, near=chord)
+    expected = minimised(equations, noise, start, 40, 1e-6, lambda terms: None)
     assert found.converged
     assert found.loss == pytest.approx(expected.loss, rel=1e-5)
 
@@ -318,10 +323,10 @@ def test_rounds_of_nearly_the_same_noise_share_a_factor(monkeypatch):
     """In a record's settling of noise levels most solutions take one factorisation."""
     equations, noise = posed("duffing", uncertain=True)
     taken: list[int] = []
-    evidence = Evidence(equations, 12, 1e-6, lambda terms, noise: None, count=taken.append)
-    trained = evidence.train(noise, equations.start())
+    evidence, levels = evidence_of(equations, count=taken.append), levels_of(noise)
+    trained = evidence.train(levels, equations.start())
     for louder in (1.02, 1.04, 1.06):
-        changed = noise.with_discrepancy(louder * noise.discrepancy)
+        changed = levels.with_discrepancy(louder * noise.discrepancy)
         trained = evidence.train(changed, trained.solution.point, goes_on=True)
         assert trained.solution.converged
         assert trained.solution.chord is None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from independent_records import IndependentRecord, frame_record, measured, storey_record
+from one_record import evidence_of, levels_of, of_record
 from small_problems import excitation, small_chain
 from solved_records import estimated, model
 
@@ -15,8 +16,8 @@ from pinn_cli.record.noise import Noise
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.discrepancy_search import searched
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import floor, settled, updated, values_taken
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.starting_noise import starting_noise
@@ -90,17 +91,16 @@ def test_noise_starts_at_the_emptiest_part_of_a_spectrum_or_at_a_tenth_of_a_chan
 def solved(made: IndependentRecord) -> tuple[Evidence, Trained]:
     record = made.record
     equations = NormalEquations(Spline().build(record), Problem(model(made), record))
-    evidence = Evidence(equations, 12, 1e-6, lambda losses, noise: None)
-    noise = starting_noise(evidence)
-    return evidence, evidence.search(noise, noise.discrepancy, lambda: None)
+    evidence, noise = evidence_of(equations), levels_of(starting_noise(equations))
+    return evidence, searched(evidence, noise, noise.discrepancy, lambda: None)
 
 
 def test_settled_levels_stay_where_they_are():
     evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
     once = settled(evidence, trained)
-    again = updated(evidence, once, floor(evidence, once))
-    np.testing.assert_allclose(again.response["acceleration"], once.noise.response["acceleration"], rtol=0.03)
-    assert again.force[2] == pytest.approx(once.noise.force[2], rel=0.05)
+    again, (before,) = of_record(updated, evidence, once, of_record(floor, evidence, once)), once.noise.records
+    np.testing.assert_allclose(again.response["acceleration"], before.response["acceleration"], rtol=0.03)
+    assert again.force[2] == pytest.approx(before.force[2], rel=0.05)
     assert once.log_evidence >= trained.log_evidence
 
 
@@ -108,20 +108,21 @@ def test_the_evidence_is_greatest_at_the_levels_that_are_found():
     """The derivative by every sensor's level is MacKay's: samples less those taken up, less the residuals."""
     evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
     once = settled(evidence, trained)
-    point, equations, step = once.solution.point, evidence.equations, 0.02
+    point, (own,), step = once.solution.point, once.noise.records, 0.02
+    (equations,) = evidence.equations.each
 
     def log_evidence(dof: int, by: float) -> float:
-        level = once.noise.response["acceleration"].copy()
+        level = own.response["acceleration"].copy()
         level[dof] *= np.exp(by)
-        noise = replace(once.noise, response={**once.noise.response, "acceleration": level})
-        return evidence.log_evidence(point, noise, equations.assemble(point, noise).factor())
+        noise = levels_of(replace(own, response={**own.response, "acceleration": level}), once.noise.spread)
+        return evidence.log_evidence(point, noise, evidence.equations.assemble(point, noise).factor())
 
     samples = len(equations.problem.record.time)
     residual = equations.residuals(point)["acceleration"].square().sum((0, 1)).numpy()
-    taken = values_taken(evidence, once).response["acceleration"]
+    taken = of_record(values_taken, evidence, once).response["acceleration"]
     for dof in range(3):
         slope = (log_evidence(dof, step) - log_evidence(dof, -step)) / (2.0 * step)
-        chi_square = residual[dof] / once.noise.response["acceleration"][dof] ** 2
+        chi_square = residual[dof] / own.response["acceleration"][dof] ** 2
         # Sixteen draws tell how many are taken to a few per cent of them.
         assert slope == pytest.approx(chi_square - (samples - taken[dof]), abs=0.1 * taken[dof])
         assert abs(slope) < 0.05 * samples

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from one_record import factored, levels_of, problem_of, shared
 from scipy.sparse import csr_matrix
 from small_problems import NONLINEARITIES, small_chain
 from structures import braced, hysteretic, modal, shuffled
@@ -80,7 +81,7 @@ def noise_of(record: Record, continuity: float = 0.3) -> NoiseModel:
         q: np.where(record.sensors(q), levels * s, np.nan)
         for q, s in {"displacement": 0.7, "velocity": 0.9, "acceleration": 1.1}.items()
     }
-    return NoiseModel(response, np.where(record.sensors("force"), levels, np.nan), 0.4, continuity, spread=1.7)
+    return NoiseModel(response, np.where(record.sensors("force"), levels, np.nan), 0.4, continuity)
 
 
 def somewhere(equations: NormalEquations) -> Point:
@@ -98,7 +99,9 @@ def dense(system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
     return hessian, np.concatenate((system.gradient, system.corner_gradient))
 
 
-def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
+def autograd_equations(
+    equations: NormalEquations, point: Point, noise: NoiseModel, prior: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The same by differentiating every weighted residual."""
     weights = equations.weights(noise)
 
@@ -111,15 +114,21 @@ def autograd_equations(equations: NormalEquations, point: Point, noise: NoiseMod
     inputs = (point.unknowns, point.parameters)
     jacobian = torch.cat(torch.autograd.functional.jacobian(weighted, inputs, vectorize=True), -1)
     ridge = torch.as_tensor(equations.ridge).to(inputs[0]).expand_as(inputs[0])
-    prior = torch.block_diag(torch.diag(ridge), equations.prior_precision(noise))
-    gradient = jacobian.T @ weighted(*inputs) + prior @ torch.cat(inputs)
-    return (jacobian.T @ jacobian + prior).numpy(), gradient.detach().numpy()
+    believed = torch.block_diag(torch.diag(ridge), torch.as_tensor(prior))
+    gradient = jacobian.T @ weighted(*inputs) + believed @ torch.cat(inputs)
+    return (jacobian.T @ jacobian + believed).numpy(), gradient.detach().numpy()
 
 
-def assert_agrees(equations: NormalEquations, noise: NoiseModel | None = None) -> None:
+def prior_of(equations: NormalEquations, spread: float = 1.7) -> np.ndarray:
+    (prior,) = problem_of(equations).priors(levels_of(noise_of(equations.problem.record), spread))
+    return prior
+
+
+def assert_agrees(equations: NormalEquations, noise: NoiseModel | None = None, spread: float = 1.7) -> None:
     point, noise = somewhere(equations), noise or noise_of(equations.problem.record)
-    hessian, gradient = dense(equations.assemble(point, noise))
-    expected_hessian, expected_gradient = autograd_equations(equations, point, noise)
+    prior = prior_of(equations, spread)
+    hessian, gradient = dense(equations.assemble(point, noise, prior))
+    expected_hessian, expected_gradient = autograd_equations(equations, point, noise, prior)
     scale = np.sqrt(np.diag(expected_hessian))
     np.testing.assert_allclose(hessian / scale / scale[:, None], expected_hessian / scale / scale[:, None], atol=1e-10)
     size = np.abs(expected_gradient / scale).max()
@@ -230,9 +239,8 @@ def test_a_motion_that_goes_on(structure):
     noise = noise_of(record)
     noise = replace(noise, force=np.pad(noise.force, more, constant_values=np.nan) if more[1] > 0 else noise.force)
     expected = np.linalg.inv(correlation)
-    found = equations.prior_precision(replace(noise, spread=1.0)).numpy()
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-    assert_agrees(equations, replace(noise, spread=1.0))
+    np.testing.assert_allclose(prior_of(equations, 1.0), expected, atol=1e-6 * np.abs(expected).max())
+    assert_agrees(equations, noise, 1.0)
 
 
 @pytest.mark.parametrize("structure", [small_chain(ndof=12), shuffled(12), braced(), hysteretic()])
@@ -249,10 +257,11 @@ def test_the_order_of_elimination_changes_nothing(structure):
     driven = np.pad(noise.force, (0, problem.dynamics.size - len(noise.force)), constant_values=0.5)
     for equations in (in_band, dissected):
         point = somewhere(equations)
-        system = equations.assemble(point, replace(noise, force=driven))
-        factor = system.factor()
-        posterior = ReadoutPosterior(equations, point, factor)
-        found.append((*factor.step(system), *posterior.functions(equations.observation), posterior.force_residual()))
+        system = equations.assemble(point, replace(noise, force=driven), prior_of(equations))
+        posterior, whole = ReadoutPosterior(equations, point, factored(system)), shared(system)
+        found.append(
+            (*whole.factor().step(whole), *posterior.functions(equations.observation), posterior.force_residual())
+        )
     assert system.tree is not None
     assert len(system.tree.fronts) > 5
     for pair in zip(*found, strict=True):
@@ -277,14 +286,13 @@ def some_unknown(equations: NormalEquations, positive: bool = False) -> NormalEq
 @pytest.mark.parametrize("spread", [0.01, 1.0, 30.0])
 def test_the_spread_is_that_of_believed_parameters_alone(spread):
     equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")))
-    noise = replace(noise_of(equations.problem.record), spread=spread)
+    noise = noise_of(equations.problem.record)
     expected = [1.0 if p.unknown else spread**-2 for p in equations.problem.uncertain]
     assert len(set(expected)) == (1 if spread == 1.0 else 2)
-    np.testing.assert_allclose(equations.precision(noise), expected)
+    np.testing.assert_allclose(prior_of(equations, spread), np.diag(expected))
     # In the Hessian, in its gradient and in the loss.
     point = somewhere(equations)
-    wide = replace(noise, spread=1e9)
-    given, without = (equations.assemble(point, n) for n in (noise, wide))
+    given, without = (equations.assemble(point, noise, prior_of(equations, n)) for n in (spread, 1e9))
     believed = np.array([not p.unknown for p in equations.problem.uncertain])
     added = believed * spread**-2
     np.testing.assert_allclose(given.corner - without.corner, np.diag(added), atol=1e-9 * added.max())
@@ -292,35 +300,37 @@ def test_the_spread_is_that_of_believed_parameters_alone(spread):
         given.corner_gradient - without.corner_gradient, added * point.parameters.numpy(), atol=1e-9 * added.max()
     )
     prior = float((torch.tensor(expected) * point.parameters.square()).sum())
-    assert equations.losses(point, noise)["prior"] == pytest.approx(prior)
+    assert equations.losses(point, noise, prior_of(equations, spread))["prior"] == pytest.approx(prior)
+    whole = problem_of(equations).losses(point, levels_of(noise, spread))
+    assert whole["prior"] == pytest.approx(prior)
 
 
 def test_room_below_is_the_way_to_zero():
     equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")), positive=True)
     point = somewhere(equations)
     low = {name: values.clone() for name, values in equations.parameters(point).items()}
-    room = equations.room_below(point)
+    room = problem_of(equations).room_below(point)
     assert np.all(room < 0)
     for parameter, step in zip(equations.problem.uncertain, room, strict=True):
         low[parameter.kind][parameter.index] += parameter.prior_std * step
         assert low[parameter.kind][parameter.index] == pytest.approx(0.0, abs=1e-12)
     free = some_unknown(posed(random_record(3), kinds=("k",)))
-    assert np.all(free.room_below(somewhere(free)) == -np.inf)
+    assert np.all(problem_of(free).room_below(somewhere(free)) == -np.inf)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_step_to_a_bound_ends_at_the_bound(seed):
     """Exactly, from wherever it comes, and back again to exactly no room."""
     equations = some_unknown(posed(random_record(3), kinds=("k", "c", "kappa")), positive=True)
-    rng = np.random.default_rng(seed)
+    whole, rng = problem_of(equations), np.random.default_rng(seed)
     point, count = equations.start(), len(equations.lower)
     nowhere = np.zeros(equations.layout.size)
     for _ in range(20):
-        room, held = equations.room_below(point), rng.random(count) < 0.5
-        point = equations.moved(point, (nowhere, np.where(held, room, rng.exponential(size=count))))
+        room, held = whole.room_below(point), rng.random(count) < 0.5
+        point = whole.moved(point, (nowhere, np.where(held, room, rng.exponential(size=count))))
         parameters = point.parameters.numpy()
         np.testing.assert_array_equal(parameters[held], equations.lower[held])
-        np.testing.assert_array_equal(equations.room_below(point)[held], 0.0)
+        np.testing.assert_array_equal(whole.room_below(point)[held], 0.0)
         assert np.all(parameters >= equations.lower)
 
 
@@ -328,7 +338,7 @@ def test_without_bounds_a_step_is_a_sum():
     equations = posed(random_record(3), kinds=("k",))
     point = somewhere(equations)
     step = np.full(equations.layout.size, 0.1), np.full(len(equations.lower), -5.0)
-    moved = equations.moved(point, step)
+    moved = problem_of(equations).moved(point, step)
     torch.testing.assert_close(moved.unknowns, point.unknowns + 0.1)
     torch.testing.assert_close(moved.parameters, point.parameters - 5.0)
 
@@ -374,12 +384,13 @@ def test_the_network_moves_as_the_point_says(kind, continuity):
 
 def test_losses_are_what_the_gradient_is_of():
     equations = posed(random_record(2), through="both", kinds=("k",))
-    point, noise = somewhere(equations), noise_of(equations.problem.record)
-    system = equations.assemble(point, noise)
+    point, noise, prior = somewhere(equations), noise_of(equations.problem.record), prior_of(equations)
+    system = equations.assemble(point, noise, prior)
     direction = torch.ones_like(point.unknowns), torch.ones_like(point.parameters)
     step = 1e-6
     losses = [
-        sum(equations.losses(point.moved(tuple(s * x for x in direction)), noise).values()) for s in (step, -step)
+        sum(equations.losses(point.moved(tuple(s * x for x in direction)), noise, prior).values())
+        for s in (step, -step)
     ]
     expected = 2.0 * (system.gradient.sum() + system.corner_gradient.sum())
     assert (losses[0] - losses[1]) / (2.0 * step) == pytest.approx(expected, rel=1e-6)

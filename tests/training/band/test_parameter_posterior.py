@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from one_record import evidence_of, levels_of, problem_of
 from scipy.stats import norm, truncnorm
 from small_problems import accelerations, measured, small_chain
 
@@ -15,8 +16,8 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.discrepancy_search import scanned, widened_for_colour
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.point import Point
@@ -43,13 +44,13 @@ def posed(true: Structure, model: Structure, uncertain: tuple[Parameter, ...], *
         values[p.kind][p.index] = p.prescribed
     problem = Problem(model.with_parameters(**values), record, uncertain)
     equations = NormalEquations(Spline(knots_per_period=4.0).build(record), problem)
-    return Evidence(equations, 40, 1e-9, lambda losses, noise: None)
+    return evidence_of(equations, 40, 1e-9)
 
 
 def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
-    equations = evidence.equations
+    (equations,) = evidence.equations.each
     noise = NoiseModel(*sensor_noise(equations.network, equations.problem.record), discrepancy, 1.0)
-    trained = evidence.train(noise, equations.start())
+    trained = evidence.train(levels_of(noise), equations.start())
     assert trained is not None
     assert trained.solution.converged
     return trained
@@ -58,9 +59,9 @@ def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
 def found(
     equations: NormalEquations, trained: Trained
 ) -> tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge]:
-    evidence = Evidence(equations, 40, 1e-9, lambda losses, noise: None)
-    told = coherent_misfit(equations.columns, evidence.each_record(parameter_force, trained))
-    return parameter_posterior(equations, trained, told)
+    evidence = evidence_of(equations)
+    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    return parameter_posterior(evidence.equations, trained, told)
 
 
 def misfit_of(equations: NormalEquations, trained: Trained) -> np.ndarray:
@@ -73,9 +74,9 @@ def estimated(equations: NormalEquations, trained: Trained) -> tuple[list[Parame
 
 def dense_posterior(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
     """Peak and covariance of the parameters, in prior standard deviations: every weighted residual differentiated."""
-    weights, point = equations.weights(trained.noise), trained.solution.point
+    weights, point = equations.weights(trained.noise.records[0]), trained.solution.point
     size = len(point.unknowns)
-    precision = torch.cat((torch.full((size,), equations.ridge), equations.precision(trained.noise)))
+    precision = torch.cat((torch.full((size,), equations.ridge), problem_of(equations).precision(trained.noise)))
 
     def weighted(z):
         residuals = equations.residuals(Point(z[:size], z[size:])).items()
@@ -101,7 +102,7 @@ FREE = (
 @pytest.fixture(scope="module")
 def free() -> tuple[NormalEquations, Trained]:
     evidence = posed(small_chain(), small_chain(), FREE)
-    return evidence.equations, solved(evidence)
+    return evidence.equations.each[0], solved(evidence)
 
 
 def test_without_bounds_it_is_the_gaussian_of_the_dense_hessian(free):
@@ -126,7 +127,7 @@ def test_without_bounds_it_is_the_gaussian_of_the_dense_hessian(free):
 
 def test_the_priors_are_those_of_the_user_whatever_spread_was_learned(free):
     equations, trained = free
-    narrow = replace(trained, noise=trained.noise.with_spread(0.3))
+    narrow = replace(trained, noise=replace(trained.noise, spread=0.3))
     estimates, _ = estimated(equations, narrow)
     assert [e.prior_std for e in estimates] == [p.prior_std for p in FREE]
 
@@ -134,7 +135,7 @@ def test_the_priors_are_those_of_the_user_whatever_spread_was_learned(free):
 def test_a_bound_far_below_leaves_the_interval_centred(free):
     far = (unknown("k", 1, 20.0, 200.0), unknown("kappa", 1, 10.0, 1000.0))
     evidence = posed(small_chain(), small_chain(), far)
-    for given in estimated(evidence.equations, solved(evidence))[0]:
+    for given in estimated(evidence.equations.each[0], solved(evidence))[0]:
         assert given.estimate > 10.0 * given.std
         assert given.upper_90 - given.estimate == pytest.approx(NINETY * given.std, rel=1e-5)
         assert given.estimate - given.lower_90 == pytest.approx(NINETY * given.std, rel=1e-5)
@@ -146,7 +147,8 @@ def held(request: pytest.FixtureRequest):
     kappa = unknown("kappa", 1, request.param, 1000.0)
     evidence = posed(chain_with_kappa(100.0, -4.0, 100.0), small_chain(), (unknown("k", 1, 20.0, 200.0), kappa))
     trained = solved(evidence)
-    return evidence.equations, trained, *physical(evidence.equations, trained)
+    (equations,) = evidence.equations.each
+    return equations, trained, *physical(equations, trained)
 
 
 def physical(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -191,7 +193,7 @@ def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
         for kind, value in (("m", 10.0), ("c", 1.0), ("k", 15.0), ("kappa", 100.0))
     )
     evidence = posed(small_chain(), small_chain(), uncertain)
-    equations, trained = evidence.equations, solved(evidence)
+    (equations,), trained = evidence.equations.each, solved(evidence)
     motion = equations.flat_states(equations.physics, trained.solution.point)
     e, de = (x[:, 1] - x[:, 0] for x in motion[:2])
     per_unit = (motion[2][:, 1], de, e, e**3)
@@ -208,16 +210,16 @@ def test_misfit_is_the_discrepancy_over_the_force_of_one_prior_deviation():
     more = replace(trained, noise=trained.noise.with_discrepancy(1e6 * trained.noise.discrepancy))
     np.testing.assert_allclose(misfit_of(equations, more), 1.0, rtol=1e-3)
     # A discrepancy of few values has the same size as one of many.
-    coloured = replace(trained, noise=trained.noise.widened(0.2))
+    coloured = replace(trained, noise=trained.noise.each(lambda own: own.widened(0.2)))
     np.testing.assert_allclose(misfit_of(equations, coloured), found, rtol=1e-9)
 
 
 def test_without_uncertain_parameters_there_is_nothing():
     evidence = posed(small_chain(), small_chain(), ())
     trained = solved(evidence)
-    estimates, correlation = estimated(evidence.equations, trained)
+    estimates, correlation = estimated(evidence.equations.each[0], trained)
     assert (estimates, correlation.shape) == ([], (0, 0))
-    assert misfit_of(evidence.equations, trained).shape == (0,)
+    assert misfit_of(evidence.equations.each[0], trained).shape == (0,)
 
 
 @pytest.mark.parametrize(("duration", "names"), [(12.0, (1,)), (20.0, (1,)), (20.0, (0, 1, 2))])
@@ -228,9 +230,9 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     """
     stiffnesses = tuple(unknown("k", dof, 20.0, 200.0) for dof in names)
     evidence = posed(small_chain(), small_chain("linear"), stiffnesses, duration=duration)
-    equations = evidence.equations
-    noise = NoiseModel(*sensor_noise(equations.network, equations.problem.record), 1.0, 1.0)
-    trained = evidence.widen_for_colour(evidence.scan(noise, 1.0, equations.start()))
+    (equations,) = evidence.equations.each
+    noise = levels_of(NoiseModel(*sensor_noise(equations.network, equations.problem.record), 1.0, 1.0))
+    trained = widened_for_colour(evidence, scanned(evidence, noise, 1.0, equations.start()))
     hessian = 200.0 * np.sqrt(np.diag(trained.factor.corner_covariance))
     estimates, _ = estimated(equations, trained)
     assert all(e.lower_90 < 15.0 < e.upper_90 for e in estimates)

@@ -12,7 +12,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band import inference, part_of_record
+from pinn_cli.training.band import discrepancy_search, inference, part_of_record
 from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.history import History
 
@@ -44,10 +44,10 @@ def test_it_ends_where_a_search_in_all_of_the_record_ends(problem, monkeypatch):
     whole, _ = solved(problem)
     in_parts(monkeypatch)
     searched = []
-    scan = inference.Evidence.scan
-    monkeypatch.setattr(
-        inference.Evidence, "scan", lambda self, *a, **k: searched.append(self.problem.record) or scan(self, *a, **k)
-    )
+    for module in (discrepancy_search, part_of_record):
+        scan = module.scanned
+        noted = lambda own, *a, scan=scan, **k: searched.append(own.problem.record) or scan(own, *a, **k)  # noqa: E731
+        monkeypatch.setattr(module, "scanned", noted)
     found, _ = solved(problem)
     assert len(searched) == 2
     assert len(searched[0].time) < 500
@@ -56,7 +56,7 @@ def test_it_ends_where_a_search_in_all_of_the_record_ends(problem, monkeypatch):
     np.testing.assert_allclose(other_std, std, rtol=0.05)
     apart = found.trained.solution.point.parameters - whole.trained.solution.point.parameters
     assert np.all(np.abs(apart.numpy()) < 0.1 * std)
-    noise, again = whole.trained.noise, found.trained.noise
+    (noise,), (again,) = whole.trained.noise.records, found.trained.noise.records
     np.testing.assert_allclose(again.response["acceleration"], noise.response["acceleration"], rtol=0.05)
     assert found.trained.log_evidence == pytest.approx(whole.trained.log_evidence, abs=1.0)
 

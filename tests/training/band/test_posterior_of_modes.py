@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from one_record import factored
 from structures import modal
 
 from pinn_cli.network.spline import Spline
@@ -41,7 +42,7 @@ def test_all_channels_at_once_are_as_one_by_one():
     }  # fmt: skip
     noise = NoiseModel(levels, np.full(size, NONE), 0.3, 1e-3, innovation=driving)
     point = equations.start()
-    factor = equations.assemble(point, noise).factor()
+    factor = factored(equations.assemble(point, noise, np.eye(len(equations.uncertain))))
     posterior = ReadoutPosterior(equations, point, factor)
     found = posterior.sensed(equations.observation)
     for quantity in ("displacement", "velocity", "acceleration"):

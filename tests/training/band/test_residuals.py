@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from one_record import factored, shared
 from small_problems import measured, small_chain
 from structures import braced, hysteretic
 
@@ -42,9 +43,8 @@ def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.nd
     start, rng = equations.start(), np.random.default_rng(2)
     away = Point(*(torch.as_tensor(rng.normal(0.0, 0.1, x.shape)) for x in (start.unknowns, start.parameters)))
     point = start.moved((away.unknowns, away.parameters))
-    system = equations.assemble(point, noise)
-    factor = system.factor()
-    assert factor is not None
+    system = equations.assemble(point, noise, np.eye(len(equations.uncertain)))
+    factor, whole = factored(system), shared(system)
     posterior, segments = ReadoutPosterior(equations, point, factor), equations.observation
     stretch = equations.dynamics.branches.matrix[: equations.dynamics.structure.incidence.shape[0]]
     moved = [
@@ -52,8 +52,8 @@ def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.nd
     ]
     found = {
         "losses": list(equations.losses(point, noise).values()),
-        "log determinant": factor.log_determinant,
-        "step": np.concatenate(factor.step(system)),
+        "log determinant": factor.readout.log_determinant + factor.parameter_log_determinant,
+        "step": np.concatenate(whole.factor().step(whole)),
         "moved": torch.stack(moved),
         "motion": torch.stack(equations.flat_states(segments, point)[:3]),
         "functions": torch.stack(posterior.functions(segments)),

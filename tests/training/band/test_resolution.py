@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from independent_records import storey_record
+from one_record import evidence_of, levels_of, of_record
 from small_problems import measured, small_chain
 from solved_records import estimated
 
@@ -15,8 +16,8 @@ from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.discrepancy_search import searched
+from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import LARGEST_FACTOR, acceleration_error, carried_over, knots_wanted
@@ -28,13 +29,12 @@ SAMPLES, STEP, AMPLITUDE = 1201, 0.05, 2.0
 
 def trained(evidence: Evidence, point: Point | None = None) -> Trained:
     """A solution under the first noise levels, at a point if one is given."""
-    found = evidence.train(starting_noise(evidence), evidence.equations.start())
+    found = evidence.train(levels_of(starting_noise(evidence.equations.each[0])), evidence.equations.start())
     return found if point is None else replace(found, solution=replace(found.solution, point=point))
 
 
-def evidence_of(problem: Problem, design) -> Evidence:
-    equations = NormalEquations(design.build(problem.record), problem)
-    return Evidence(equations, 12, 1e-6, lambda losses, noise: None)
+def posed(problem: Problem, design) -> Evidence:
+    return evidence_of(NormalEquations(design.build(problem.record), problem))
 
 
 def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
@@ -43,8 +43,8 @@ def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
     record = measured(structure, duration=STEP * (SAMPLES - 1), samples=SAMPLES).record.keep({"displacement": (1,)})
     points = 12
     omega = 2.0 * np.pi / (per_period * points * STEP)
-    evidence = evidence_of(Problem(structure, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
-    equations = evidence.equations
+    evidence = posed(Problem(structure, record), Spline(degree=degree, intervals=(SAMPLES + 1) // points))
+    (equations,) = evidence.equations.each
     segments, time = equations.physics, equations.target.physics_time
     features = output_features(equations.network, segments)[0]
     sine = AMPLITUDE * torch.sin(omega * time)[:, None]
@@ -54,7 +54,9 @@ def fitted_sine(per_period: float, degree: int = 6) -> tuple[float, float]:
     middle = slice(SAMPLES // 4, 3 * SAMPLES // 4)
     # Relative to the accelerations: the window of the spectrum keeps their mean square.
     size = omega**2 * AMPLITUDE / np.sqrt(2.0)
-    return float(acceleration_error(evidence, at)[0]) / size, float(found[middle].square().mean().sqrt()) / size
+    return float(of_record(acceleration_error, evidence, at)[0]) / size, float(
+        found[middle].square().mean().sqrt()
+    ) / size
 
 
 @pytest.mark.parametrize("degree", [4, 6])
@@ -69,18 +71,18 @@ def test_the_error_of_a_sine_is_that_of_its_image(per_period, degree):
 def test_fourier_features_have_no_images():
     structure = small_chain("linear", ndof=1)
     record = measured(structure).record.keep({"displacement": (1,)})
-    evidence = evidence_of(Problem(structure, record), Fourier(harmonics=20))
-    assert not acceleration_error(evidence, trained(evidence)).any()
-    assert knots_wanted(evidence, trained(evidence)) == 1.0
+    evidence = posed(Problem(structure, record), Fourier(harmonics=20))
+    assert not of_record(acceleration_error, evidence, trained(evidence)).any()
+    assert of_record(knots_wanted, evidence, trained(evidence)) == 1.0
 
 
 def wanted(snr_db: float, knots: float, unknown: bool = False) -> float:
     structure = small_chain("linear", ndof=2)
     record = measured(structure, snr_db=snr_db, duration=40.0, samples=801).record.keep({"acceleration": (1, 2)})
     uncertain = (Parameter("k", 0, 15.0, 150.0, unknown=True),) if unknown else ()
-    evidence = evidence_of(Problem(structure, record, uncertain), Spline(knots_per_period=knots))
-    noise = starting_noise(evidence)
-    return knots_wanted(evidence, evidence.search(noise, noise.discrepancy, lambda: None))
+    evidence = posed(Problem(structure, record, uncertain), Spline(knots_per_period=knots))
+    noise = levels_of(starting_noise(evidence.equations.each[0]))
+    return of_record(knots_wanted, evidence, searched(evidence, noise, noise.discrepancy, lambda: None))
 
 
 def test_better_sensors_ask_for_more_knots():
@@ -106,13 +108,14 @@ def test_the_spline_is_finer_than_its_bands_are_wide():
 def test_a_motion_is_carried_over_to_finer_features():
     structure = small_chain("linear", ndof=2)
     record = measured(structure, snr_db=40.0).record.keep({"acceleration": (1, 2)})
-    coarse = evidence_of(Problem(structure, record), Spline())
-    fine = evidence_of(Problem(structure, record), Spline(least_knots=8.0))
-    assert fine.equations.network.count > 1.3 * coarse.equations.network.count
+    coarse = posed(Problem(structure, record), Spline())
+    fine = posed(Problem(structure, record), Spline(least_knots=8.0))
+    (few,), (many,) = coarse.equations.each, fine.equations.each
+    assert many.network.count > 1.3 * few.network.count
     at = trained(coarse)
-    point = carried_over(at.solution.point, coarse.equations, fine.equations)
-    before = coarse.equations.flat_states(coarse.equations.observation, at.solution.point)
-    after = fine.equations.flat_states(fine.equations.observation, point)
+    point = carried_over(at.solution.point, few, many)
+    before = few.flat_states(few.observation, at.solution.point)
+    after = many.flat_states(many.observation, point)
     for one, other in zip(before[:3], after[:3], strict=True):
         middle = slice(20, -20)
         np.testing.assert_allclose(other[middle], one[middle], atol=2e-2 * float(one.abs().max()))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from one_record import evidence_of, levels_of
 from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
@@ -25,12 +26,13 @@ from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.band import inference
+from pinn_cli.training.band.discrepancy_search import scanned, searched
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.noise_model import NoiseModel, sensor_noise
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, sensor_noise
 
 
 def equations(record: Record, structure: Structure, uncertain=(), design=None) -> NormalEquations:
@@ -88,10 +90,10 @@ def test_there_is_none_where_the_chain_is_too_stiff():
     assert simulated_start(equations(measured(small_chain()).record, small_chain(k=1e9))) is None
 
 
-def searching(record: Record) -> tuple[Evidence, NoiseModel]:
+def searching(record: Record) -> tuple[Evidence, NoiseLevels]:
     found = equations(record, small_chain())
     noise = NoiseModel(*sensor_noise(found.network, record), 1.0, 1.0)
-    return Evidence(found, 12, 1e-6, lambda losses, noise: None), noise
+    return evidence_of(found), levels_of(noise)
 
 
 def test_a_search_that_finds_a_good_model_asks_for_no_second_start():
@@ -100,27 +102,27 @@ def test_a_search_that_finds_a_good_model_asks_for_no_second_start():
     def never() -> None:
         raise AssertionError("a second start was asked for")
 
-    evidence.search(noise, 1.0, never)
+    searched(evidence, noise, 1.0, never)
 
 
 def test_without_a_second_start_the_first_one_stands(monkeypatch):
     evidence, noise = searching(measured(small_chain(), snr_db=40.0).record)
     monkeypatch.setattr("pinn_cli.training.band.discrepancy_search.SUSPICIOUS_DISCREPANCY", 0.0)
     asked = []
-    first = evidence.search(noise, 1.0, lambda: asked.append(None))
+    first = searched(evidence, noise, 1.0, lambda: asked.append(None))
     assert len(asked) == 1
-    assert first.log_evidence == evidence.scan(noise, 1.0, evidence.equations.start()).log_evidence
+    assert first.log_evidence == scanned(evidence, noise, 1.0, evidence.equations.start()).log_evidence
 
 
 def test_of_two_the_more_probable_one_is_taken(monkeypatch):
     """A second start of nonsense does no harm."""
     record = measured(small_chain(), snr_db=40.0).record
     evidence, noise = searching(record)
-    expected = evidence.scan(noise, 1.0, evidence.equations.start())
+    expected = scanned(evidence, noise, 1.0, evidence.equations.start())
     monkeypatch.setattr("pinn_cli.training.band.discrepancy_search.SUSPICIOUS_DISCREPANCY", 1e-9)
     rest = evidence.equations.start()
     wild = replace(rest, unknowns=torch.linspace(-50.0, 50.0, len(rest.unknowns), dtype=torch.float64))
-    found = evidence.search(noise, 1.0, lambda: wild)
+    found = searched(evidence, noise, 1.0, lambda: wild)
     assert found.log_evidence >= expected.log_evidence
 
 

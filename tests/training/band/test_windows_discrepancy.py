@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,12 +11,13 @@ import pytest
 
 from pinn_cli.model.knowledge import DiscrepancyTold
 from pinn_cli.training.band import windows_discrepancy
+from pinn_cli.training.band.evidence import Trained
 from pinn_cli.training.band.windows_discrepancy import of_all_windows
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 
 # N: the sensors' noise hides what is much smaller than one.
 LEAST = 1e-2
-NOISE = NoiseModel({}, np.zeros(1), 1.0, 1.0)
+NOISE = NoiseLevels((NoiseModel({}, np.zeros(1), 1.0, 1.0),))
 
 
 def hidden(values: float, found: float) -> Callable[[float], float]:
@@ -30,18 +30,19 @@ def window(
 ) -> tuple[Any, DiscrepancyTold]:
     """A window of that evidence whose own search ended somewhere; where all windows put it."""
 
-    def train(noise: NoiseModel, *arguments: object, **settings: object) -> Any:
+    def train(noise: NoiseLevels, *arguments: object, **settings: object) -> Any:
         found = SimpleNamespace(point=None, converged=True)
         return replace_trained(found, noise, log_evidence(noise.discrepancy))
 
+    def floors(_: object, trained: Any) -> list[Any]:
+        return [SimpleNamespace(discrepancy=min(LEAST, trained.noise.discrepancy))]
+
     prior = None if before is None else SimpleNamespace(levels=SimpleNamespace(told=before))
-    evidence: Any = SimpleNamespace(problem=SimpleNamespace(prior=prior), train=train)
+    evidence: Any = SimpleNamespace(problem=SimpleNamespace(prior=prior), train=train, each_record=floors)
     return of_all_windows(evidence, train(NOISE.with_discrepancy(own)))
 
 
-def replace_trained(solution: Any, noise: NoiseModel, log_evidence: float) -> Any:
-    from pinn_cli.training.band.discrepancy_search import Trained
-
+def replace_trained(solution: Any, noise: NoiseLevels, log_evidence: float) -> Any:
     return Trained(solution, noise, None, log_evidence)  # type: ignore[arg-type]
 
 
@@ -49,16 +50,11 @@ def replace_trained(solution: Any, noise: NoiseModel, log_evidence: float) -> An
 def plain_units(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(windows_discrepancy, "discrepancy_unit", lambda evidence: 1.0)
 
-    def least(evidence: object, trained: Any) -> NoiseModel:
-        return replace(trained.noise, discrepancy=min(LEAST, trained.noise.discrepancy))
-
-    monkeypatch.setattr(windows_discrepancy, "floor", least)
-
 
 def test_where_a_record_leaves_it_open_the_smallest_is_taken():
     found, told = window(hidden(10, 1.0), own=0.3, before=None)
     assert found.noise.discrepancy == pytest.approx(LEAST)
-    assert found.noise.earlier_misfit == 1.0
+    assert found.noise.records[0].earlier_misfit == 1.0
     assert told.common
     assert told.at(np.array([-2.0, -1.0])) == pytest.approx([0.0, 0.0], abs=0.2)
     assert told.at(np.array([0.5]))[0] < -5.0
@@ -70,7 +66,7 @@ def test_what_no_window_tells_alone_they_tell_together():
     for _ in range(12):
         found, told = window(each, own=0.05, before=told)
         sizes.append(found.noise.discrepancy)
-        factors.append(found.noise.earlier_misfit)
+        factors.append(found.noise.records[0].earlier_misfit)
     assert sizes[0] == pytest.approx(LEAST)
     assert 0.5 < sizes[-1] < 1.0
     # What earlier windows hid is counted with the size that is known now.
@@ -85,7 +81,7 @@ def test_a_window_that_tells_by_itself_keeps_its_own():
     assert told.at(np.array([-2.0, 0.0, 0.5])) == pytest.approx(before.at(np.array([-2.0, 0.0, 0.5])))
     after, told = window(hidden(10, 1.0), own=0.3, before=told)
     assert after.noise.discrepancy == pytest.approx(LEAST)
-    assert after.noise.earlier_misfit == 1.0
+    assert after.noise.records[0].earlier_misfit == 1.0
     assert told.common
 
 

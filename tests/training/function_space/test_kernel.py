@@ -51,8 +51,9 @@ class Dense:
             last.mul_(1.0 / max(1.0, float(last.abs().max())))
         self.parameters = LearnedParameters(problem, torch.float64)
         self.parameters.moved.data += 0.05
+        self.parameters.spread = 0.8
         collocation = collocate(problem, targets(problem.record, Dynamics(problem.structure)), 48, 10000)
-        self.noise = collocation.noise_model(0.05, 0.01).with_spread(0.8)
+        self.noise = collocation.noise_model(0.05, 0.01)
         self.rows = ResidualRows(problem.dynamics, collocation.target, through, self.network.continuity == "penalised")
         self.linear = Linearisation(self.network, self.parameters, self.rows, self.noise)
 
@@ -117,7 +118,7 @@ def test_derivatives_by_parameters(through, hold):
         torch.autograd.grad(r, parameters.moved, retain_graph=True, allow_unused=True)[0] for r in dense.residuals()
     ]
     by_moved = torch.stack([torch.zeros_like(parameters.moved) if row is None else row for row in rows])
-    expected = by_moved / parameters.unit * parameters.prior_deviation(0.8)
+    expected = by_moved / parameters.unit * parameters.prior_deviation
     torch.testing.assert_close(dense.linear.by_parameter, expected.detach(), rtol=1e-8, atol=1e-8)
 
 

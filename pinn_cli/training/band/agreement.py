@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinn_cli.training.band.bordered import BorderedFactor
-from pinn_cli.training.band.discrepancy_search import Trained
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.estimate import Disagreement
 
 # Directions of the parameters that a record tells and the others do not, over its own information: nothing compares
@@ -15,7 +13,7 @@ from pinn_cli.training.estimate import Disagreement
 COMPARED = 1e-6
 
 
-def disagreements(evidence: JointEvidence, trained: Trained) -> tuple[Disagreement, ...]:
+def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, ...]:
     """How far every record pulls the parameters from where all of them ended, against chance.
 
     The pull is what its own misfit falls with the parameters, its motion following them. With the record's information
@@ -23,8 +21,8 @@ def disagreements(evidence: JointEvidence, trained: Trained) -> tuple[Disagreeme
     """
     equations, out = evidence.equations, []
     covariance = trained.factor.corner_covariance
-    at, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale.cpu().numpy()
-    precision = equations.precision(trained.noise).cpu().numpy()
+    at, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    precision = equations.precision(trained.noise).numpy()
     start = np.array([p.prescribed for p in equations.uncertain])
     for columns, (whole, every) in zip(equations.columns, evidence.each_record(told, trained), strict=True):
         # A bound holds others back, and says nothing about chance.
@@ -37,17 +35,14 @@ def disagreements(evidence: JointEvidence, trained: Trained) -> tuple[Disagreeme
     return tuple(out)
 
 
-def told(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+def told(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
     """Of one record: its own information about its parameters (p, p), and its pull on them (p,)."""
-    equations, point = evidence.equations, trained.solution.point
-    system = equations.assemble(point, trained.noise)
+    system = evidence.equations.assemble(solution.point, solution.noise)
     eliminated = system.eliminated()
-    precision = equations.precision(trained.noise).cpu().numpy()
     if eliminated is None:
-        return np.zeros((len(precision),) * 2), np.zeros(len(precision))
-    right = BorderedFactor(eliminated.readout, np.empty((0, 0))).reduced(system)[1]
-    pull = right + precision * point.parameters.cpu().numpy()
-    return eliminated.complement - np.diag(precision), pull
+        p = len(solution.point.parameters)
+        return np.zeros((p, p)), np.zeros(p)
+    return eliminated.complement, eliminated.reduced(system)[1]
 
 
 def _against_chance(information: np.ndarray, pull: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:

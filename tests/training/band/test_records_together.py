@@ -15,18 +15,17 @@ from pinn_cli.record.record import Record
 from pinn_cli.runs import side_by_side
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.discrepancy_search import Trained
+from pinn_cli.training.band.agreement import told
 from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.joint.agreement import told
-from pinn_cli.training.band.joint.equations import joined_parameters
-from pinn_cli.training.band.joint.evidence import JointEvidence
+from pinn_cli.training.band.least_squares import joined_parameters
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
 from pinn_cli.training.band.posterior_estimate import posterior_estimate
+from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 
 STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))
 DAMPER = Parameter("c", 1, 1.0, 0.3)
@@ -40,21 +39,17 @@ def records() -> list[Record]:
     return [accelerations(record, (dof,)) for record, dof in zip(every, (1, 2), strict=True)]
 
 
-def together(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) -> tuple[JointEvidence, NoiseModel]:
+def together(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) -> tuple[Evidence, NoiseLevels]:
     """Both records, each with its own uncertain parameters, computed in this process or in copies of it."""
     structure = small_chain("duffing", 2)
     own = [Problem(structure, record, moving) for record, moving in zip(records(), uncertain, strict=True)]
-    problem = replace(own[0], further=(own[1],))
-    each = [
-        Evidence(NormalEquations(Spline(knots_per_period=4.0).build(p.record), p), 20, 1e-9, lambda losses, noise: None)
-        for p in own
-    ]
+    each = [NormalEquations(Spline(knots_per_period=4.0).build(p.record), p) for p in own]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(side_by_side, "usable_cores", lambda: [0] if here else [0, 1])
-        evidence = JointEvidence(problem, each)
+        evidence = Evidence(each, 20, 1e-9, lambda losses, noise: None)
     assert (type(evidence.equations.members) is side_by_side.Items) == here
-    levels = [replace(starting_noise(e), discrepancy=0.02, spread=0.8) for e in each]
-    return evidence, NoiseModel.of_records(levels)
+    levels = (replace(starting_noise(own), discrepancy=0.02) for own in each)
+    return evidence, NoiseLevels(tuple(levels), spread=0.8)
 
 
 SHARED = ((*STIFFNESSES, DAMPER),) * 2
@@ -62,32 +57,32 @@ SHARED = ((*STIFFNESSES, DAMPER),) * 2
 PARTLY = ((STIFFNESSES[1], DAMPER), STIFFNESSES)
 
 
-def dense(evidence: JointEvidence, point: Point, noise: NoiseModel) -> tuple[np.ndarray, np.ndarray]:
+def dense(evidence: Evidence, point: Point, noise: NoiseLevels) -> tuple[np.ndarray, np.ndarray]:
     """Hessian and gradient of all unknowns, from each record's own; the priors of the parameters once."""
     equations = evidence.equations
-    sizes = [own.equations.layout.size for own in evidence.records]
+    sizes = [own.layout.size for own in equations.each]
     start, p = [0, *np.cumsum(sizes)], len(equations.uncertain)
     hessian, gradient = np.zeros((start[-1] + p,) * 2), np.zeros(start[-1] + p)
     precision = np.where([q.unknown for q in equations.uncertain], 1.0, noise.spread**-2)
-    for i, (own, level) in enumerate(zip(evidence.records, noise.by_record, strict=True)):
+    for i, (own, level) in enumerate(zip(equations.each, noise.records, strict=True)):
         at = equations.split(point)[i]
-        system, columns = own.equations.assemble(at, level), equations.columns[i]
+        system, columns = own.assemble(at, level), equations.columns[i]
         rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns
         hessian[np.ix_(rows, rows)] = system.band.dense()
         hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = (
             csr_matrix(system.border).toarray(),
             csr_matrix(system.border).toarray().T,
         )
-        hessian[np.ix_(border, border)] += system.corner - np.diag(precision[columns])
+        hessian[np.ix_(border, border)] += system.corner
         gradient[rows] = system.gradient
-        gradient[border] += system.corner_gradient - precision[columns] * at.parameters.numpy()
+        gradient[border] += system.corner_gradient
     last = np.arange(start[-1], start[-1] + p)
     hessian[last, last] += precision
     gradient[last] += precision * point.parameters.numpy()
     return hessian, gradient
 
 
-def somewhere(evidence: JointEvidence) -> Point:
+def somewhere(evidence: Evidence) -> Point:
     """A point with motion in it and parameters off their prescribed values."""
     start, rng = evidence.equations.start(), np.random.default_rng(0)
     moved = torch.as_tensor(0.01 * rng.standard_normal(len(start.unknowns)))
@@ -133,8 +128,8 @@ def test_losses_are_the_sum_over_records_with_the_prior_once(uncertain):
     point = somewhere(evidence)
     found = evidence.equations.losses(point, noise)
     each = [
-        own.equations.losses(at, level)
-        for own, at, level in zip(evidence.records, evidence.equations.split(point), noise.by_record, strict=True)
+        own.losses(at, level)
+        for own, at, level in zip(evidence.equations.each, evidence.equations.split(point), noise.records, strict=True)
     ]
     for name in ("physics", "acceleration"):
         assert found[name] == pytest.approx(sum(own[name] for own in each))
@@ -153,17 +148,17 @@ def test_the_log_evidence_is_that_of_the_dense_determinant(uncertain):
     factor = evidence.equations.assemble(point, noise).factor()
     found = evidence.log_evidence(point, noise, factor)
     sign, determinant = np.linalg.slogdet(dense(evidence, point, noise)[0])
-    records = zip(evidence.records, evidence.equations.split(point), noise.by_record, strict=True)
-    without = sum(own.record_term(at, level, 0.0) for own, at, level in records)
+    records = zip(evidence.records, evidence.equations.split(point), noise.records, strict=True)
+    without = sum(own.log_evidence(at, level, 0.0) for own, at, level in records)
     prior = evidence.equations.losses(point, noise)["prior"] + 2.0 * believed * np.log(noise.spread)
     assert sign == 1.0
     assert found == pytest.approx(without - 0.5 * (determinant + prior), rel=1e-9, abs=1e-3)
 
 
-def motion_std(evidence: Evidence, trained: Trained) -> np.ndarray:
+def motion_std(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
     """Of a file's, so that a copy of the process finds it."""
     equations = evidence.equations
-    posterior = ReadoutPosterior(equations, trained.solution.point, trained.factor)
+    posterior = ReadoutPosterior(equations, solution.point, solution.factor)
     return posterior.functions(equations.observation)[0].numpy()
 
 
@@ -215,14 +210,14 @@ def test_records_that_believe_different_things_of_a_parameter_are_refused():
 
 def test_several_noise_models_move_together():
     _, noise = together(SHARED)
-    noise = replace(noise, further=(noise.further[0].with_discrepancy(0.1),))
-    moved = noise.with_discrepancy(0.01).with_spread(0.3).noisier(2.0).with_force_scale(3.0)
-    assert [level.discrepancy for level in moved.by_record] == pytest.approx([0.01, 0.05])
-    assert [level.spread for level in moved.by_record] == [0.3, 0.3]
-    for before, after in zip(noise.by_record, moved.by_record, strict=True):
+    first, second = noise.records
+    noise = replace(noise, records=(first, replace(second, discrepancy=0.1)))
+    moved = noise.with_discrepancy(0.01).each(NoiseModel.noisier, 2.0).each(NoiseModel.with_force_scale, 3.0)
+    assert [level.discrepancy for level in moved.records] == pytest.approx([0.01, 0.05])
+    assert moved.spread == noise.spread
+    for before, after in zip(noise.records, moved.records, strict=True):
         np.testing.assert_allclose(after.response["acceleration"], 2.0 * before.response["acceleration"])
         np.testing.assert_allclose(after.force, 3.0 * before.force)
-        assert not after.further
 
 
 def sensor(kind: str, index: int, name: str) -> Parameter:
@@ -258,7 +253,7 @@ def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
     np.testing.assert_array_equal(estimate.further[0].correlation, estimate.correlation[np.ix_(places, places)])
     deviations = [every[name].std for name in every]
     covariance = np.diag(np.linalg.inv(dense(evidence, trained.solution.point, noise)[0]))[-3:]
-    unit = evidence.equations.scale.numpy()
+    unit = evidence.equations.scale
     assert np.all(np.array(deviations) >= 0.98 * np.sqrt(covariance) * unit)
 
 

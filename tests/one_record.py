@@ -1,0 +1,43 @@
+"""One record alone as the solvers of several take it: a list of one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pinn_cli.runs.side_by_side import Items
+from pinn_cli.training.band.bordered import BorderedFactor, BorderedSystem
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.least_squares import LeastSquares
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.record_evidence import RecordEvidence
+from pinn_cli.training.band.shared_border import SharedSystem
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+
+
+def evidence_of(equations: NormalEquations, iterations: int = 12, tolerance: float = 1e-6, **settings) -> Evidence:
+    return Evidence([equations], iterations, tolerance, lambda losses, noise: None, **settings)
+
+
+def problem_of(equations: NormalEquations) -> LeastSquares:
+    return LeastSquares([RecordEvidence(equations)])
+
+
+def levels_of(noise: NoiseModel, spread: float = 1.0) -> NoiseLevels:
+    return NoiseLevels((noise,), spread)
+
+
+def shared(system: BorderedSystem, told: np.ndarray | None = None) -> SharedSystem:
+    p = len(system.corner)
+    return SharedSystem(Items([None]), [np.arange(p)], [system], np.zeros(p), np.zeros(p), told)
+
+
+def factored(system: BorderedSystem, damping: float = 0.0, told: np.ndarray | None = None) -> BorderedFactor:
+    """Of all its unknowns."""
+    return BorderedFactor(shared(system, told).factor(damping).schur, system.eliminated(damping).readout)
+
+
+def of_record(function, evidence: Evidence, trained: Trained, *arguments: Any) -> Any:
+    """What a function makes of the one record's own part of a solution."""
+    return evidence.each_record(function, trained, *([own] for own in arguments))[0]
