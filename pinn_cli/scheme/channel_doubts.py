@@ -9,7 +9,7 @@ import numpy as np
 from pinn_cli.record.channels import Channel
 from pinn_cli.record.gauge import DELAYS_ALLOWED, WIDEST_DELAY
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.system.quantities import FORCE
 
@@ -51,7 +51,7 @@ class ChannelDoubts:
     def __init__(self, record: Record, spectra: CrossSpectra, doubted: Channel | None = None) -> None:
         self.omega, self.sensors = spectra.omega, len(spectra.sensors)
         channels = [
-            *((RESPONSE_QUANTITIES[order], dof) for order, dof in zip(spectra.orders, spectra.sensors, strict=True)),
+            *spectra.channels,
             *((FORCE, dof) for dof in spectra.forced),
             *((order, "support") for order in spectra.carried),  # none of which is in doubt
             *([(GROUND, 0)] if spectra.felt is not None else []),

@@ -127,6 +127,11 @@ class CrossSpectra:
             tuple(order for _, order in supports),
         )
 
+    @property
+    def channels(self) -> list[tuple[str, int]]:
+        """Quantity and DOF, from 0, of the response sensors."""
+        return [(RESPONSE_QUANTITIES[order], int(dof)) for order, dof in zip(self.orders, self.sensors, strict=True)]
+
     @cached_property
     def differentiation(self) -> np.ndarray:
         """(B, S), from displacement to what each sensor measures."""

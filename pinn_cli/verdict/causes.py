@@ -20,7 +20,7 @@ from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.scheme.channel_doubts import ChannelDoubts
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.linear_fit import JointFit, LinearFit
-from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
+from pinn_cli.scheme.screening import WIDTHS, Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE
@@ -36,9 +36,11 @@ if TYPE_CHECKING:
 UNITS = {1e-3: "milliseconds", 1e-6: "microseconds", 1e3: "thousands of seconds", 60.0: "minutes", 1 / 60: "1/60 s"}
 # Part of the cross spectra that a structure may miss and need no cause; what a cause may leave of it, and of what is
 # missed without it.
-NOTHING, LEFT, EXPLAINED = 0.01, 0.3, 0.7
-# Logarithm of how many times as probable a record must be with one cause as with another.
-DECISIVE = 5.0
+NOTHING, LEFT, EXPLAINED = 0.01, 0.3, 0.5
+# Logarithm of how many times as probable a record must be with one cause as with another, and of what is chance.
+DECISIVE, ALIKE = 5.0, 0.5
+# Sensors that are suspected, those that are missed most; and numbers of the structure, those whose slopes explain most.
+SUSPECTED = 5
 # Standard deviation, as a logarithm, of how far off what a person says is where it is wrong.
 WRONG = 1.5
 # A factor that is nearer to one is no mistake of a person's; neither is a shorter delay, in samples.
@@ -95,7 +97,12 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
     if without.misfit < NOTHING:
         return []
     most, found = min(LEFT, EXPLAINED * without.misfit), []
-    for cause in every_cause(believed, record, unknown, excused):
+    suspects = fits.suspects(record, without, excused)
+    dampers = np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
+    asked = list(every_cause(believed, record, *suspects))
+    if dampers and not believed.is_damped_as_whole:
+        asked.append(_damping(record, believed, dampers))
+    for cause in asked:
         fitted, minus_log = fits.fitted(cause)
         finding = cause.told(fitted) if fitted.misfit < most else None
         if finding is not None:
@@ -122,7 +129,8 @@ def _told(found: list[tuple[float, Finding]]) -> list[Finding]:
     """The most probable one, and beside what else it is."""
     if not found:
         return []
-    least, best = min(found, key=lambda pair: pair[0])
+    least = min(minus_log for minus_log, _ in found)
+    best = next(one for minus_log, one in found if minus_log < least + ALIKE)  # sensors come before what acts
     others = [one.suspect for minus_log, one in found if minus_log < least + DECISIVE and one.suspect != best.suspect]
     others = list(dict.fromkeys(others))
     said = f"; or something is wrong with the {', the '.join(others)}, which explains it as well" if others else ""
@@ -148,15 +156,45 @@ class _Fits:
         known, (kind, places) = {kind: values.copy() for kind, values in self.known.items()}, cause.free
         known[kind][list(places)] = np.nan
         guess = {kind: _sizes(linear_parts(self.estimated, ())[kind]) for kind in (MASS, "k")}
-        spectra, stretch = CrossSpectra.of(cause.record, COARSER), self.structure.stretch.matrix[self.structure.added]
-        assert spectra is not None
-        doubts = ChannelDoubts(cause.record, spectra, cause.doubted)
-        fit = LinearFit(spectra, stretch.toarray(), known, guess["k"], self.structure.with_ground, doubts)
+        fit = self._fit(cause.record, known, cause.doubted)
         model = JointFit([fit])
         found = nearest(model, grid_of_starts(model, [cause.record], guess), SURVIVORS)[0]
         values, off = fit.common.size, np.log(abs(cause.factor(found))) / WRONG
         minus_log = values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
         return found, 0.5 * float(minus_log)
+
+    def suspects(
+        self, record: Record, found: Candidate, excused: Sequence[str]
+    ) -> tuple[list[Channel], list[Parameter]]:
+        """Sensors of which a structure misses most; held masses and springs that explain most, by their scores."""
+        given = [p for p in self.structure.every_parameter() if p.kind in (MASS, "k") and p.prescribed > 0]
+        known = {kind: found.parameters[kind].copy() for kind in self.known}
+        for p in given:
+            known[p.kind][p.index] = np.nan
+        fit = self._fit(record, known)
+        fit.smooth(WIDTHS[-1])
+        left, slopes = fit.residual(fit.start(found.parameters[MASS], found.parameters["k"]), slopes=True)
+        missed = (np.abs(left) ** 2).sum((0, 2))
+        places = fit.spectra.channels
+        sensors = [c for c in channels(record, excused=excused) if (c.quantity, c.dof) in places]
+        worst = sorted(sensors, key=lambda c: -missed[places.index((c.quantity, c.dof))])[:SUSPECTED]
+        columns, rest = slopes.reshape(left.size, -1), left.reshape(-1)
+        columns, rest = np.concatenate((columns.real, columns.imag)), np.concatenate((rest.real, rest.imag))
+        held = np.array([not np.isnan(self.known[p.kind][p.index]) for p in given], dtype=bool)
+        basis, _ = np.linalg.qr(columns[:, ~held])
+        own = columns[:, held] - basis @ (basis.T @ columns[:, held])
+        explained = (own.T @ rest) ** 2 / np.maximum((own**2).sum(axis=0), 1e-300)
+        doubtful = [p for p, is_held in zip(given, held, strict=True) if is_held]
+        most = [doubtful[i] for i in np.argsort(-explained)[:SUSPECTED]]
+        return [channel for channel in sensors if channel in worst], most
+
+    def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
+        """Of the record's spectra."""
+        spectra, stretch = CrossSpectra.of(record, COARSER), self.structure.stretch.matrix[self.structure.added]
+        assert spectra is not None
+        typical = _sizes(linear_parts(self.estimated, ())["k"])
+        doubts = None if doubted is None else ChannelDoubts(record, spectra, doubted)
+        return LinearFit(spectra, stretch.toarray(), known, typical, self.structure.with_ground, doubts)
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:
@@ -166,10 +204,9 @@ def _sizes(values: np.ndarray) -> np.ndarray:
 
 
 def every_cause(
-    structure: Structure, record: Record, unknown: Sequence[Parameter], excused: Sequence[str]
+    structure: Structure, record: Record, sensors: Sequence[Channel], held: Sequence[Parameter]
 ) -> Iterator[Cause]:
-    """All that are asked."""
-    sensors = channels(record, excused=excused)
+    """All that are asked, of suspected sensors and of masses and springs that are held."""
     acting = [*channels(record, (FORCE,)), *channels(record, (GROUND,))]
     for seconds in UNITS:
         reason = f"the structure does what was measured if the time is in {UNITS[seconds]}"
@@ -186,12 +223,8 @@ def every_cause(
         for dof in range(record.ndof):
             if not record.sensors(channel.quantity)[dof]:
                 yield Cause(_moved(record, channel, dof), _always(misplaced_finding(channel, record.dof_name(dof))))
-    for parameter in structure.every_parameter():
-        if parameter.kind in (MASS, "k") and parameter.prescribed > 0 and parameter not in unknown:
-            yield _other(record, structure, parameter)
-    dampers = [i for i, c in enumerate(structure.parameters["c"]) if structure.parameter("c", i) not in unknown]
-    if dampers and not structure.is_damped_as_whole:
-        yield _damping(record, structure, dampers)
+    for parameter in held:
+        yield _other(record, structure, parameter)
 
 
 def _with(record: Record, channel: Channel, samples: np.ndarray) -> Record:

@@ -20,6 +20,7 @@ from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.causes import causes as fitted_causes
 from pinn_cli.verdict.change_findings import change_findings
 from pinn_cli.verdict.channel_faults import LEAST_GAIN, channel_faults
+from pinn_cli.verdict.comparison import worst_misfit
 from pinn_cli.verdict.doubt_findings import doubt_findings
 from pinn_cli.verdict.finding import Finding, Verdict
 from pinn_cli.verdict.first_samples import first_sample_findings
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 TOLD_BY_CAUSES = (MASS, "gain", "delay")
 # Share of what a model leaves out from which on a doubt is the cause of whatever else is wrong.
 MOST_EXPLAINED = 0.5
+# NMSE of every sensor up to which a free run calls for no cause.
+PREDICTED = 0.02
 # Share of the Nyquist frequency up to which the report's free run follows the force well between its samples.
 WELL_SAMPLED = 0.5
 
@@ -78,7 +81,7 @@ def judge(
     # Where the free run follows the sensors, a filter, a tilt or a law that is shown to be lacking is the cause.
     follows = all(finding.kind != "free_run" and finding.word != "failed" for finding in findings)
     causes = lacks if told and follows else []
-    if not causes and not is_sound:
+    if not causes and not is_sound and worst_misfit(prediction, excused) > PREDICTED:
         causes = fitted_causes(problem, _believed(problem, estimate), structure, excused)
     # Elsewhere it is what explains most of what the model leaves out, or wrong damping.
     if told and not causes and (lacks[0].kind == "damping" or estimate.doubts[0].share > MOST_EXPLAINED):

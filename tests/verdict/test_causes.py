@@ -32,7 +32,7 @@ def test_a_good_record_has_no_cause(problem):
 
 RUINED = {
     "unit": lambda x: x / 9.80665,
-    "gain": lambda x: 2.0 * x,
+    "gain": lambda x: 3.0 * x,
     "sign": lambda x: -x,
     "delay": lambda x: np.roll(x, 3),
 }
