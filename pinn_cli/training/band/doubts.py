@@ -56,8 +56,9 @@ BESIDE = 0.1
 MOST_TOLD = 3
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
-# Numbers of all columns together that are held at once, 0.8 GB; a larger record is not asked.
-MOST_NUMBERS = 1e8
+# Products of columns, at every readout weight, that are added up: some seconds, and a gigabyte. A larger record is not
+# asked.
+MOST_PRODUCTS = 2e10
 
 
 def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) -> tuple[Doubt, ...]:
@@ -75,7 +76,7 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
         return ()
     reduced = _Solution.of(evidence, solution)
     forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
-    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) > MOST_NUMBERS:
+    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_PRODUCTS:
         return ()
     told, gains = _told(reduced, forces, sensors)
     if not told:

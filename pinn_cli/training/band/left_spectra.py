@@ -165,20 +165,25 @@ def left_spectra(
     time = equations.target.physics_time
     of_equations = _of_equations(equations, point, noise, forces, moved)
     step = 1.0 / equations.network.free_intervals if equations.averages is not None else float(time[1] - time[0])
-    every = {function: banded_gram(of_equations[function], step, edges) for function in enforced}
-    gram = sum(gram for function, gram in every.items() if function not in smooth)
-    for histories, own_step in _of_channels(equations, channels, sensors, moved, p + len(forces)):
-        gram = gram + banded_gram(histories, own_step, edges)
     columns = moved.shape[1] - 1
+    gram: np.ndarray = np.zeros((len(edges) - 1, 1 + columns, 1 + columns))
     # The process behind an input is a prior, and no measure of what the model leaves out: its level stays.
-    prior = np.zeros((1 + columns, 1 + columns)) + sum(every[function].sum(axis=0) for function in smooth)
+    prior = np.zeros((1 + columns, 1 + columns))
+    for function in enforced:
+        own = banded_gram(of_equations.pop(function), step, edges)
+        if function in smooth:
+            prior += own.sum(axis=0)
+        else:
+            gram += own
+    for histories, own_step in _of_channels(equations, channels, sensors, moved, p + len(forces)):
+        gram += banded_gram(histories, own_step, edges)
     prior[1:, 1:] += np.eye(columns)
     prior[1 : 1 + p, 1 : 1 + p] += believed - np.eye(p)
     prior[1 : 1 + p, 0] += believed @ point.parameters.cpu().numpy()
     values = len(enforced) - len(smooth) + len(channels) - equations.dynamics.size
     freedom = max(values, 1) * 2.0 * length * np.diff(edges)
     seen, moving = _seen(channels, edges), _moving(equations, point, edges)
-    return LeftSpectra(np.asarray(gram)[seen], freedom[seen], prior[1:, 1:], prior[1:, 0], moving[seen])
+    return LeftSpectra(gram[seen], freedom[seen], prior[1:, 1:], prior[1:, 0], moving[seen])
 
 
 def _of_equations(
