@@ -1,4 +1,4 @@
-"""Symmetric positive definite systems that are a band with a border: many readout weights, few system parameters."""
+"""Symmetric positive definite systems of many readout weights, with few system parameters as a border."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.sparse import csr_matrix
 
-from pinn_cli.training.band.band_elimination import BandElimination
 from pinn_cli.training.band.diagonals import Diagonals
-from pinn_cli.training.band.front_elimination import FrontElimination
+from pinn_cli.training.band.elimination import Elimination
 from pinn_cli.training.band.front_tree import FrontTree
-from pinn_cli.training.band.readout_factor import ReadoutFactor
 
 # Steps that a bounded solution may take per parameter; one or two is the rule.
 NNLS_STEPS = 100
@@ -26,28 +24,33 @@ class BorderedSystem:
 
     Attributes:
         band: A.
-        border: B, (size, p), sparse or not.
+        border: B, (size, p).
         corner: C, (p, p).
         gradient: g, (size,).
         corner_gradient: h, (p,).
-        tree: The order in which the readout weights are eliminated; None: one after the other, within the band.
+        tree: The order in which the readout weights are eliminated.
+        known: (p, p), covariance of parameters that something else has told: a step leaves them where they are, and
+            the readout weights' covariance is that about the parameters and what these add. None: they are solved for.
     """
 
     band: Diagonals
-    border: np.ndarray | csr_matrix
+    border: csr_matrix
     corner: np.ndarray
     gradient: np.ndarray
     corner_gradient: np.ndarray
-    tree: FrontTree | None = None
+    tree: FrontTree
+    known: np.ndarray | None = None
 
     def factor(self, damping: float = 0.0) -> BorderedFactor | None:
         """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
         eliminated = self.eliminated(damping)
-        return None if eliminated is None else eliminated.factor(eliminated.complement)
+        if eliminated is None:
+            return None
+        return eliminated.factor(eliminated.complement if self.known is None else np.linalg.inv(self.known))
 
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
         """The readout weights eliminated, damped likewise; None if A is not positive definite."""
-        readout = _eliminated(self.band, self.border, self.tree, damping)
+        readout = Elimination.of(self.tree, self.band, self.border, damping)
         if readout is None:
             return None
         schur = self.corner - readout.border_gram
@@ -64,22 +67,13 @@ class BorderedSystem:
         readout = self._readout_alone()
         return math.nan if readout is None else readout.log_determinant
 
-    def _readout_alone(self) -> ReadoutFactor | None:
+    def _readout_alone(self) -> Elimination | None:
         """A, factored without the border."""
-        tree = None if self.tree is None else self.tree.alone
-        return _eliminated(self.band, csr_matrix((self.band.size, 0)), tree)
+        return Elimination.of(self.tree.alone, self.band, self.tree.alone.border)
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
         return -float(self.gradient @ step[0] + self.corner_gradient @ step[1])
-
-
-def _eliminated(
-    band: Diagonals, border: np.ndarray | csr_matrix, tree: FrontTree | None, damping: float = 0.0
-) -> ReadoutFactor | None:
-    if tree is None:
-        return BandElimination.of(band, border, damping)
-    return FrontElimination.of(tree, band, csr_matrix(border), damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +85,7 @@ class Eliminated:
         complement: Schur complement C - B^T A^-1 B, (p, p), its corner damped.
     """
 
-    readout: ReadoutFactor
+    readout: Elimination
     complement: np.ndarray
 
     def factor(self, complement: np.ndarray) -> BorderedFactor | None:
@@ -116,7 +110,7 @@ class BorderedFactor:
         schur: Cholesky factor of C - B^T A^-1 B, (p, p).
     """
 
-    readout: ReadoutFactor
+    readout: Elimination
     schur: np.ndarray
 
     @property
@@ -135,9 +129,12 @@ class BorderedFactor:
         return self.readout_step(half, x), x
 
     def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
-        """Half solved gradient (size,), and the parameters' right-hand side (p,), the readout weights eliminated."""
+        """Half solved gradient (size,), and the parameters' right-hand side (p,), the readout weights eliminated.
+
+        Nothing pulls at known parameters.
+        """
         half, right = self.readout.half_solved(system.gradient)
-        return half, right - system.corner_gradient
+        return half, right - system.corner_gradient if system.known is None else np.zeros_like(right)
 
     def readout_step(self, half: np.ndarray, x: np.ndarray) -> np.ndarray:
         """W (size,) that goes with x (p,), from the half solved gradient."""

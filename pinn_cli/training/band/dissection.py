@@ -20,8 +20,6 @@ import numpy as np
 # (k^3 / 3), in the triangular solutions (k^2 m) and in the products (k m^2); of an entry that is filled and added; of
 # the front itself. Measured in products.
 CHOLESKY, SOLUTION, ENTRY, FRONT = 2.5, 2.5, 60.0, 4e6
-# The same of a band of w diagonals with a border of p columns, over size w^2, size w p and size p^2.
-BAND, HALF_SOLUTION, GRAM = 2.5, 4.8, 1.0
 # Weights of a slab, and of a part that is not cut any further, at most.
 LARGEST = 400
 
@@ -43,12 +41,6 @@ class Grid:
     span: int
     reach: int
     parameters: int
-
-    @property
-    def band_cost(self) -> float:
-        """Of eliminating one weight after the other within their band, in operations of a matrix product."""
-        width, p, size = self.span * self.functions + self.reach, self.parameters, self.features * self.functions
-        return size * (BAND * width**2 + HALF_SOLUTION * width * p + GRAM * p**2)
 
 
 class Part(NamedTuple):

@@ -13,9 +13,8 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.training.band.dissection import Dissection, Grid
 from pinn_cli.training.band.equation_rows import RowPattern
 
-# Held at the same time. Within the band: the factor, a copy that is made, and the band of the inverse. By dissection:
-# the factor, and what the motion does with each parameter, in two units.
-BANDS, BORDERS = 3, 2
+# Held at the same time as the factor: what the motion does with each parameter, in two units.
+BORDERS = 2
 
 
 class BandLayout:
@@ -32,11 +31,10 @@ class BandLayout:
         feature_first: Which order; None: the narrower.
 
     Attributes:
-        dissection: The order of elimination that takes fewer operations than one weight after the other; None where
-            that is the cheapest.
+        dissection: The order of elimination.
 
     Raises:
-        InputError: This machine cannot hold the band, counted before it is made.
+        InputError: This machine cannot hold the factor, counted before it is made.
     """
 
     def __init__(self, feature: Tensor, count: int, pattern: RowPattern, feature_first: bool | None = None) -> None:
@@ -47,16 +45,16 @@ class BandLayout:
         self.feature_first = by_feature <= by_dof if feature_first is None else feature_first
         self.half_width = by_feature if self.feature_first else by_dof
         self.count, self.ndof, self.size = count, ndof, count * ndof
-        grid = Grid(count, ndof, span, pattern.reach, pattern.count)
-        cheapest = Dissection(grid) if self.feature_first else None
-        self.dissection = cheapest if cheapest is not None and cheapest.best.cost < grid.band_cost else None
+        self.dissection = Dissection(
+            Grid(count, ndof, span, pattern.reach, pattern.count)
+            if self.feature_first
+            else Grid(ndof, count, pattern.reach, span, pattern.count)
+        )
         self._check_memory()
         self._feature, self.device = feature, feature.device
 
     def _check_memory(self) -> None:
-        numbers = float(BANDS * (self.half_width + 1) * self.size)
-        if self.dissection is not None:
-            numbers = self.dissection.best.entries + BORDERS * self.size * self.pattern.count
+        numbers = self.dissection.best.entries + BORDERS * self.size * self.pattern.count
         needed, memory = 8 * numbers, of_this_machine()
         if needed > memory:
             allowed = f"such that a run fits into the memory of this machine, {memory / 2**30:.3g} GiB"

@@ -26,7 +26,6 @@ from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.filter_rows import FilterRows
 from pinn_cli.training.band.front_tree import FrontTree
 from pinn_cli.training.band.initial_motion import states_known
-from pinn_cli.training.band.known_border import KnownBorderSystem
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.residuals import Residuals
 from pinn_cli.training.band.ridge import ridge_loss, ridge_of
@@ -242,24 +241,19 @@ class NormalEquations(Residuals):
         corner = sums.corner[np.ix_(pick, pick)] + self.prior_precision(noise).cpu().numpy()
         slope = sums.slope[pick] + self.prior_force(point.parameters, noise).cpu().numpy()
         slope = slope if self.pull is None else slope - self.pull
-        # Fronts have a border's entries one by one; within a band it is dense as soon as it is half solved.
-        by_fronts = self.layout.dissection is not None
-        border = sums.border[:, pick] if by_fronts else sums.dense_border(pick)
+        border = sums.border[:, pick]
         at = point.unknowns.cpu(), point.parameters.cpu()
         for rows in self.states_known:
             rows.add(band, torch.from_numpy(gradient), *at)
             if len(rows.number):
                 rows.add_numbers(corner, slope, *at)
-                of_state = rows.border(len(slope))
-                border = border + (of_state if by_fronts else of_state.toarray())
-        system = BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
-        return system if self.known is None else KnownBorderSystem(**vars(system), covariance=self.known.covariance)
+                border = border + rows.border(len(slope))
+        known = None if self.known is None else self.known.covariance
+        return BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border), known)
 
-    def _order_of_elimination(self, border: csr_matrix) -> FrontTree | None:
+    def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
-        dissection = self.layout.dissection
-        if dissection is None:
-            return None
         if self._tree is None or not self._tree.suits(border):
+            dissection = self.layout.dissection
             self._tree = FrontTree(dissection.grid, dissection.tree(), border)
         return self._tree

@@ -13,9 +13,8 @@ from torch import Tensor
 from pinn_cli.runs.side_by_side import Items
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.band.band_elimination import BandElimination
-from pinn_cli.training.band.band_factor import BandFactor
 from pinn_cli.training.band.bordered import BorderedFactor
+from pinn_cli.training.band.elimination import Elimination
 from pinn_cli.training.band.joint import member
 from pinn_cli.training.band.joint.member import FactorKey, Member, Place, SystemKey
 from pinn_cli.training.band.normal_equations import NormalEquations
@@ -182,7 +181,7 @@ class JointSystem:
             schur = np.linalg.cholesky((total + total.T) / 2.0)
         except np.linalg.LinAlgError:
             return None
-        nothing = BandElimination(BandFactor(np.ones((1, 0)), np.ones(0)), np.zeros((0, len(total))))
+        nothing = Elimination.of_nothing(len(total))
         return JointFactor(nothing, schur, equations, keys, determinants)
 
     def readout_step(self) -> np.ndarray | None:
