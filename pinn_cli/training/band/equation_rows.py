@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -18,6 +21,7 @@ from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.structure import Structure
+from pinn_cli.training.band.row_sums import Rows, Touched
 from pinn_cli.training.band.subdomains import Subdomains
 
 # Numbers of the table [J | P | r] that are held at once: a whole spline of a small chain, little enough for the caches,
@@ -44,6 +48,7 @@ class RowPattern:
         kinds: Of the parameters in the equations.
         places: (N, kinds, F), of each parameter's slot among the members of all the vector's kinds, -1 where unused.
         count: Members of all the vector's kinds.
+        is_full: Whether most functions are coupled with most others.
     """
 
     _own: Tensor
@@ -64,8 +69,8 @@ class RowPattern:
         )
         self._by_offset = torch.as_tensor(coupling.by_offset).to(like)
         # Of functions that are all coupled, one product with a matrix (C, n D) is faster than a sum over its terms.
-        full = dynamics.structure.shapes is not None
-        self._dense = torch.as_tensor(self._coefficients(coupling)).to(like) if full else None
+        self.is_full = 2 * int(self.coupled.sum()) > len(self.coupled) ** 2
+        self._dense = torch.as_tensor(self._coefficients(coupling)).to(like) if self.is_full else None
 
     def _coefficients(self, coupling: Coupling) -> np.ndarray:
         """(T, n D), the derivatives of the rows in their slots by the terms."""
@@ -176,6 +181,40 @@ class RowPattern:
         pull = self.dynamics.branches.matrix[self.dynamics.branch(kind)]
         return torch.as_tensor(np.sqrt(pull.power(2).sum(axis=1)).A1).to(like)
 
+    def in_order(self, values: Tensor, axis: int = -1) -> Tensor:
+        """Values of the functions in the band's order."""
+        if np.array_equal(self.order, np.arange(len(self.order))):
+            return values
+        return values.index_select(axis, torch.as_tensor(self.order, device=values.device))
+
+    @cached_property
+    def runs(self) -> list[tuple[slice, int, int]]:
+        """Slots that most rows use, neighbours together, and others one by one: which, the first row and the last.
+
+        Rows are in the band's order.
+        """
+        coupled = self.coupled[self.order]
+        often = 2 * coupled.sum(axis=0) > len(coupled)
+        apart = (np.diff(self.offsets) != 1) | ~(often[1:] & often[:-1])
+        edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(self.offsets)]
+        found = []
+        for start, stop in pairwise(edges):
+            rows = np.flatnonzero(coupled[:, start:stop].any(axis=1))
+            found.append((slice(start, stop), int(rows[0]), int(rows[-1]) + 1))
+        return found
+
+    def every_function(self, slots: Tensor) -> Tensor:
+        """(..., n, n), derivatives by every function in the band's order, from those in the slots (..., n, D)."""
+        out = slots.new_zeros((*slots.shape[:-1], len(self.coupled) + 1))
+        out.scatter_(-1, self._neighbours.expand(slots.shape), slots)
+        return self.in_order(out[..., :-1])
+
+    def every_parameter(self, slots: Tensor) -> Tensor:
+        """(..., n, places), derivatives by all members, from those in the slots (..., n, kinds, F)."""
+        flat = slots.flatten(-2)
+        out = slots.new_zeros((*flat.shape[:-1], self.count + 1))
+        return out.scatter_add_(-1, self._member.flatten(-2).expand(flat.shape), flat)[..., :-1]
+
     def of_parameters(self, values: Tensor) -> Tensor:
         """(n, kinds, F), values of all members (count,) in the slots; 0 where unused."""
         return _with_none(values)[self._member]
@@ -235,7 +274,92 @@ class EquationRows:
         out = (self.stiffness * beside(displacement) + self.damping * beside(velocity)).sum(-1)
         return out if self.mass is None else out + self.mass * acceleration
 
-    def jacobian(self, segments: Segments, dofs: slice) -> Tensor:
+    def weighted(
+        self, segments: Segments, residual: Tensor, weight: Tensor, averages: Subdomains | None = None
+    ) -> Iterator[Rows]:
+        """The rows by readout weights and parameters, times the roots of their weights.
+
+        Args:
+            segments: Of the points, I groups of S.
+            residual: (I, S, n), or (I, 1, n) of averages.
+            weight: (n,), or as large as the residual.
+            averages: Of the rows, where the residual is averaged.
+        """
+        root = weight.broadcast_to(residual.shape).sqrt()
+        root = root if averages is not None else root * segments.mask[..., None]
+        return (self._by_group if self.pattern.is_full else self._by_function)(segments, residual, root, averages)
+
+    def _by_group(
+        self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None
+    ) -> Iterator[Rows]:
+        """Every row by all functions: those of all functions at once are as many rows of a group."""
+        groups, features = segments.feature.shape
+        n = len(self.pattern.coupled)
+        chunk = max(1, CHUNK // (features * n + self.pattern.count + 1) ** 2)
+        for start in range(0, groups, chunk):
+            part = slice(start, start + chunk)
+            jacobian, parameter = self._by_every_function(segments, averages, part)
+            jacobian = (jacobian * root[part, ..., None, None]).permute(4, 3, 1, 2, 0).flatten(2, 3)
+            by = torch.cat((parameter, residual[part, ..., None]), -1) * root[part, ..., None]
+            by = by.permute(3, 1, 2, 0).flatten(1, 2)
+            touched = [Touched(0, 0, jacobian[..., None].cpu().numpy())]
+            places = np.arange(self.pattern.count)[:, None]
+            yield Rows(segments.feature[part], touched, places, by[..., None].cpu().numpy())
+
+    def _by_every_function(self, segments: Segments, averages: Subdomains | None, part: slice) -> tuple[Tensor, Tensor]:
+        """Rows of some groups (I, S, n, B, n), or averages (I, 1, n, B, n); by the parameters (I, S, n, places)."""
+        pattern, n = self.pattern, len(self.pattern.coupled)
+        stiffness, damping = (pattern.every_function(x[part]) for x in (self.stiffness, self.damping))
+        parameter = pattern.every_parameter(self.parameter[part])
+        value, rate, curvature = (
+            getattr(segments, name)[part] for name in ("displacement", "velocity", "acceleration")
+        )
+        if averages is None:
+            jacobian = value[:, :, None, :, None] * stiffness[:, :, :, None]
+            jacobian += rate[:, :, None, :, None] * damping[:, :, :, None]
+        else:
+            share = averages.weight[part, :, None]
+            jacobian = (value * share).mT @ stiffness.flatten(2) + (rate * share).mT @ damping.flatten(2)
+            jacobian = jacobian.unflatten(-1, (n, n)).movedim(1, 2)[:, None]
+            curvature = (curvature * share).sum(1, keepdim=True)
+            parameter = (share[..., None] * parameter).sum(1, keepdim=True)
+        if self.mass is not None:
+            own = torch.as_tensor(pattern.rank, device=jacobian.device)
+            jacobian[:, :, torch.arange(n), :, own] += (curvature[..., None] * self.mass).movedim(-1, 0)
+        return jacobian, parameter
+
+    def _by_function(
+        self, segments: Segments, residual: Tensor, root: Tensor, averages: Subdomains | None
+    ) -> Iterator[Rows]:
+        """Every row by the functions in its slots: rows of one function after the other."""
+        pattern, (groups, samples, n) = self.pattern, residual.shape
+        width = len(pattern.offsets) * segments.feature.shape[1]
+        chunk = n if averages is not None else max(1, CHUNK // (groups * width * max(samples, width)))
+        for first in range(0, n, chunk):
+            dofs = pattern.order[first : first + chunk]
+            jacobian, parameter = self._in_slots(segments, averages, dofs)
+            own = torch.as_tensor(dofs, device=root.device)
+            times = root[..., own]
+            by = torch.cat((parameter, residual[..., own, None]), -1) * times[..., None]
+            features = (jacobian * times[..., None, None]).permute(3, 4, 1, 0, 2).cpu().numpy()
+            touched = []
+            for slots, begin, end in pattern.runs:
+                row, stop = max(begin - first, 0), min(end - first, len(dofs))
+                if row < stop:
+                    touched.append(Touched(first + pattern.offsets[slots.start], row, features[slots, ..., row:stop]))
+            places = pattern.places[dofs].reshape(len(dofs), -1).T
+            yield Rows(segments.feature, touched, places, by.permute(3, 1, 0, 2).cpu().numpy())
+
+    def _in_slots(self, segments: Segments, averages: Subdomains | None, dofs: np.ndarray) -> tuple[Tensor, Tensor]:
+        """Rows of some DOFs (I, S, dofs, D, B), or averages (I, 1, dofs, D, B); by parameters (I, S, dofs, slots)."""
+        slots = len(self.pattern.offsets), segments.feature.shape[1]
+        if averages is None:
+            jacobian = self.jacobian(segments, dofs).movedim(1, 2).unflatten(-1, slots)
+            return jacobian, self.parameter[:, :, dofs].flatten(3)
+        parameter = averages(self.parameter.flatten(2)).unflatten(2, (len(dofs), -1))[:, :, dofs]
+        return self.averaged_jacobian(segments, averages).permute(0, 2, 3, 1)[:, None, dofs], parameter
+
+    def jacobian(self, segments: Segments, dofs: slice | np.ndarray) -> Tensor:
         """The given DOFs' rows by the features of the DOFs in their slots, slot by slot, (I, dofs, S, D B)."""
         displacement, velocity = (phi[:, None, :, None, :] for phi in (segments.displacement, segments.velocity))
         stiffness, damping = (x[:, :, dofs].movedim(2, 1)[..., None] for x in (self.stiffness, self.damping))

@@ -99,14 +99,13 @@ class Residuals(Bounded):
         }
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
-        local = isinstance(network, SplineNetwork)
         self.beginning = Beginning.of(problem)
         prescribed = problem.structure.parameters | calibrations(problem.record.gauges)
         prescribed |= {} if self.beginning is None else self.beginning.prescribed
         self.prescribed = {name: value.to(self.target.force) for name, value in prescribed.items()}
         self._place_parameters()
         self.pattern = RowPattern(self.dynamics, self.vector, self.target.force)
-        self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern, True if local else None)
+        self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern)
         self.gauge_rows = [
             GaugeRows(gauge, i, self.network, self.dynamics, self.layout, self.vector, self.target.force)
             for i, gauge in enumerate(self.problem.record.gauges)

@@ -15,13 +15,14 @@ from pinn_cli.training.band.dissection import Dissection, Grid
 from pinn_cli.training.band.elimination import Elimination
 from pinn_cli.training.band.front_tree import FrontTree
 
-# Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs;
-# functions that are coupled further, no parameters, one function, all in one front.
+# Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs along
+# either; functions that are coupled further, no parameters, one function, all in one front.
 OWN = 2
 GRIDS = {
     "functions": Grid(12, 40, 3, 2, 80),
     "features": Grid(60, 12, 3, 2, 24),
     "slabs": Grid(50, 3, 3, 1, 6),
+    "along": Grid(5, 30, 4, 1, 6),
     "far": Grid(20, 15, 2, 4, 30),
     "none": Grid(30, 10, 3, 2, 0),
     "one": Grid(90, 1, 4, 0, 2),
@@ -62,9 +63,13 @@ def eliminated(grid: Grid, damping: float = 0.0) -> tuple[Elimination, np.ndarra
 
 
 def test_the_grids_are_eliminated_in_the_orders_that_they_stand_for():
-    how = {name: Dissection(grid, largest=40).best.how for name, grid in GRIDS.items()}
-    assert {name: how[name] for name in ("functions", "features", "slabs", "leaf")} == {
-        name: name for name in ("functions", "features", "slabs", "leaf")
+    found = {name: Dissection(grid, largest=40).best for name, grid in GRIDS.items()}
+    assert {name: (best.how, best.axis) for name, best in found.items() if name not in ("far", "none", "one")} == {
+        "functions": ("halves", "functions"),
+        "features": ("halves", "features"),
+        "slabs": ("slabs", "features"),
+        "along": ("slabs", "functions"),
+        "leaf": ("leaf", "features"),
     }
 
 
