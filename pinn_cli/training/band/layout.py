@@ -9,7 +9,7 @@ from torch import Tensor
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.band.dissection import Dissection, Grid
-from pinn_cli.training.band.equation_rows import RowPattern
+from pinn_cli.training.band.row_pattern import RowPattern
 
 # Held at the same time as the factor: what the motion does with each parameter, in two units.
 BORDERS = 2

@@ -15,7 +15,6 @@ from scipy.sparse import csr_matrix, identity
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
@@ -138,10 +137,8 @@ class NormalEquations(Residuals):
 
     def assemble(self, point: Point, noise: NoiseModel) -> BorderedSystem:
         """Normal matrix and gradient at a point."""
-        weights, network = self.weights(noise), self.network
-        stride = network.channels if isinstance(network, SplineNetwork) else 1
-        alive, count = self.physics.feature.shape[1], self.physics.count
-        sums = RowSums(stride, alive, count, self.dynamics.coupling, self.pattern.count)
+        weights, alive = self.weights(noise), self.physics.feature.shape[1]
+        sums = RowSums(self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count)
         for part, residuals in self.in_windows(point):
             for name, residual in residuals.items():
                 self._add(sums, name, residual, weights[name], point, part)

@@ -26,11 +26,12 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE, OUTSIDE_THE_EQUATIONS, SUPPORT
 from pinn_cli.training.band.beginning import Beginning
-from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
+from pinn_cli.training.band.equation_rows import EquationRows, own_by_parameter
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.input_rows import InputRows
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Bounded, Point
+from pinn_cli.training.band.row_pattern import RowPattern
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 

@@ -193,7 +193,7 @@ class RowSums:
             near = slice(max(0, -self.reach - apart), max(0, self.reach + 1 - apart))
             if near.start < near.stop and near.start < len(products):
                 column = place + b * self.n + other.first + d + row
-                self._add_column(products[near, b:], apart + near.start, column)
+                self._add_column(products[near], apart + near.start, column)
 
     def _add_column(self, products: np.ndarray, apart: int, column: int) -> None:
         """Add (D, B - b, I, w), of D functions from a distance on by B - b features from the same one on."""
@@ -254,14 +254,14 @@ def _products(left: np.ndarray, right: np.ndarray) -> Iterator[tuple[tuple[int, 
         right: (E, F, S, I, w).
 
     Yields:
-        The column's place, and (D, B, I, w).
+        The column's place in ``right``, and (D, B - f, I, w), of the features from its own place among F on.
     """
     columns = np.ndindex(right.shape[:2])
     if left.shape[2] == 1:
         for place in columns:
-            yield place, left[:, :, 0] * right[place][0]
+            yield place, left[:, place[1] :, 0] * right[place][0]
         return
     one, other = (x.reshape(-1, *x.shape[2:]).transpose(2, 3, 0, 1) for x in (left, right))
     gram = (np.ascontiguousarray(other) @ np.ascontiguousarray(one).swapaxes(2, 3)).transpose(2, 3, 0, 1)
     for place, products in zip(columns, gram, strict=True):
-        yield place, products.reshape(*left.shape[:2], *products.shape[1:])
+        yield place, products.reshape(*left.shape[:2], *products.shape[1:])[:, place[1] :]
