@@ -131,27 +131,29 @@ class EquationRows:
         width = len(pattern.offsets) * segments.feature.shape[1]
         chunk = n if averages is not None else max(1, CHUNK // (groups * width * max(samples, width)))
         for first in range(0, n, chunk):
-            dofs = pattern.order[first : first + chunk]
+            count = min(chunk, n - first)
+            dofs = pattern.standing(first, first + count)
             jacobian, parameter = self._in_slots(segments, averages, dofs)
-            own = torch.as_tensor(dofs, device=root.device)
-            times = root[..., own]
-            by = torch.cat((parameter, residual[..., own, None]), -1) * times[..., None]
-            features = (jacobian * times[..., None, None]).permute(3, 4, 1, 0, 2).cpu().numpy()
+            times = root[..., dofs, None]
+            by = torch.cat((parameter, residual[..., dofs, None]), -1) * times
+            features = (jacobian * times[..., None]).permute(3, 4, 1, 0, 2).contiguous().cpu().numpy()
             touched = []
             for slots, begin, end in pattern.runs:
-                row, stop = max(begin - first, 0), min(end - first, len(dofs))
+                row, stop = max(begin - first, 0), min(end - first, count)
                 if row < stop:
                     touched.append(Touched(first + pattern.offsets[slots.start], row, features[slots, ..., row:stop]))
-            places = pattern.places[dofs].reshape(len(dofs), -1).T
-            yield Rows(segments.feature, touched, places, by.permute(3, 1, 0, 2).cpu().numpy())
+            places = pattern.places[dofs].reshape(count, -1).T
+            yield Rows(segments.feature, touched, places, by.permute(3, 1, 0, 2).contiguous().cpu().numpy())
 
-    def _in_slots(self, segments: Segments, averages: Subdomains | None, dofs: np.ndarray) -> tuple[Tensor, Tensor]:
+    def _in_slots(
+        self, segments: Segments, averages: Subdomains | None, dofs: slice | np.ndarray
+    ) -> tuple[Tensor, Tensor]:
         """Rows of some DOFs (I, S, dofs, D, B), or averages (I, 1, dofs, D, B); by parameters (I, S, dofs, slots)."""
-        slots = len(self.pattern.offsets), segments.feature.shape[1]
         if averages is None:
+            slots = len(self.pattern.offsets), segments.feature.shape[1]
             jacobian = self.jacobian(segments, dofs).movedim(1, 2).unflatten(-1, slots)
             return jacobian, self.parameter[:, :, dofs].flatten(3)
-        parameter = averages(self.parameter.flatten(2)).unflatten(2, (len(dofs), -1))[:, :, dofs]
+        parameter = averages(self.parameter.flatten(2)).unflatten(2, (len(self.pattern.coupled), -1))[:, :, dofs]
         return self.averaged_jacobian(segments, averages).permute(0, 2, 3, 1)[:, None, dofs], parameter
 
     def jacobian(self, segments: Segments, dofs: slice | np.ndarray) -> Tensor:

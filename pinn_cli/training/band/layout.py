@@ -77,8 +77,7 @@ class BandLayout:
     def weights(self, unknowns: Tensor) -> Tensor:
         """Vector of unknowns (size,) as readout weights (count, ndof)."""
         placed = unknowns.reshape(self.count, self.ndof)
-        natural = np.array_equal(self.pattern.order, np.arange(self.ndof))
-        return placed if natural else placed[:, torch.as_tensor(self.pattern.rank, device=unknowns.device)]
+        return placed if self.pattern.natural else placed[:, torch.as_tensor(self.pattern.rank, device=unknowns.device)]
 
     def of_many(self, unknowns: Tensor) -> Tensor:
         """Vectors of unknowns (size, W) as readout weights (count, ndof, W)."""

@@ -170,11 +170,19 @@ class RowPattern:
         pull = self.dynamics.branches.matrix[self.dynamics.branch(kind)]
         return torch.as_tensor(np.sqrt(pull.power(2).sum(axis=1)).A1).to(like)
 
-    def in_order(self, values: Tensor, axis: int = -1) -> Tensor:
-        """Values of the functions in the band's order."""
-        if np.array_equal(self.order, np.arange(len(self.order))):
-            return values
-        return values.index_select(axis, torch.as_tensor(self.order, device=values.device))
+    @cached_property
+    def natural(self) -> bool:
+        """Whether the functions stand in the band as they come."""
+        return np.array_equal(self.order, np.arange(len(self.order)))
+
+    def standing(self, first: int, stop: int) -> slice | np.ndarray:
+        """The functions at some places of the band; a slice takes no copies."""
+        own: np.ndarray = self.order[first:stop]
+        return slice(first, stop) if self.natural else own
+
+    def in_order(self, values: Tensor) -> Tensor:
+        """Values (..., n) of the functions in the band's order."""
+        return values if self.natural else values[..., torch.as_tensor(self.order, device=values.device)]
 
     @cached_property
     def runs(self) -> list[tuple[slice, int, int]]:
