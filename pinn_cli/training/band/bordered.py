@@ -1,4 +1,4 @@
-"""Symmetric positive definite systems that are a band with a border: many readout weights, few system parameters."""
+"""Symmetric positive definite systems of many readout weights, with few system parameters as a border."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_matrix
 
-from pinn_cli.training.band.band_elimination import BandElimination
 from pinn_cli.training.band.diagonals import Diagonals
-from pinn_cli.training.band.front_elimination import FrontElimination
+from pinn_cli.training.band.elimination import Elimination
 from pinn_cli.training.band.front_tree import FrontTree
-from pinn_cli.training.band.readout_factor import ReadoutFactor
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,23 +20,23 @@ class BorderedSystem:
 
     Attributes:
         band: A.
-        border: B, (size, p), sparse or not.
+        border: B, (size, p).
         corner: C, (p, p).
         gradient: g, (size,).
         corner_gradient: h, (p,).
-        tree: The order in which the readout weights are eliminated; None: one after the other, within the band.
+        tree: The order in which the readout weights are eliminated.
     """
 
     band: Diagonals
-    border: np.ndarray | csr_matrix
+    border: csr_matrix
     corner: np.ndarray
     gradient: np.ndarray
     corner_gradient: np.ndarray
-    tree: FrontTree | None = None
+    tree: FrontTree
 
     def eliminated(self, damping: float = 0.0) -> Eliminated | None:
         """The readout weights eliminated, the diagonal times 1 + ``damping``; None if A is not positive definite."""
-        readout = _eliminated(self.band, self.border, self.tree, damping)
+        readout = Elimination.of(self.tree, self.band, self.border, damping)
         if readout is None:
             return None
         schur = self.corner - readout.border_gram
@@ -55,22 +53,13 @@ class BorderedSystem:
         readout = self._readout_alone()
         return math.nan if readout is None else readout.log_determinant
 
-    def _readout_alone(self) -> ReadoutFactor | None:
+    def _readout_alone(self) -> Elimination | None:
         """A, factored without the border."""
-        tree = None if self.tree is None else self.tree.alone
-        return _eliminated(self.band, csr_matrix((self.band.size, 0)), tree)
+        return Elimination.of(self.tree.alone, self.band, self.tree.alone.border)
 
     def decrease(self, step: tuple[np.ndarray, np.ndarray]) -> float:
         """What the system's own solution (w, x) takes off 2 [g, h] [w, x] + [w, x] H [w, x]."""
         return -float(self.gradient @ step[0] + self.corner_gradient @ step[1])
-
-
-def _eliminated(
-    band: Diagonals, border: np.ndarray | csr_matrix, tree: FrontTree | None, damping: float = 0.0
-) -> ReadoutFactor | None:
-    if tree is None:
-        return BandElimination.of(band, border, damping)
-    return FrontElimination.of(tree, band, csr_matrix(border), damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +71,7 @@ class Eliminated:
         complement: Schur complement C - B^T A^-1 B, (p, p), its corner damped.
     """
 
-    readout: ReadoutFactor
+    readout: Elimination
     complement: np.ndarray
 
     def reduced(self, system: BorderedSystem) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +114,7 @@ class BorderedFactor(ParameterFactor):
         readout: Of A.
     """
 
-    readout: ReadoutFactor
+    readout: Elimination
 
     @property
     def size(self) -> int:

@@ -22,11 +22,6 @@ class Diagonals:
     offsets: np.ndarray
     values: np.ndarray
 
-    @classmethod
-    def of_band(cls, band: np.ndarray) -> Diagonals:
-        """From a lower band (half_width + 1, size), entry [i - j, j] of which is A[i, j]; the same memory."""
-        return cls(np.arange(len(band)), band)
-
     @property
     def size(self) -> int:
         """Rows of the matrix."""
@@ -52,10 +47,6 @@ class Diagonals:
         line, first = self.lines(np.abs(row - column)), np.minimum(row, column)
         entries: np.ndarray = self.values[line, first]
         return entries
-
-    def add(self, row: np.ndarray, column: np.ndarray, amount: np.ndarray) -> None:
-        """Add to entries of the lower half, row >= column, of which one may be named several times."""
-        np.add.at(self.values, (self.lines(row - column), column), amount)
 
     def lines(self, offset: np.ndarray) -> np.ndarray:
         """Which of the lines of :attr:`values` a diagonal is.

@@ -2,7 +2,7 @@
 
 The weights are a grid of features by functions (in the band's order). Two of them are in one row of a residual where
 their features are at most ``span`` and their functions at most ``reach`` apart. A part of the grid is eliminated slab
-by slab along the features, or it is cut in two, across either axis, by a separator as wide as that, which is eliminated
+by slab along either axis, or it is cut in two, across either axis, by a separator as wide as that, which is eliminated
 after both halves (nested dissection; George 1973). Which of these is cheapest is counted, part by part.
 """
 
@@ -20,8 +20,6 @@ import numpy as np
 # (k^3 / 3), in the triangular solutions (k^2 m) and in the products (k m^2); of an entry that is filled and added; of
 # the front itself. Measured in products.
 CHOLESKY, SOLUTION, ENTRY, FRONT = 2.5, 2.5, 60.0, 4e6
-# The same of a band of w diagonals with a border of p columns, over size w^2, size w p and size p^2.
-BAND, HALF_SOLUTION, GRAM = 2.5, 4.8, 1.0
 # Weights of a slab, and of a part that is not cut any further, at most.
 LARGEST = 400
 
@@ -43,12 +41,6 @@ class Grid:
     span: int
     reach: int
     parameters: int
-
-    @property
-    def band_cost(self) -> float:
-        """Of eliminating one weight after the other within their band, in operations of a matrix product."""
-        width, p, size = self.span * self.functions + self.reach, self.parameters, self.features * self.functions
-        return size * (BAND * width**2 + HALF_SOLUTION * width * p + GRAM * p**2)
 
 
 class Part(NamedTuple):
@@ -88,13 +80,15 @@ class Choice(NamedTuple):
     Attributes:
         cost: In operations of a matrix product.
         entries: Of its factor.
-        how: ``leaf``, ``slabs``, or cut along ``features`` or ``functions``.
-        length: Features of a slab.
+        how: ``leaf``, ``slabs`` or ``halves``.
+        axis: Along which it is cut, ``features`` or ``functions``.
+        length: Of a slab along it.
     """
 
     cost: float
     entries: float
     how: str
+    axis: str
     length: int
 
 
@@ -127,37 +121,43 @@ class Dissection:
         """The order."""
         return self._tree(self._whole, 0, 0)
 
-    def _left(self, part: Part, features: float | None = None) -> float:
-        """Weights and parameters around a part, of which some first features are eliminated."""
-        grid, length = self.grid, part.features if features is None else features
-        beside = part.below + part.above
-        along = grid.span * (part.before + part.after)
-        parameters = grid.parameters * min(1.0, (part.functions + 2 * grid.reach) / grid.functions)
-        return along * (part.functions + grid.reach * beside) + grid.reach * length * beside + parameters
+    def _thick(self, axis: str) -> int:
+        """What a cut across an axis takes to separate its sides."""
+        return self.grid.span if axis == "features" else self.grid.reach
+
+    def _left(self, part: Part, features: float, functions: float) -> float:
+        """Weights and parameters around a part, of which so many features and functions are eliminated."""
+        grid = self.grid
+        beside, along = grid.reach * (part.below + part.above), grid.span * (part.before + part.after)
+        parameters = grid.parameters * min(1.0, (functions + 2 * grid.reach) / grid.functions)
+        return along * (functions + beside) + features * beside + parameters
 
     def _cheapest(self, part: Part) -> Choice:
-        grid, size = self.grid, part.features * part.functions
-        options = [*self._slabs(part)]
+        size, around = part.features * part.functions, self._left(part, part.features, part.functions)
+        options = [slabs for axis in ("features", "functions") for slabs in self._slabs(part, axis)]
         if size <= self.largest or not options:
-            options.append(Choice(*fronts(1, size, self._left(part)), "leaf", 0))
-        for axis, length, thick in (("features", part.features, grid.span), ("functions", part.functions, grid.reach)):
+            options.append(Choice(*fronts(1, size, around), "leaf", "features", 0))
+        for axis in ("features", "functions"):
+            length, thick = getattr(part, axis), self._thick(axis)
             if thick > 0 and length >= 3 * thick + 2 and size > self.largest:
-                cost, entries = fronts(1, thick * size / length, self._left(part))
+                cost, entries = fronts(1, thick * size / length, around)
                 halves = [self._best(half) for half in self._halves(part, axis)]
                 cost, entries = cost + sum(x.cost for x in halves), entries + sum(x.entries for x in halves)
-                options.append(Choice(cost, entries, axis, 0))
+                options.append(Choice(cost, entries, "halves", axis, 0))
         return min(options)
 
-    def _slabs(self, part: Part) -> Iterator[Choice]:
-        """Slab after slab of features, of several lengths."""
-        length = 1
-        while length <= part.features and length * part.functions <= max(self.largest, part.functions):
-            count = math.ceil(part.features / length)
-            # Half of the slabs, on average, have been eliminated; the next features are left as well.
-            left = self._left(
-                part._replace(after=True), features=min(part.features, part.features / 2 + self.grid.span)
-            )
-            yield Choice(*fronts(count, length * part.functions, left), "slabs", length)
+    def _slabs(self, part: Part, axis: str) -> Iterator[Choice]:
+        """Slab after slab along an axis, of several lengths."""
+        every, length = getattr(part, axis), 1
+        across = part.features * part.functions // every
+        open_end = part._replace(**{"after" if axis == "features" else "above": True})
+        # Along the features there is always one; all features of a function are one where they are few.
+        most = max(self.largest, across) if axis == "features" else self.largest
+        while length <= every and length * across <= most:
+            # Half of the slabs, on average, have been eliminated; the next ones are left as well.
+            done = {axis: min(every, every / 2 + self._thick(axis))}
+            left = self._left(open_end, **{"features": part.features, "functions": part.functions} | done)
+            yield Choice(*fronts(math.ceil(every / length), length * across, left), "slabs", axis, length)
             length *= 2
 
     def _halves(self, part: Part, axis: str) -> tuple[Part, Part]:
@@ -171,19 +171,20 @@ class Dissection:
 
     def _tree(self, part: Part, feature: int, function: int) -> Separated:
         """The order in a part whose first feature and function are given."""
-        _, _, how, length = self._best(part)
+        _, _, how, axis, length = self._best(part)
         if how == "leaf":
             return Separated(self._weights(part, feature, function, by_feature=True), ())
         if how == "slabs":
             tree: Separated | None = None
-            for start in range(0, part.features, length):
-                slab = part._replace(features=min(length, part.features - start))
-                weights = self._weights(slab, feature + start, function, by_feature=True)
+            for start in range(0, getattr(part, axis), length):
+                slab = part._replace(**{axis: min(length, getattr(part, axis) - start)})
+                at = (feature + start, function) if axis == "features" else (feature, function + start)
+                weights = self._weights(slab, *at, by_feature=axis == "features")
                 tree = Separated(weights, () if tree is None else (tree,))
             assert tree is not None
             return tree
-        first, second = self._halves(part, how)
-        if how == "features":
+        first, second = self._halves(part, axis)
+        if axis == "features":
             middle = part._replace(features=self.grid.span)
             between = self._weights(middle, feature + first.features, function, by_feature=False)
             after = feature + first.features + self.grid.span, function

@@ -21,11 +21,11 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
 from pinn_cli.system.natural_modes import frequency_with_oscillator
 from pinn_cli.system.parameters import MASS
+from pinn_cli.training.band.elimination import Elimination
 from pinn_cli.training.band.force_doubts import ForceTerm, connection_force, force_border, force_terms
 from pinn_cli.training.band.left_spectra import Fit, LeftSpectra, left_spectra
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.readout_factor import ReadoutFactor
 from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.band.sensor_doubts import (
     DELAY,
@@ -126,7 +126,7 @@ class _Solution:
     noise: NoiseModel
     channels: list[Shown]
     gradient: np.ndarray
-    readout: ReadoutFactor
+    readout: Elimination
     prior: np.ndarray
 
     @classmethod

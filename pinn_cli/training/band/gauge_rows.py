@@ -17,7 +17,7 @@ from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, TILT
-from pinn_cli.training.band.row_sums import RowSums
+from pinn_cli.training.band.row_sums import Rows, RowSums, Touched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -291,17 +291,14 @@ def add_products(
         columns: Place of a parameter to what that does to the rows (I, S), per prior deviation.
         weight: Of every row.
     """
-    held = torch.stack(list(columns.values()), -1) if columns else residual.new_zeros((*residual.shape, 0))
-    for number, (function, phi) in enumerate(features.items()):
-        weighted = weight * phi.mT
-        sums.add_moment(segments, (weighted @ residual[..., None])[..., 0], function)
-        for other, its in list(features.items())[: number + 1]:
-            sums.add_pair(segments, weighted @ its, function, other)
-        pulled = weighted @ held
-        for i, place in enumerate(columns):
-            sums.add_border(segments, pulled[..., i], function, place)
-    flat = held.flatten(0, 1)
-    sums.add_parameters(list(columns), weight * flat.mT @ flat, weight * flat.mT @ residual.flatten())
+    root = weight**0.5
+    of_functions = ((root * phi).permute(2, 1, 0).cpu().numpy() for phi in features.values())
+    first = sums.rank[list(features)].tolist()
+    assert max(first) - min(first) <= sums.reach, "functions that one row feels stand within the band"
+    touched = [Touched(place, 0, phi[None, ..., None]) for place, phi in zip(first, of_functions, strict=True)]
+    by = root * torch.stack([*columns.values(), residual]).mT
+    places = np.array(list(columns), dtype=np.int64)[:, None]
+    sums.add(Rows(segments.feature, touched, places, by[..., None].cpu().numpy()))
 
 
 def summed_features(

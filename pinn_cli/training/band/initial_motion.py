@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.beginning import TIE, Beginning
-from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_sums import Rows, RowSums, Touched
 from pinn_cli.training.modal_scale import modal_deviation
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
@@ -66,19 +66,16 @@ class StateRows:
     def __init__(self, network: LinearReadout, state: State, layout: BandLayout, time: Tensor) -> None:
         segments = network.segments(time)
         alive = segments.mask[:, 0] > 0
-        feature = segments.feature[alive][0].cpu().numpy()
+        self.feature = segments.feature[alive][:1].cpu()
         jet = segments.displacement, segments.velocity, segments.acceleration
         rows = torch.stack([x[alive][0, 0] for x in jet[state.order : state.order + 2]]).cpu()
         self.jacobian = rows / rows.new_tensor(state.deviation)[:, :, None]
-        place = layout.positions(feature[None], np.arange(len(state.deviation))[:, None])  # (F, B)
+        self.layout = layout
+        place = layout.positions(self.feature.numpy(), np.arange(len(state.deviation))[:, None])  # (F, B)
         self.place = torch.as_tensor(place)
-        row, column = np.broadcast_arrays(place[:, :, None], place[:, None, :])
-        self.lower = row >= column
-        self.row, self.column = row[self.lower], column[self.lower]
-        self.size = layout.size
         # Of the uncertain numbers: which residual has each, where that stands, and how large it is there.
         self.of, self.rate = np.nonzero(state.column >= 0)
-        self.number = state.column[self.of, self.rate]
+        self.column, self.number = state.column, state.column[self.of, self.rate]
         over = state.deviation[self.of, self.rate]
         self.value, self.unit = (rows.new_tensor(x[self.number] / over) for x in (state.value, state.unit))
 
@@ -86,24 +83,15 @@ class StateRows:
         """Sum of squares, with the uncertain numbers (p,)."""
         return float(self._residuals(unknowns.cpu(), numbers.cpu()).square().sum())
 
-    def add(self, band: Diagonals, gradient: Tensor, unknowns: Tensor, numbers: Tensor) -> None:
-        """Add their part to a normal matrix and to its gradient."""
-        gram = (self.jacobian.mT @ self.jacobian).numpy()
-        band.add(self.row, self.column, gram[self.lower])
-        pull = torch.einsum("fr,frb->fb", self._residuals(unknowns, numbers), self.jacobian)
-        gradient.index_add_(0, self.place.reshape(-1), pull.reshape(-1))
-
-    def border(self, numbers: int) -> csr_matrix:
-        """(size, p), of the readout weights against the uncertain numbers."""
-        values = -(self.jacobian[self.of, self.rate] * self.unit[:, None]).numpy()
-        row, column = self.place[self.of].numpy(), np.repeat(self.number, values.shape[1])
-        return csr_matrix((values.ravel(), (row.ravel(), column)), (self.size, numbers))
-
-    def add_numbers(self, corner: np.ndarray, slope: np.ndarray, unknowns: Tensor, numbers: Tensor) -> None:
-        """Add products of the uncertain numbers (p, p), and their part of the gradient (p,)."""
-        own = self._residuals(unknowns, numbers)[self.of, self.rate]
-        np.add.at(corner, (self.number, self.number), self.unit.square().numpy())
-        np.add.at(slope, self.number, -(self.unit * own).numpy())
+    def add_to(self, sums: RowSums, point: Point, places: np.ndarray) -> None:
+        """Add their products at a point; the uncertain numbers have places (p,) among all parameters."""
+        order = self.layout.pattern.order
+        by = np.zeros((3, 2, len(order)))  # both numbers of a function and the residual, by the value and the rate
+        by[self.rate, self.rate, self.of] = -self.unit.numpy()
+        by[-1] = self._residuals(point.unknowns.cpu(), point.parameters.cpu()).numpy().T
+        there = np.where(self.column >= 0, np.append(places, -1)[self.column], -1)
+        touched = Touched(0, 0, self.jacobian.permute(2, 1, 0).numpy()[None, :, :, None, order])
+        sums.add(Rows(self.feature, [touched], there[order].T, by[:, :, None, order]))
 
     def _residuals(self, unknowns: Tensor, numbers: Tensor) -> Tensor:
         """(F, 2)."""

@@ -96,7 +96,8 @@ class InputRows:
         self.segments = self.points.weighted(*(of_value if k == order else of_rates for k in range(3)))
         plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
-        self.rows = SensorRows(self.segments, list(enumerate(weights, start=order)), there)
+        jet = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
+        self.rows = SensorRows(self.segments, list(zip(jet[order:], weights, strict=True)))
 
     def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
         """(P, channels), B applied: to as much as the features follow, the rest stays."""

@@ -8,21 +8,17 @@ together give one small dense block.
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, identity
 from torch import Tensor
 
-from pinn_cli.network.linear_readout import LinearReadout, Segments
-from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.block_sums import BlockSums
 from pinn_cli.training.band.bordered import BorderedSystem
-from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.filter_rows import FilterRows
 from pinn_cli.training.band.front_tree import FrontTree
 from pinn_cli.training.band.initial_motion import states_known
@@ -31,7 +27,6 @@ from pinn_cli.training.band.residuals import Residuals
 from pinn_cli.training.band.ridge import ridge_loss, ridge_of
 from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.band.sensor_rows import SensorRows
-from pinn_cli.training.band.time_major import TimeMajorSums
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
@@ -52,7 +47,6 @@ class NormalEquations(Residuals):
         known: KnownParameters | None = None,
     ) -> None:
         super().__init__(network, problem, device, known)
-        self._grams: dict[str, Tensor] = {}
         self.sensor_rows = self._sensor_rows()
         self.filter_rows = [
             FilterRows(rows, self.physics, self.averages) for rows in self.gauge_rows if rows.state is not None
@@ -62,35 +56,20 @@ class NormalEquations(Residuals):
         self.pull: np.ndarray | None = None
         self._tree: FrontTree | None = None
 
-    @cached_property
-    def _own_features(self) -> dict[str, tuple[Segments, Tensor]]:
-        """Residuals that touch their own DOF only, with rows that never change: their segments and features."""
-        masks = observation_masks(self.target, self.problem.acceleration_through)
-        own = [name for name in masks if name != "observer" and self.dynamics.feels_own(name)]
-        out = {name: (self.observation, getattr(self.observation, name)) for name in own}
-        if self.physics.continuity is not None:
-            out["continuity"] = (self.physics, self.physics.continuity)
-        return out
-
-    def _gram(self, name: str, part: slice) -> Tensor:
-        """Products of the features of some groups; features that are alive everywhere take long, and are kept."""
-        segments, features = self._own_features[name]
-        if len(self.windows(segments)) > 1:
-            return features[part].mT @ features[part]
-        if name not in self._grams:
-            self._grams[name] = features.mT @ features
-        return self._grams[name]
-
     def _sensor_rows(self) -> dict[str, SensorRows]:
-        """Residuals of sensors that feel several functions, with rows that never change."""
-        masks = observation_masks(self.target, self.problem.acceleration_through)
-        return {
-            name: self.inputs[name].rows
-            if name in self.inputs
-            else SensorRows(self.observation, self.dynamics.sensing(name), mask.cpu().numpy())
-            for name, mask in masks.items()
-            if name != "observer" and not self.dynamics.feels_own(name)
+        """Residuals with rows that never change: those of sensors, and what separate outputs leave between them."""
+        segments, masks = self.observation, observation_masks(self.target, self.problem.acceleration_through)
+        jet = segments.displacement, segments.velocity, segments.acceleration
+        out = {
+            name: SensorRows(segments, [(jet[order], felt) for order, felt in self.dynamics.sensing(name)])
+            for name in masks
+            if name != "observer" and name not in self.inputs
         }
+        out |= {name: rows.rows for name, rows in self.inputs.items() if name in masks}
+        if self.physics.continuity is not None:
+            every = identity(self.dynamics.size, format="csr")
+            out["continuity"] = SensorRows(self.physics, [(self.physics.continuity, every)])
+        return out
 
     def weights(self, noise: NoiseModel) -> dict[str, Tensor]:
         """Weight of every residual under a noise model, 0 where a DOF has none: (n,), or (I, S, n) where it varies."""
@@ -162,7 +141,8 @@ class NormalEquations(Residuals):
 
     def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:
         """Normal matrix and gradient at a point; arguments as of :meth:`losses`."""
-        weights, sums = self.weights(noise), self._sums()
+        weights, alive = self.weights(noise), self.physics.feature.shape[1]
+        sums = RowSums(self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count)
         for part, residuals in self.in_windows(point):
             for name, residual in residuals.items():
                 self._add(sums, name, residual, weights[name], point, part)
@@ -171,21 +151,18 @@ class NormalEquations(Residuals):
 
     def _add(self, sums: RowSums, name: str, residual: Tensor, weight: Tensor, point: Point, part: slice) -> None:
         """Add the rows of one residual in some groups; the weight is (n,), or (I, S, n) of all groups."""
-        own = self._own_features
         weight = weight if weight.ndim == 1 else weight[part]
         if name == "physics":
             averages = None if self.averages is None else self.averages.part(part)
             rows = self.rows(self.physics, point, part=part)
-            sums.add_rows(self.physics.part(part), rows, residual, weight, averages)
+            for each in rows.weighted(self.physics.part(part), residual, weight, averages):
+                sums.add(each)
         elif name == "observer":
             # The observer's residual is (f - restoring force) / m - a: the rows of the restoring force over -m.
             mass = -self.parameters(point)["m"]
             rows = self.rows(self.observation, point, False, part)
-            sums.add_rows(self.observation.part(part), rows, residual * mass, weight / mass**2)
-        elif name in own:
-            segments, features = own[name]
-            moment, weight = (self.dynamics.padded(x) for x in (features[part].mT @ residual, weight))
-            sums.add_own_rows(segments.part(part), self._gram(name, part), moment, weight)
+            for each in rows.weighted(self.observation.part(part), residual * mass, weight / mass**2):
+                sums.add(each)
         else:
             self.sensor_rows[name].add_to(sums, residual, weight, part)
 
@@ -204,14 +181,6 @@ class NormalEquations(Residuals):
         for filter_rows in self.filter_rows:
             filter_rows.add_to(sums, point.unknowns, parameters, spread)
 
-    def _sums(self) -> RowSums:
-        """Nothing yet: by diagonals where few features are alive at once, in dense blocks where all are."""
-        features = self.physics.feature.shape[1]
-        if isinstance(self.network, SplineNetwork):
-            kind = TimeMajorSums if self.dynamics.structure.shapes is None else BlockSums
-            return kind(self.network.channels, features, self.physics.count, self.pattern)
-        return DofMajorSums(self.layout, features, self.pattern, self.target.force)
-
     @property
     def joint_precision(self) -> np.ndarray | None:
         """(p, p), of what earlier records say of the parameters together, in their units; None where there are none."""
@@ -220,9 +189,12 @@ class NormalEquations(Residuals):
         return None if self.problem.prior is None else self.problem.prior.precision
 
     def _system(self, sums: RowSums, point: Point, prior: np.ndarray | None) -> BorderedSystem:
-        pick, band = self.vector.column, sums.band
+        pick = self.vector.column
         if self.ridge is None:
-            self.ridge = ridge_of(band.main, self.dynamics, self.layout)
+            self.ridge = ridge_of(sums.main, self.dynamics, self.layout)
+        for rows in self.states_known:
+            rows.add_to(sums, point, pick)
+        band, border = sums.band, sums.border(pick)
         band.main[:] += self.ridge
         gradient = sums.gradient + self.ridge * point.unknowns.cpu().numpy()
         corner, slope = sums.corner[np.ix_(pick, pick)], sums.slope[pick]
@@ -230,23 +202,11 @@ class NormalEquations(Residuals):
             corner = corner + prior
             slope = slope + (torch.as_tensor(prior).to(self.scale) @ point.parameters).cpu().numpy()
         slope = slope if self.pull is None else slope - self.pull
-        # Fronts have a border's entries one by one; within a band it is dense as soon as it is half solved.
-        by_fronts = self.layout.dissection is not None
-        border = sums.border[:, pick] if by_fronts else sums.dense_border(pick)
-        at = point.unknowns.cpu(), point.parameters.cpu()
-        for rows in self.states_known:
-            rows.add(band, torch.from_numpy(gradient), *at)
-            if len(rows.number):
-                rows.add_numbers(corner, slope, *at)
-                of_state = rows.border(len(slope))
-                border = border + (of_state if by_fronts else of_state.toarray())
         return BorderedSystem(band, border, corner, gradient, slope, self._order_of_elimination(border))
 
-    def _order_of_elimination(self, border: csr_matrix) -> FrontTree | None:
+    def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
         """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
-        dissection = self.layout.dissection
-        if dissection is None:
-            return None
         if self._tree is None or not self._tree.suits(border):
+            dissection = self.layout.dissection
             self._tree = FrontTree(dissection.grid, dissection.tree(), border)
         return self._tree

@@ -25,11 +25,12 @@ from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE, OUTSIDE_THE_EQUATIONS, SUPPORT
 from pinn_cli.training.band.beginning import Beginning
-from pinn_cli.training.band.equation_rows import EquationRows, RowPattern, own_by_parameter
+from pinn_cli.training.band.equation_rows import EquationRows, own_by_parameter
 from pinn_cli.training.band.gauge_rows import GaugeRows, calibrations
 from pinn_cli.training.band.input_rows import InputRows
 from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_pattern import RowPattern
 from pinn_cli.training.band.subdomains import Subdomains
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
 
@@ -98,14 +99,13 @@ class Residuals:
         }
         self.observation_target = self.target.grouped_observations(self.observation.gather)
         self.physics_target = self.target.grouped_collocation(self.physics.gather)
-        local = isinstance(network, SplineNetwork)
         self.beginning = Beginning.of(problem)
         prescribed = problem.structure.parameters | calibrations(problem.record.gauges)
         prescribed |= {} if self.beginning is None else self.beginning.prescribed
         self.prescribed = {name: value.to(self.target.force) for name, value in prescribed.items()}
         self._place_parameters()
         self.pattern = RowPattern(self.dynamics, self.vector, self.target.force)
-        self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern, True if local else None)
+        self.layout = BandLayout(self.physics.feature, self.physics.count, self.pattern)
         self.gauge_rows = [
             GaugeRows(gauge, i, self.network, self.dynamics, self.layout, self.vector, self.target.force)
             for i, gauge in enumerate(self.problem.record.gauges)

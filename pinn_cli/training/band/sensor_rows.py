@@ -1,16 +1,15 @@
-"""Rows of sensors that feel several functions of time: an accelerometer on a structure whose ground moves."""
+"""Rows of sensors, which never change: each feels functions of time, or derivatives of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
-import torch
-from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse import csr_matrix, diags
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.band.row_sums import RowSums
 
 
@@ -19,23 +18,18 @@ class SensorRows:
 
     Args:
         segments: Features at the times of the observations.
-        sensing: Orders of derivatives, and weights (channels, functions), see
-            :meth:`pinn_cli.system.dynamics.Dynamics.sensing`.
-        there: (channels,) bool, which sensors there are.
+        felt: What the sensors feel: features (I, S, B), such as a derivative, and weights (channels, functions) of the
+            functions that have them.
     """
 
-    def __init__(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]], there: np.ndarray) -> None:
-        self.segments, self.channels = segments, np.flatnonzero(there)
-        every = [(order, csc_matrix(weights[self.channels])) for order, weights in sensing]
-        # What the sensors feel: derivatives of functions, each with its weight in every channel.
-        self.felt = [(int(f), order) for order, weights in every for f in np.flatnonzero(np.diff(weights.indptr))]
-        columns = [
-            weights[:, f].toarray()[:, 0] for order, weights in every for f in np.flatnonzero(np.diff(weights.indptr))
-        ]
-        self.weights = np.stack(columns, axis=1)  # (channels there, felt)
-        orders = sorted({order for order, _ in sensing})
-        self.features = {order: getattr(segments, MOTION[order]) for order in orders}
-        self.grams = {(a, b): self.features[a].mT @ self.features[b] for a in orders for b in orders}
+    def __init__(self, segments: Segments, felt: Sequence[tuple[Tensor, csr_matrix]]) -> None:
+        self.segments, self.felt = segments, [(features, csr_matrix(weights)) for features, weights in felt]
+
+    @cached_property
+    def _grams(self) -> list[list[np.ndarray]]:
+        """(I, B, B), products of the features."""
+        features = [phi for phi, _ in self.felt]
+        return [[(one.mT @ other).cpu().numpy() for other in features] for one in features]
 
     def add_to(self, sums: RowSums, residual: Tensor, weight: Tensor, part: slice = slice(None)) -> None:
         """Add their weighted products.
@@ -43,21 +37,13 @@ class SensorRows:
         Args:
             sums: What they are added to.
             residual: (I, S, channels).
-            weight: (channels,).
+            weight: (channels,), 0 where there is no sensor.
             part: Which groups the residual is of.
         """
-        scaled = self.weights * weight.cpu().numpy()[self.channels, None]
-        products, pull = scaled.T @ self.weights, torch.as_tensor(scaled).to(residual)
-        moments = {
-            order: features[part].mT @ (residual[..., self.channels] @ pull)
-            for order, features in self.features.items()
-        }
-        segments = self.segments.part(part)
-        for i, (function, order) in enumerate(self.felt):
-            sums.add_moment(segments, moments[order][..., i], function)
-            for j, (other, other_order) in enumerate(self.felt[: i + 1]):
-                if products[i, j]:
-                    pair = self.grams[order, other_order][part] * products[i, j]
-                    if function == other and order != other_order:  # two derivatives of one function
-                        pair = pair + pair.mT
-                    sums.add_pair(segments, pair, function, other)
+        feature, by_channel = self.segments.feature[part], diags(weight.cpu().numpy())
+        for (features, weights), grams in zip(self.felt, self._grams, strict=True):
+            pulled = weights.T @ by_channel
+            moment = (features[part].mT @ residual).cpu().numpy()  # (I, B, channels)
+            sums.add_moment(feature, (moment.reshape(-1, moment.shape[-1]) @ pulled.T).reshape(*moment.shape[:2], -1))
+            for (_, others), gram in zip(self.felt, grams, strict=True):
+                sums.add_constant(feature, gram[part], pulled @ others)

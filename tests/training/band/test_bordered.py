@@ -1,4 +1,4 @@
-"""Band-with-border solves against dense linear algebra."""
+"""Systems with a border against dense linear algebra."""
 
 from __future__ import annotations
 
@@ -8,13 +8,21 @@ from itertools import product
 import numpy as np
 import pytest
 from one_record import factored, shared
+from scipy.sparse import csr_matrix
 
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.diagonals import Diagonals
-from pinn_cli.training.band.readout_factor import ReadoutFactor
+from pinn_cli.training.band.dissection import Dissection, Grid
+from pinn_cli.training.band.front_tree import FrontTree
 
 # Half-width, size, border: diagonal, narrow, size no multiple of the width, band as wide as the matrix.
 SHAPES = [(0, 7, 0), (0, 7, 2), (1, 9, 3), (2, 23, 0), (3, 24, 1), (5, 31, 4), (7, 8, 2), (4, 4, 0), (1, 1, 1)]
+
+
+def in_slabs(half_width: int, border: np.ndarray) -> FrontTree:
+    """An order of elimination of a band, with several fronts where it is not as wide as the matrix."""
+    grid = Grid(len(border), 1, min(half_width, len(border) - 1), 0, border.shape[1])
+    return FrontTree(grid, Dissection(grid, largest=5).tree(), csr_matrix(border))
 
 
 def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSystem, np.ndarray]:
@@ -33,11 +41,12 @@ def random_system(half_width: int, size: int, border: int) -> tuple[BorderedSyst
     whole *= scale[:, None] * scale
     gradient = rng.normal(size=size + border) * scale
     width = min(half_width, size - 1)
-    band = np.zeros((half_width + 1, size))
+    band = np.zeros((width + 1, size))
     for k in range(width + 1):
         band[k, : size - k] = np.diag(whole[:size, :size], -k)
-    corner = whole[size:, size:]
-    return BorderedSystem(Diagonals.of_band(band), whole[:size, size:], corner, gradient[:size], gradient[size:]), whole
+    corner, tree = whole[size:, size:], in_slabs(half_width, whole[:size, size:])
+    diagonals = Diagonals(np.arange(width + 1), band)
+    return BorderedSystem(diagonals, tree.border, corner, gradient[:size], gradient[size:], tree), whole
 
 
 def solved(system: BorderedSystem, lower: np.ndarray | None = None, damping: float = 0.0):
@@ -105,6 +114,10 @@ def test_inverse_band_is_the_inverse_of_the_band_alone(half_width, size, border)
             given.at(np.array([half_width + 1]), np.array([0]))
 
 
+def test_some_systems_have_several_fronts():
+    assert len(random_system(2, 23, 0)[0].tree.fronts) > 4
+
+
 @pytest.mark.parametrize("damping", [1e-3, 10.0])
 def test_damping_shortens_the_step_and_does_not_turn_it(damping):
     system, whole = random_system(5, 31, 4)
@@ -142,7 +155,7 @@ def coupled_system(border: int, seed: int, push: float) -> tuple[BorderedSystem,
     rng = np.random.default_rng(seed)
     system, whole = random_system(3, 24, border)
     size = len(system.gradient)
-    eliminated = np.linalg.solve(whole[:size, :size], np.column_stack((system.border, system.gradient)))
+    eliminated = np.linalg.solve(whole[:size, :size], np.column_stack((system.border.toarray(), system.gradient)))
     scale = np.sqrt(np.diag(system.corner - system.border.T @ eliminated[:, :-1]))
     mixed = rng.normal(size=(border, border))
     schur = (mixed @ mixed.T + 10.0 ** rng.uniform(-4.0, 0.0) * np.eye(border)) * scale * scale[:, None]
@@ -224,44 +237,31 @@ def test_a_damped_bounded_step_goes_downhill():
 
 
 @pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_covariance_of_functions_of_the_last_weights(half_width, size, border):
+def test_functions_of_the_last_weights(half_width, size, border):
+    """What stands before them is not touched."""
     system, whole = random_system(half_width, size, border)
-    rows = np.random.default_rng(1).standard_normal((max(1, size // 3), 3))
-    readout = system.eliminated().readout
-    every = np.vstack((np.zeros((size - len(rows), 3)), rows))
-    solved = np.linalg.solve(whole[:size, :size], every)
-    for gram, taken in (readout.last_covariance(rows), ReadoutFactor.last_covariance(readout, rows)):
-        np.testing.assert_allclose(gram, every.T @ solved, rtol=1e-7, atol=1e-9 * np.abs(every.T @ solved).max())
-        expected = whole[size:, :size] @ solved
-        np.testing.assert_allclose(taken, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max(initial=0.0))
-
-
-@pytest.mark.parametrize(("half_width", "size", "border"), SHAPES)
-def test_operations_are_those_of_elimination_entry_by_entry(half_width, size, border):
-    system, _ = random_system(half_width, size, border)
-    width, counted = min(half_width, size - 1), 0
-    for column in range(size):
-        below = min(width, size - 1 - column)
-        counted += (below + 1) ** 2  # of every entry that the column changes an addition and a multiplication
-        counted += border * (2 * below + 1) + border**2
-    assert system.eliminated().readout.operations == counted
+    rows = np.zeros((size, 3))
+    rows[-max(1, size // 3) :] = np.random.default_rng(1).standard_normal((max(1, size // 3), 3))
+    half, taken = system.eliminated().readout.half_solved(rows)
+    solved = np.linalg.solve(whole[:size, :size], rows)
+    gram, expected = rows.T @ solved, whole[size:, :size] @ solved
+    np.testing.assert_allclose(half.T @ half, gram, rtol=1e-7, atol=1e-9 * np.abs(gram).max())
+    np.testing.assert_allclose(taken, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max(initial=0.0))
 
 
 def test_parameters_that_are_told_stay_and_their_covariance_counts():
-    random = np.random.default_rng(0)
-    matrix = np.diag(np.arange(2.0, 8.0)) + np.diag(np.full(5, 0.5), 1) + np.diag(np.full(5, 0.5), -1)
-    band = np.vstack((np.diag(matrix), np.append(np.diag(matrix, -1), 0.0)))
-    border, root = random.standard_normal((6, 2)), random.standard_normal((2, 2))
-    covariance = root @ root.T + np.eye(2)
-    gradient = random.standard_normal(6)
-    system = BorderedSystem(Diagonals.of_band(band), border, np.eye(2), gradient, np.ones(2))
-    whole = shared(system, told=covariance)
-    factor = whole.factor()
-    weights, parameters = factor.step(whole, np.full(2, -np.inf))
+    random, (system, whole) = np.random.default_rng(0), random_system(2, 6, 2)
+    root = random.standard_normal((2, 2)) / np.sqrt(np.diag(whole))[6:]
+    covariance = root.T @ root + np.diag(1.0 / np.diag(whole)[6:])
+    together = shared(system, told=covariance)
+    factor = together.factor()
+    weights, parameters = factor.step(together, np.full(2, -np.inf))
     assert np.array_equal(parameters, np.zeros(2))
-    assert np.allclose(weights, -np.linalg.solve(matrix, gradient))
-    assert np.allclose(factor.corner_covariance, covariance)
-    drawn, told = factored(system, told=covariance).draws(random.standard_normal((8, 200_000)))
-    moved = np.linalg.solve(matrix, border)
-    assert np.allclose(np.cov(told), covariance, rtol=0.05, atol=0.05)
-    assert np.allclose(np.cov(drawn), np.linalg.inv(matrix) + moved @ covariance @ moved.T, atol=0.05)
+    np.testing.assert_allclose(weights, -np.linalg.solve(whole[:6, :6], system.gradient), rtol=1e-8)
+    np.testing.assert_allclose(factor.corner_covariance, covariance, rtol=1e-10)
+    drawn = np.vstack(factored(system, told=covariance).draws(np.eye(8)))
+    moved = -np.linalg.solve(whole[:6, :6], whole[:6, 6:])
+    of_weights = np.linalg.inv(whole[:6, :6]) + moved @ covariance @ moved.T
+    expected = np.block([[of_weights, moved @ covariance], [covariance @ moved.T, covariance]])
+    unit = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(drawn @ drawn.T / unit / unit[:, None], expected / unit / unit[:, None], atol=1e-8)

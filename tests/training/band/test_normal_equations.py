@@ -22,7 +22,6 @@ from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.dissection import Dissection, Grid
-from pinn_cli.training.band.dof_major import DofMajorSums
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
@@ -249,21 +248,20 @@ def test_the_order_of_elimination_changes_nothing(structure):
     inputs = Inputs(rate=4.0) if len(structure.memory) else Inputs()
     problem = replace(problem, inputs=inputs)
     network = Spline(intervals=20).build(problem.record, functions=problem.dynamics.size)
-    in_band, dissected = NormalEquations(network, problem), NormalEquations(network, problem)
+    plain, dissected = NormalEquations(network, problem), NormalEquations(network, problem)
     grid = Grid(network.count, problem.dynamics.size, network.degree, dissected.pattern.reach, len(problem.uncertain))
-    assert in_band.layout.dissection is None
+    assert plain.layout.dissection.best.how != "halves"
     dissected.layout.dissection = Dissection(grid, largest=20)
     noise, found = noise_of(problem.record), []
     driven = np.pad(noise.force, (0, problem.dynamics.size - len(noise.force)), constant_values=0.5)
-    for equations in (in_band, dissected):
+    for equations in (plain, dissected):
         point = somewhere(equations)
         system = equations.assemble(point, replace(noise, force=driven), prior_of(equations))
         posterior, whole = ReadoutPosterior(equations, point, factored(system)), shared(system)
         found.append(
             (*whole.factor().step(whole), *posterior.functions(equations.observation), posterior.force_residual())
         )
-    assert system.tree is not None
-    assert len(system.tree.fronts) > 5
+    assert len(system.tree.fronts) > 4
     for pair in zip(*found, strict=True):
         expected, given = (np.asarray(x) for x in pair)
         np.testing.assert_allclose(given, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
@@ -345,18 +343,8 @@ def test_without_bounds_a_step_is_a_sum():
 
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)], ids=["spline", "fourier"])
 def test_more_dofs_than_a_chunk_holds(monkeypatch, design):
-    for sums in ("time_major", "dof_major"):
-        monkeypatch.setattr(f"pinn_cli.training.band.{sums}.CHUNK", 1)
+    monkeypatch.setattr("pinn_cli.training.band.equation_rows.CHUNK", 1)
     assert_agrees(posed(random_record(3), "duffing", design, "both", ("k",)))
-
-
-@pytest.mark.parametrize("ndof", [1, 2])
-def test_global_features_are_never_summed_by_diagonals(ndof):
-    """Every pair of features is a diagonal then: minutes for the features of an ordinary record."""
-    equations = posed(random_record(ndof), design=Fourier(harmonics=3))
-    assert equations.layout.feature_first  # the narrower band of so few
-    assert isinstance(equations._sums(), DofMajorSums)
-    assert_agrees(equations)
 
 
 def test_parameters_at_a_point():
@@ -410,16 +398,12 @@ def test_unobserved_and_unenforced_dofs_weigh_nothing():
 
 def test_a_splines_band_does_not_grow_with_the_record():
     short, long = (posed(random_record(3), design=Spline(intervals=n)).layout for n in (5, 12))
-    assert short.feature_first
     assert short.half_width == long.half_width == 6 * 3 + 2
 
 
-def test_global_features_are_ordered_by_dof():
-    ndof = 6
-    layout = posed(random_record(ndof), design=Fourier(harmonics=3)).layout
-    count = 2 * 3 + 2
-    assert not layout.feature_first
-    assert layout.half_width == 2 * count + count - 1
+def test_global_features_are_eliminated_along_the_structure():
+    best = posed(random_record(60), design=Fourier(harmonics=20)).layout.dissection.best
+    assert best.axis == "functions"
 
 
 @pytest.mark.parametrize("design", [Spline(intervals=5), Fourier(harmonics=3)])

@@ -10,20 +10,20 @@ from one_record import shared
 from scipy.interpolate import BSpline
 from scipy.sparse import csr_matrix
 
-from pinn_cli.training.band.band_elimination import BandElimination
 from pinn_cli.training.band.bordered import BorderedSystem
 from pinn_cli.training.band.diagonals import Diagonals
 from pinn_cli.training.band.dissection import Dissection, Grid
-from pinn_cli.training.band.front_elimination import FrontElimination
+from pinn_cli.training.band.elimination import Elimination
 from pinn_cli.training.band.front_tree import FrontTree
 
-# Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs;
-# functions that are coupled further, no parameters, one function, all in one front.
+# Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs along
+# either; functions that are coupled further, no parameters, one function, all in one front.
 OWN = 2
 GRIDS = {
     "functions": Grid(12, 40, 3, 2, 80),
     "features": Grid(60, 12, 3, 2, 24),
     "slabs": Grid(50, 3, 3, 1, 6),
+    "along": Grid(5, 30, 4, 1, 6),
     "far": Grid(20, 15, 2, 4, 30),
     "none": Grid(30, 10, 3, 2, 0),
     "one": Grid(90, 1, 4, 0, 2),
@@ -53,20 +53,24 @@ def matrices(grid: Grid) -> tuple[Diagonals, csr_matrix]:
     return Diagonals(offsets, values), csr_matrix(border[:, : grid.parameters])
 
 
-def eliminated(grid: Grid, damping: float = 0.0) -> tuple[FrontElimination, np.ndarray, np.ndarray]:
+def eliminated(grid: Grid, damping: float = 0.0) -> tuple[Elimination, np.ndarray, np.ndarray]:
     """With the same as dense matrices."""
     band, border = matrices(grid)
     tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
-    found = FrontElimination.of(tree, band, border, damping)
+    found = Elimination.of(tree, band, border, damping)
     assert found is not None
     dense = band.dense()
     return found, dense + damping * np.diag(np.diag(dense)), border.toarray()
 
 
 def test_the_grids_are_eliminated_in_the_orders_that_they_stand_for():
-    how = {name: Dissection(grid, largest=40).best.how for name, grid in GRIDS.items()}
-    assert {name: how[name] for name in ("functions", "features", "slabs", "leaf")} == {
-        name: name for name in ("functions", "features", "slabs", "leaf")
+    found = {name: Dissection(grid, largest=40).best for name, grid in GRIDS.items()}
+    assert {name: (best.how, best.axis) for name, best in found.items() if name not in ("far", "none", "one")} == {
+        "functions": ("halves", "functions"),
+        "features": ("halves", "features"),
+        "slabs": ("slabs", "features"),
+        "along": ("slabs", "functions"),
+        "leaf": ("leaf", "features"),
     }
 
 
@@ -114,15 +118,29 @@ def test_the_inverse_wherever_two_weights_meet(name):
     )
 
 
-def test_a_system_gives_the_same_step_in_both_orders():
+@pytest.mark.parametrize("name", GRIDS)
+def test_operations_are_those_of_elimination_entry_by_entry(name):
+    """Of one front, which is dense: of every entry that a column changes an addition and a multiplication."""
+    grid = GRIDS[name]
+    band, border = matrices(grid)
+    tree = FrontTree(grid, Dissection(grid, largest=band.size).tree(), border)
+    found, counted = Elimination.of(tree, band, border), 0
+    assert found is not None
+    for pivot, below in zip(found.pivots, found.below, strict=True):
+        counted += sum((len(pivot) + len(below) - column) ** 2 for column in range(len(pivot)))
+    assert found.operations == pytest.approx(counted, rel=0.1)
+
+
+def test_a_system_gives_the_same_step_in_two_orders():
     grid = GRIDS["functions"]
     band, border = matrices(grid)
     rng, p = np.random.default_rng(1), border.shape[1]
     corner = 2.0 * np.eye(p) + border.T @ np.linalg.solve(band.dense(), border.toarray())
     gradient = rng.normal(size=band.size) * np.sqrt(band.main)
-    plain = BorderedSystem(band, border, corner, gradient, rng.normal(size=p))
-    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
-    dissected = replace(plain, tree=tree)
+    trees = [FrontTree(grid, Dissection(grid, largest).tree(), border) for largest in (40, band.size)]
+    assert len(trees[0].fronts) > len(trees[1].fronts)
+    dissected = BorderedSystem(band, border, corner, gradient, rng.normal(size=p), trees[0])
+    plain = replace(dissected, tree=trees[1])
     for damping in (0.0, 0.1):
         expected, given = (system.factor(damping).step(system) for system in map(shared, (plain, dissected)))
         np.testing.assert_allclose(given[0] * np.sqrt(band.main), expected[0] * np.sqrt(band.main), atol=1e-9)
@@ -142,8 +160,8 @@ def test_the_same_tree_serves_another_border_at_the_same_places():
     assert tree.suits(2.0 * border)
     assert tree.suits(zeros)
     assert not tree.suits(border[:, :3])
-    found, plain = FrontElimination.of(tree, band, zeros), BandElimination.of(band, zeros)
-    np.testing.assert_allclose(found.border_gram, plain.border_gram, rtol=1e-9, atol=1e-12)
+    expected = zeros.toarray().T @ np.linalg.solve(band.dense(), zeros.toarray())
+    np.testing.assert_allclose(Elimination.of(tree, band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("spoil", ["indefinite", "zero", "nan"])
@@ -155,7 +173,7 @@ def test_what_is_not_positive_definite_has_no_factor(spoil):
     else:
         band.main[7] = 0.0 if spoil == "zero" else np.nan
     tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
-    assert FrontElimination.of(tree, band, border) is None
+    assert Elimination.of(tree, band, border) is None
 
 
 def test_rows_that_reach_further_than_the_coupling_says_are_refused():
@@ -163,13 +181,7 @@ def test_rows_that_reach_further_than_the_coupling_says_are_refused():
     grid = GRIDS["features"]
     tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
     with pytest.raises(IndexError, match="further apart than the structure's coupling"):
-        FrontElimination.of(tree, band, border)
-
-
-@pytest.mark.parametrize(("functions", "dissected"), [(6, False), (20, False), (100, True), (400, True)])
-def test_operations_decide_between_the_band_and_dissection(functions, dissected):
-    grid = Grid(462, functions, 4, 2, 3 * functions)
-    assert (Dissection(grid).best.cost < grid.band_cost) == dissected
+        Elimination.of(tree, band, border)
 
 
 def test_operations_grow_as_they_do_for_a_plane_grid():
@@ -193,7 +205,7 @@ def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance(
         line[: len(matrix) - offset] = np.diag(matrix, -offset)
     band, border = Diagonals(tree.offsets, values), csr_matrix((len(matrix), 0))
     wanted = np.kron(curvature, np.eye(functions)[-1:])
-    for factor in (BandElimination.of(band, border), FrontElimination.of(tree, band, border)):
-        half, _ = factor.half_solved(wanted.T)
-        variance = np.sum((wanted @ factor.inverse().dense()) * wanted, axis=1)
-        assert variance == pytest.approx(np.sum(half**2, axis=0), rel=0.02, abs=0.0)
+    factor = Elimination.of(tree, band, border)
+    half, _ = factor.half_solved(wanted.T)
+    variance = np.sum((wanted @ factor.inverse().dense()) * wanted, axis=1)
+    assert variance == pytest.approx(np.sum(half**2, axis=0), rel=0.02, abs=0.0)
