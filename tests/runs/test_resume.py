@@ -267,7 +267,7 @@ def test_every_training_takes_the_interval(composed: Compose, training: str) -> 
 def test_an_interrupted_training_that_keeps_nothing_says_so(
     pinn_run: PinnRun, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(Evidence, "search", lambda *args, **settings: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr(Evidence, "train", lambda *args, **settings: os.kill(os.getpid(), signal.SIGINT))
     stopped = pinn_run(*SMALL, "hydra.run.dir=run")
     assert (stopped.status, stopped.out) == (130, "")
     assert stopped.err == "pinn-run: interrupted; nothing is kept of it; to start over: pinn-run resume=run\n"

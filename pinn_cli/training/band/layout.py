@@ -78,7 +78,3 @@ class BandLayout:
         """Vector of unknowns (size,) as readout weights (count, ndof)."""
         placed = unknowns.reshape(self.count, self.ndof)
         return placed if self.pattern.natural else placed[:, torch.as_tensor(self.pattern.rank, device=unknowns.device)]
-
-    def of_many(self, unknowns: Tensor) -> Tensor:
-        """Vectors of unknowns (size, W) as readout weights (count, ndof, W)."""
-        return torch.stack([self.weights(one) for one in unknowns.T], -1)
