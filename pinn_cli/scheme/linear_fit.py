@@ -67,8 +67,8 @@ class LinearFit:
         self.kernel = s.smoothing(width)
         sensed, driven = self.kernel @ s.of_sensors, self.kernel @ s.of_acting
         size = sensed[:, :, None] * driven[:, None, :]
-        heard = (driven / (driven + ABOVE_FLOOR * s.force_floor))[:, None, :]
-        seen = (sensed / (sensed + ABOVE_FLOOR * s.sensor_floor))[:, :, None]
+        heard = (driven / np.maximum(driven + ABOVE_FLOOR * s.force_floor, 1e-300))[:, None, :]
+        seen = (sensed / np.maximum(sensed + ABOVE_FLOOR * s.sensor_floor, 1e-300))[:, :, None]
         self.scale = heard * seen / np.sqrt(np.maximum(size, 1e-300))
         self.common = self.scale * self._smoothed(s.of_both)
         self.size = float(np.sum(np.abs(self.common) ** 2))

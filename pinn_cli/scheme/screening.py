@@ -86,9 +86,9 @@ def screened(
 
 
 def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[int] = SURVIVORS) -> list[Candidate]:
-    """The structures at which starts end, the best first; so many go on to each width of the smoothing."""
+    """The structures at which starts end, the best first; so many go on to each of the first widths."""
     found: list[tuple[float, np.ndarray]] = []
-    for width, most in zip(WIDTHS, survivors, strict=True):
+    for width, most in zip(WIDTHS, survivors, strict=False):
         model.smooth(width)
         starts = [model.aligned(x) for x in starts] if width == WIDTHS[0] else starts
         ranked = sorted((model.misfit(x), i) for i, x in enumerate(starts))

@@ -49,9 +49,9 @@ LEAST_FACTOR, LEAST_DELAY = 1.1, 0.5
 TOLD = 0.01
 # A dense matrix is inverted at every frequency, for every cause; and so many times fewer frequencies tell causes apart
 # than start an estimate.
-MOST_COORDINATES, COARSER = 30, 4
-# Starts of each cause that go on to the next width of the smoothing.
-SURVIVORS = (2, 1, 1)
+MOST_COORDINATES, COARSER = 12, 4
+# Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
+AT_FIRST, SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
 MOVES, ACTS = "what the structure does", "what acts"
 
 
@@ -88,7 +88,7 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
         estimated: Where what is unknown of it is looked for first.
         excused: Names of channels whose fault is known already.
     """
-    record = _in_columns(problem.record)
+    record = _in_columns(problem.record, excused)
     if record is None or believed.shapes is not None or believed.coordinates > MOST_COORDINATES:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
@@ -96,28 +96,31 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
     without, _ = fits.fitted(Cause(record, lambda _: None))
     if without.misfit < NOTHING:
         return []
-    most, found = min(LEFT, EXPLAINED * without.misfit), []
-    suspects = fits.suspects(record, without, excused)
+    sensors, held = fits.suspects(record, without)
+    asked = list(every_cause(believed, record, sensors, held))
     dampers = np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
-    asked = list(every_cause(believed, record, *suspects))
     if dampers and not believed.is_damped_as_whole:
         asked.append(_damping(record, believed, dampers))
-    for cause in asked:
-        fitted, minus_log = fits.fitted(cause)
-        finding = cause.told(fitted) if fitted.misfit < most else None
+    roughly = np.array([fits.fitted(cause, AT_FIRST)[1] for cause in asked])
+    most, found = min(LEFT, EXPLAINED * without.misfit), []
+    for i in sorted(np.argsort(roughly)[:FOLLOWED].tolist()):
+        fitted, minus_log = fits.fitted(asked[i])
+        finding = asked[i].told(fitted) if fitted.misfit < most else None
         if finding is not None:
             found.append((minus_log, replace(finding, left=fitted.misfit)))
     return _told(found)
 
 
-def _in_columns(record: Record) -> Record | None:
-    """The record as it looks, without sensors whose gain or delay is in doubt; None where something acts unseen."""
+def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
+    """The record as it looks, without sensors that are excused or in doubt; None: it tells nothing."""
     acts = record.force.any() or record.ground_acceleration is not None or record.supports
     doubted = [gauge for gauge in record.gauges if not (gauge.of("gain").is_known and gauge.of("delay").is_known)]
     values = {quantity: getattr(record, quantity).copy() for quantity in RESPONSE_QUANTITIES}
-    for gauge in doubted:
-        if gauge.quantity in values and gauge.dof is not None:
-            values[gauge.quantity][:, gauge.dof] = np.nan
+    without = [(gauge.quantity, gauge.dof) for gauge in doubted if gauge.dof is not None]
+    without += [(channel.quantity, channel.dof) for channel in channels(record) if channel.name in excused]
+    for quantity, dof in without:
+        if quantity in values:
+            values[quantity][:, dof] = np.nan
     seen = any(np.isfinite(columns[0]).any() for columns in values.values())
     if not acts or not seen or any(gauge.quantity in (FORCE, GROUND) for gauge in doubted):
         return None
@@ -151,21 +154,19 @@ class _Fits:
     known: dict[str, np.ndarray]
     estimated: Structure
 
-    def fitted(self, cause: Cause) -> tuple[Candidate, float]:
+    def fitted(self, cause: Cause, survivors: Sequence[int] = SURVIVORS) -> tuple[Candidate, float]:
         """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""
         known, (kind, places) = {kind: values.copy() for kind, values in self.known.items()}, cause.free
         known[kind][list(places)] = np.nan
         guess = {kind: _sizes(linear_parts(self.estimated, ())[kind]) for kind in (MASS, "k")}
         fit = self._fit(cause.record, known, cause.doubted)
         model = JointFit([fit])
-        found = nearest(model, grid_of_starts(model, [cause.record], guess), SURVIVORS)[0]
+        found = nearest(model, grid_of_starts(model, [cause.record], guess), survivors)[0]
         values, off = fit.common.size, np.log(abs(cause.factor(found))) / WRONG
         minus_log = values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
         return found, 0.5 * float(minus_log)
 
-    def suspects(
-        self, record: Record, found: Candidate, excused: Sequence[str]
-    ) -> tuple[list[Channel], list[Parameter]]:
+    def suspects(self, record: Record, found: Candidate) -> tuple[list[Channel], list[Parameter]]:
         """Sensors of which a structure misses most; held masses and springs that explain most, by their scores."""
         given = [p for p in self.structure.every_parameter() if p.kind in (MASS, "k") and p.prescribed > 0]
         known = {kind: found.parameters[kind].copy() for kind in self.known}
@@ -176,7 +177,7 @@ class _Fits:
         left, slopes = fit.residual(fit.start(found.parameters[MASS], found.parameters["k"]), slopes=True)
         missed = (np.abs(left) ** 2).sum((0, 2))
         places = fit.spectra.channels
-        sensors = [c for c in channels(record, excused=excused) if (c.quantity, c.dof) in places]
+        sensors = channels(record)
         worst = sorted(sensors, key=lambda c: -missed[places.index((c.quantity, c.dof))])[:SUSPECTED]
         columns, rest = slopes.reshape(left.size, -1), left.reshape(-1)
         columns, rest = np.concatenate((columns.real, columns.imag)), np.concatenate((rest.real, rest.imag))

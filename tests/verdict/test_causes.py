@@ -49,6 +49,12 @@ def test_an_excused_channel_is_not_asked(problem):
     assert all(cause.suspect != "acceleration of DOF 3" for cause in found(spoilt, ["acceleration of DOF 3"]))
 
 
+def test_a_sensor_that_is_still_and_excused_hides_no_other_one(problem):
+    spoilt = altered(altered(problem.record, 3, RUINED["sign"]), 2, lambda x: 0.0 * x)
+    (cause,) = found(replace(problem, record=spoilt), ["acceleration of DOF 2"])
+    assert (cause.kind, cause.suspect) == ("sign", "acceleration of DOF 3")
+
+
 def test_exchanged_sensors(problem):
     acceleration = problem.record.acceleration[:, [2, 1, 0]]
     (cause,) = found(replace(problem, record=replace(problem.record, acceleration=acceleration)))
