@@ -96,18 +96,15 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
     without, _ = fits.fitted(Cause(record, lambda _: None))
     if without.misfit < NOTHING:
         return []
-    sensors, held = fits.suspects(record, without)
-    asked = list(every_cause(believed, record, sensors, held))
     dampers = np.flatnonzero(~np.isnan(fits.known["c"])).tolist()
-    if dampers and not believed.is_damped_as_whole:
-        asked.append(_damping(record, believed, dampers))
+    asked = list(every_cause(believed, record, *fits.suspects(record, without), dampers))
     roughly = np.array([fits.fitted(cause, AT_FIRST)[1] for cause in asked])
     most, found = min(LEFT, EXPLAINED * without.misfit), []
     for i in sorted(np.argsort(roughly)[:FOLLOWED].tolist()):
         fitted, minus_log = fits.fitted(asked[i])
         finding = asked[i].told(fitted) if fitted.misfit < most else None
         if finding is not None:
-            found.append((minus_log, replace(finding, left=fitted.misfit)))
+            found.append((minus_log, finding))
     return _told(found)
 
 
@@ -154,14 +151,18 @@ class _Fits:
     known: dict[str, np.ndarray]
     estimated: Structure
 
+    @property
+    def guess(self) -> dict[str, np.ndarray]:
+        """``m`` and ``k`` where the fits start."""
+        return {kind: _sizes(linear_parts(self.estimated, ())[kind]) for kind in (MASS, "k")}
+
     def fitted(self, cause: Cause, survivors: Sequence[int] = SURVIVORS) -> tuple[Candidate, float]:
         """The structure that comes nearest to the record, and minus the logarithm of the record's probability."""
         known, (kind, places) = {kind: values.copy() for kind, values in self.known.items()}, cause.free
         known[kind][list(places)] = np.nan
-        guess = {kind: _sizes(linear_parts(self.estimated, ())[kind]) for kind in (MASS, "k")}
         fit = self._fit(cause.record, known, cause.doubted)
         model = JointFit([fit])
-        found = nearest(model, grid_of_starts(model, [cause.record], guess), survivors)[0]
+        found = nearest(model, grid_of_starts(model, [cause.record], self.guess), survivors)[0]
         values, off = fit.common.size, np.log(abs(cause.factor(found))) / WRONG
         minus_log = values * np.log(max(found.misfit, 1e-12)) + cause.numbers * np.log(values) + off**2
         return found, 0.5 * float(minus_log)
@@ -193,9 +194,8 @@ class _Fits:
         """Of the record's spectra."""
         spectra, stretch = CrossSpectra.of(record, COARSER), self.structure.stretch.matrix[self.structure.added]
         assert spectra is not None
-        typical = _sizes(linear_parts(self.estimated, ())["k"])
         doubts = None if doubted is None else ChannelDoubts(record, spectra, doubted)
-        return LinearFit(spectra, stretch.toarray(), known, typical, self.structure.with_ground, doubts)
+        return LinearFit(spectra, stretch.toarray(), known, self.guess["k"], self.structure.with_ground, doubts)
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:
@@ -205,9 +205,13 @@ def _sizes(values: np.ndarray) -> np.ndarray:
 
 
 def every_cause(
-    structure: Structure, record: Record, sensors: Sequence[Channel], held: Sequence[Parameter]
+    structure: Structure,
+    record: Record,
+    sensors: Sequence[Channel],
+    held: Sequence[Parameter],
+    dampers: Sequence[int],
 ) -> Iterator[Cause]:
-    """All that are asked, of suspected sensors and of masses and springs that are held."""
+    """All that are asked, of suspected sensors, of masses and springs that are held, and of dampers that are."""
     acting = [*channels(record, (FORCE,)), *channels(record, (GROUND,))]
     for seconds in UNITS:
         reason = f"the structure does what was measured if the time is in {UNITS[seconds]}"
@@ -226,6 +230,8 @@ def every_cause(
                 yield Cause(_moved(record, channel, dof), _always(misplaced_finding(channel, record.dof_name(dof))))
     for parameter in held:
         yield _other(record, structure, parameter)
+    if dampers and not structure.is_damped_as_whole:
+        yield _damping(record, structure, dampers)
 
 
 def _with(record: Record, channel: Channel, samples: np.ndarray) -> Record:

@@ -79,17 +79,12 @@ def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:
     return tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))].tolist())
 
 
-def decays(modes: Modes, channel: Channel, record: Record) -> np.ndarray:
-    """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel.
+def decays(modes: Modes, felt: Sequence[int], record: Record) -> np.ndarray:
+    """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel that feels some modes.
 
     Whatever the structure did before the record began, and what the repeated force of :func:`linear_response` leaves
     over from the end, lies in their span.
     """
-    return decays_of_modes(modes, felt_modes(modes, channel), record)
-
-
-def decays_of_modes(modes: Modes, felt: Sequence[int], record: Record) -> np.ndarray:
-    """The same of a channel that feels the given modes."""
     poles = modes.poles[list(felt)]
     time = record.time - record.time[0]
     waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])

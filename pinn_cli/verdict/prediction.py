@@ -14,7 +14,7 @@ from pinn_cli.record.simulation import OverflowsError, simulate
 from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
-from pinn_cli.verdict.linear_response import decays_of_modes, felt_modes, linear_response
+from pinn_cli.verdict.linear_response import decays, felt_modes, linear_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +56,7 @@ class Prediction:
         """See :func:`pinn_cli.verdict.linear_response.decays`; channels that feel the same modes share theirs."""
         seen = felt_modes(self.modes, channel)
         if seen not in self._decays:
-            self._decays[seen] = decays_of_modes(self.modes, seen, self.record)
+            self._decays[seen] = decays(self.modes, seen, self.record)
         return self._decays[seen]
 
 

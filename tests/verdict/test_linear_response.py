@@ -11,12 +11,12 @@ from frame_records import measure
 from pinn_cli.record.channels import channels
 from pinn_cli.record.resimulation import resimulate
 from pinn_cli.system.modes import Modes
-from pinn_cli.verdict.linear_response import decays, linear_response
+from pinn_cli.verdict.linear_response import decays, felt_modes, linear_response
 
 
 def left_over(modes, channel, record, response):
     """Of the channel, once the response and free decays are taken out, relative."""
-    basis = decays(modes, channel, record)
+    basis = decays(modes, felt_modes(modes, channel), record)
     residual = channel.measured - channel.of(response)
     residual = residual - basis @ (basis.T @ residual)
     return np.linalg.norm(residual) / np.linalg.norm(channel.measured)
