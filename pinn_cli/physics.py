@@ -8,7 +8,7 @@ measured accelerations, so that everything else sees a smooth motion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,21 +68,6 @@ class Targets:
             force=self.force[samples],
             observer_force=self.observer_force[samples],
         )
-
-    def grouped_observations(self, gather: Callable[[Tensor], Tensor]) -> Targets:
-        """The same with the histories of its observations rearranged, (N, n) to (..., n), as a network groups times."""
-        response = {quantity: gather(values) for quantity, values in self.response.items()}
-        return replace(self, response=response, observer_force=gather(self.observer_force))
-
-    def of_groups(self, part: slice) -> Targets:
-        """Grouped observations of some of the groups alone."""
-        response = {quantity: values[part] for quantity, values in self.response.items()}
-        return replace(self, response=response, observer_force=self.observer_force[part])
-
-    def grouped_collocation(self, gather: Callable[[Tensor], Tensor]) -> Targets:
-        """The same with the force at its collocation points rearranged, (P, n) to (..., n)."""
-        between = None if self.force_between is None else gather(self.force_between)
-        return replace(self, force=gather(self.force), force_between=between)
 
 
 def hold_delay(record: Record) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from one_record import evidence_of, levels_of
+from one_record import evidence_of, levels_of, shown_noise
 from small_problems import excitation
 
 from pinn_cli.network.spline import Spline
@@ -19,7 +19,6 @@ from pinn_cli.training.band.discrepancy_search import searched, widened_for_colo
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one
@@ -67,6 +66,6 @@ def solved(problem: Problem, intervals: int | None = None) -> Example:
     network = Spline(intervals=intervals).refined().build(problem.record)
     evidence = evidence_of(NormalEquations(network, problem), 40, PRECISE)
     force, _ = force_and_velocity_scale(problem)
-    noise = levels_of(NoiseModel(*sensor_noise(network, problem.record), force, 1.0))
+    noise = levels_of(shown_noise(problem.record, force, 1.0))
     found = settled(evidence, searched(evidence, noise, force, lambda: None))
     return Example(problem, evidence, widened_for_colour(evidence, found))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pinn_cli.record.record import Record
 from pinn_cli.runs.side_by_side import Items
 from pinn_cli.training.band.bordered import BorderedFactor, BorderedSystem
 from pinn_cli.training.band.evidence import Evidence, Trained
@@ -14,6 +15,7 @@ from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.record_evidence import RecordEvidence
 from pinn_cli.training.band.shared_border import SharedSystem
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.sensor_samples import starting_levels
 
 
 def evidence_of(equations: NormalEquations, iterations: int = 12, tolerance: float = 1e-6, **settings) -> Evidence:
@@ -26,6 +28,12 @@ def problem_of(equations: NormalEquations) -> LeastSquares:
 
 def levels_of(noise: NoiseModel, spread: float = 1.0) -> NoiseLevels:
     return NoiseLevels((noise,), spread)
+
+
+def shown_noise(record: Record, discrepancy: float, continuity: float = 1.0) -> NoiseModel:
+    """Sensors' noise as their spectra show it."""
+    response = {quantity: starting_levels(record, quantity) for quantity in record.response_quantities}
+    return NoiseModel(response, starting_levels(record, "force"), discrepancy, continuity)
 
 
 def shared(system: BorderedSystem, told: np.ndarray | None = None) -> SharedSystem:

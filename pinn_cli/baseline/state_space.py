@@ -25,11 +25,11 @@ from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import record_band
 from pinn_cli.record.steps import substeps_needed
+from pinn_cli.scheme.calibration import calibrations
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.band.gauge_rows import calibrations
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviations of what nobody has measured, in units of what the record is about: so wide that the record

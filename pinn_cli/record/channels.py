@@ -42,10 +42,8 @@ class Channel:
 
     @property
     def name(self) -> str:
-        """As sentences have it, the DOF counted from 1: ``acceleration of DOF 3``, ``ground acceleration``."""
-        if self.quantity in SUPPORT:
-            return f"{SUPPORT[self.quantity]} of support {self.where}"
-        return "ground acceleration" if self.quantity == GROUND else f"{self.quantity} of DOF {self.where}"
+        """See :func:`named`."""
+        return named(self.quantity, self.where)
 
     @property
     def where(self) -> str:
@@ -79,6 +77,18 @@ class Channel:
             return np.full(len(response.time), np.nan) if values is None else values
         assert values is not None
         return np.asarray(values[:, self.dof])
+
+
+def named(quantity: str, where: str) -> str:
+    """A channel as sentences have it: ``acceleration of DOF 3``, ``ground acceleration``."""
+    if quantity in SUPPORT:
+        return f"{SUPPORT[quantity]} of support {where}"
+    return "ground acceleration" if quantity == GROUND else f"{quantity} of DOF {where}"
+
+
+def channel_name(record: Record, quantity: str, number: int) -> str:
+    """The same of a column of a record; its number is counted from 0."""
+    return named(quantity, record.support_names[number] if quantity in SUPPORT else record.dof_name(number))
 
 
 def channels(

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
 
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
@@ -39,6 +42,14 @@ def sensor_parameters(record: Record) -> tuple[Parameter, ...]:
         hint = "with every gain in doubt nothing tells how large motions and forces are"
         raise InputError("data.channels", "gain in doubt on all", allowed, hint)
     return tuple(parameter for number, gauge in enumerate(gauges) for parameter in _in_doubt(gauge, number))
+
+
+def calibrations(gauges: Sequence[Gauge]) -> dict[str, Tensor]:
+    """Kind to the numbers of all gauges as they are known or believed, (gauges,); none without gauges."""
+    if not gauges:
+        return {}
+    values = {kind: [gauge.of(kind).value for gauge in gauges] for kind in CALIBRATION_UNITS}
+    return {kind: torch.tensor(of_kind, dtype=torch.float64) for kind, of_kind in values.items()}
 
 
 def _in_doubt(gauge: Gauge, number: int) -> tuple[Parameter, ...]:

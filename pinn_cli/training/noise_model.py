@@ -1,4 +1,4 @@
-"""Noise levels: what loss weights mean, lambda = 1 / sigma^2, and how they are read off the record.
+"""Noise levels: what loss weights mean, lambda = 1 / sigma^2.
 
 Sensor noise is white, and shows in each channel beyond what the network's features can follow. Model error is a force
 on every DOF, the discrepancy, as rich as the features and no richer: K independent values per DOF, however often it is
@@ -18,20 +18,6 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import LinearReadout, Segments
-from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import lowest_level, visible_floor, white_level
-from pinn_cli.system.quantities import FORCE
-
-# No sensor is taken to be better than this fraction of its channel's rms: below it, rounding and the splines' own error
-# rule.
-FINEST_SENSOR = 1e-6
-# Where a sensor's noise starts that no spectrum shows, over the rms of its channel, unless the emptiest part of its
-# spectrum has less.
-FIRST_SENSOR = 0.1
-# Features over samples from which on they follow whatever the samples are.
-FOLLOWS_ALL = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +35,7 @@ class NoiseModel:
         points_per_sample: Collocation points for every force sample: between the samples lies the noise of the samples,
             in the same band, and a point's own is so many times as large in variance.
         taken_up: (gauges,), values of every gauge that the motion has taken up; None: not counted yet. See
-            :meth:`pinn_cli.training.band.normal_equations.NormalEquations.losses`.
+            :class:`pinn_cli.training.factors.calibrated_channels.Gains`.
         pushes: Quantity of the ground or of supports to the least that a unit of its sensor's noise puts into an
             equation of motion: of the ground the least mass that it moves, kg.
         earlier_misfit: What earlier windows took their discrepancy for, over what all windows say of it together.
@@ -225,71 +211,6 @@ class FeatureProjection:
         """(N, n) minus its projection: what the features cannot follow."""
         fitted = self.features @ self.coefficients(values)[self.index]
         return (values.cpu() - self.segments.scatter(fitted.to(self.segments.mask.device)).cpu()).numpy()
-
-
-def starting_levels(record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Where the noise of every response sensor and of every force sensor starts, each (n,), NaN where there is none.
-
-    What a channel's spectrum shows above its band, if it shows anything; else its emptiest part, which bounds the noise
-    from above; the scatter of repeats tells it.
-    """
-    levels = {}
-    for quantity in (*record.response_quantities, "force"):
-        histories = record.histories(quantity)
-        levels[quantity] = np.full(histories.shape[1], np.nan)
-        for dof in np.flatnonzero(record.sensors(quantity)):
-            channel = histories[:, dof]
-            rms = float(np.sqrt(np.mean(channel**2)))
-            level = visible_floor(channel, record.step) or min(FIRST_SENSOR * rms, lowest_level(channel, record.step))
-            if record.repeats is not None:
-                level = float(record.repeats.noise_of_mean(quantity)[dof])
-            levels[quantity][dof] = max(level, FINEST_SENSOR * rms)
-    return {quantity: levels[quantity] for quantity in record.response_quantities}, levels["force"]
-
-
-def first_level(gauge: Gauge) -> float:
-    """Where the noise of a gauge starts: what the spectrum of its samples shows, where many in a row are even."""
-    rms, run = float(np.std(gauge.values)), gauge.even_run
-    level = FIRST_SENSOR * rms
-    if run is not None:
-        level = visible_floor(*run) or min(level, lowest_level(*run))
-    return max(level, FINEST_SENSOR * rms)
-
-
-def finest_level(gauge: Gauge) -> float:
-    """The least noise that is looked for in a gauge; of a load cell what the spectrum of even samples shows.
-
-    Where the motion does not tell a load cell's noise, none at all would do as well, and bands would be too narrow.
-    """
-    run = gauge.even_run if gauge.quantity == FORCE else None
-    shown = (visible_floor(*run) if run is not None else None) or 0.0
-    return max(shown, FINEST_SENSOR * float(np.std(gauge.values)))
-
-
-def sensor_noise(network: LinearReadout, record: Record) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """White noise of every response sensor and of every force sensor, each (n,), NaN where there is none.
-
-    From the scatter of repeats where there are any, otherwise from what the features cannot follow, and where they
-    follow everything from the emptiest part of each spectrum.
-    """
-    if network.count > FOLLOWS_ALL * len(record.time):
-        return starting_levels(record)
-    segments = network.segments(torch.as_tensor(record.time))
-    output = first_output(network, segments)
-    value, rate, curvature = output_features(network, segments)
-    levels = {}
-    for quantity, features in zip((*RESPONSE_QUANTITIES, "force"), (value, rate, curvature, value), strict=True):
-        levels[quantity] = np.full(record.ndof, np.nan)
-        sensors = record.sensors(quantity)
-        if sensors.any():
-            measured = getattr(record, quantity)[:, sensors]
-            rest = FeatureProjection(output, features).residual(torch.as_tensor(measured))
-            finest = FINEST_SENSOR * np.sqrt(np.mean(measured**2, axis=0))
-            found = [white_level(column, record.step, network.free_intervals / 2.0) for column in rest.T]
-            if record.repeats is not None:
-                found = list(record.repeats.noise_of_mean(quantity)[sensors])
-            levels[quantity][sensors] = np.maximum(found, finest)
-    return {quantity: levels[quantity] for quantity in RESPONSE_QUANTITIES}, levels["force"]
 
 
 def first_output(network: LinearReadout, segments: Segments) -> Segments:

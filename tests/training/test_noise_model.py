@@ -5,47 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from small_problems import QUANTITIES, excitation, measured, small_chain
+from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.gauge import Gauge
-from pinn_cli.record.noise import Noise
-from pinn_cli.record.simulated import Simulated
-from pinn_cli.record.simulation import Simulation
 from pinn_cli.training.noise_model import (
     FeatureProjection,
     NoiseModel,
-    finest_level,
-    first_level,
     first_output,
     output_features,
-    sensor_noise,
 )
 
 
 @pytest.fixture(scope="module")
 def measurements():
     return measured(small_chain(), snr_db=25.0, duration=24.0, samples=2049)
-
-
-@pytest.mark.parametrize("continuity", ["exact", "penalised"])
-@pytest.mark.parametrize("kind", [Spline, Fourier])
-def test_sensor_noise_is_what_was_added(measurements, kind, continuity):
-    record, truth = measurements.record, measurements.truth.response
-    response, force = sensor_noise(kind(continuity=continuity).build(record), record)
-    for quantity, found in {**response, "force": force}.items():
-        added = np.std(getattr(record, quantity) - getattr(truth, quantity), axis=0)
-        sensors = record.sensors(quantity)
-        np.testing.assert_allclose(found[sensors], added[sensors], rtol=0.1)
-        assert np.isnan(found[~sensors]).all()
-
-
-def test_no_sensor_is_perfect():
-    record = measured(small_chain(), duration=24.0, samples=2049).record
-    response, force = sensor_noise(Spline().build(record), record)
-    for levels in (*response.values(), force[:1]):
-        assert np.all(levels > 0)
 
 
 @pytest.mark.parametrize("continuity", ["exact", "penalised"])
@@ -93,27 +67,3 @@ def test_pooled_sensors_share_the_root_mean_square_of_their_levels():
     np.testing.assert_array_equal(noise.response["acceleration"], np.ones(3))
     np.testing.assert_allclose(noise.force, [5.0, 5.0, np.nan])
     assert noise.discrepancy == 0.1
-
-
-def test_noise_is_told_by_the_scatter_of_repeats_where_there_are_any():
-    structure = small_chain()
-    source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
-    record = source.measure(structure).record
-    response, force = sensor_noise(Spline().build(record), record)
-    for quantity, levels in {**response, "force": force}.items():
-        sensors = record.sensors(quantity)
-        np.testing.assert_allclose(levels[sensors], record.repeats.noise_of_mean(quantity)[sensors])
-
-
-def test_a_load_cell_with_a_gap_shows_its_noise_where_it_has_samples():
-    """Without it the noise of the cell and that of an accelerometer beside it can stand in for each other."""
-    rng, time = np.random.default_rng(0), 0.01 * np.arange(3000)
-    shown = sum(np.cos(2.0 * np.pi * f * time + 7.0 * f) for f in np.linspace(0.5, 15.0, 60))
-    shown = shown + 0.05 * rng.standard_normal(3000)
-    there = (time < 12.0) | (time > 18.0)
-    gauge = Gauge("f", "force", {0: 1.0}, time[there], shown[there])
-    assert first_level(gauge) == pytest.approx(0.05, rel=0.15)
-    assert finest_level(gauge) == pytest.approx(0.05, rel=0.15)
-    half = rng.random(3000) < 0.5
-    scattered = Gauge("f", "force", {0: 1.0}, time[half], shown[half])
-    assert first_level(scattered) == pytest.approx(0.1 * np.std(scattered.values))

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import Response
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
@@ -32,13 +31,12 @@ from pinn_cli.training.band.sensor_doubts import (
     GAIN,
     HIGH_PASS,
     SensorTerm,
-    Shown,
     Term,
-    channels_shown,
     sensor_border,
     sensor_terms,
 )
 from pinn_cli.training.estimate import Doubt
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.noise_model import NoiseModel
 
 # Least discrepancy over the rms force of the connections, and least noise of a sensor over the rms of the largest one
@@ -124,7 +122,7 @@ class _Solution:
     equations: NormalEquations
     point: Point
     noise: NoiseModel
-    channels: list[Shown]
+    channels: list[ChannelAtPoint]
     gradient: np.ndarray
     readout: Elimination
     prior: np.ndarray
@@ -138,7 +136,7 @@ class _Solution:
         eliminated = system.eliminated()
         if eliminated is None:
             return None
-        channels = channels_shown(equations, point, noise)
+        channels = [one for own in equations.channels for one in own.at(point, noise)]
         gradient = system.gradient[:, None]
         return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
 
@@ -253,20 +251,15 @@ class _Asked:
 
 def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> NoiseModel:
     """Noise levels of which none is below `LEAST`; ``force`` is that of the connections, N, rms."""
-    record = evidence.problem.record
     largest: defaultdict[str, float] = defaultdict(float)
-    for quantity in noise.response.keys() - {GAUGE}:
-        spread = record.histories(quantity)[:, record.sensors(quantity)].std(axis=0)
-        largest[quantity] = float(np.nan_to_num(spread).max(initial=0.0))
-    for gauge in record.gauges:
-        largest[gauge.quantity] = max(largest[gauge.quantity], float(gauge.values.std()))
-    of_gauges = np.array([largest[gauge.quantity] for gauge in record.gauges])
-    response = {
-        quantity: np.maximum(sigma, LEAST * (of_gauges if quantity == GAUGE else largest[quantity]))
-        for quantity, sigma in noise.response.items()
-    }
-    softer = replace(noise, discrepancy=max(noise.discrepancy, LEAST * force))
-    return replace(softer, response=response)
+    every = evidence.equations.channels
+    for sensor in (sensor for channels in every for sensor in channels.sensors if sensor is not None):
+        largest[sensor.quantity] = max(largest[sensor.quantity], float(sensor.values.std()))
+    response = dict(noise.response)
+    for channels in every:
+        least = [np.nan if sensor is None else LEAST * largest[sensor.quantity] for sensor in channels.sensors]
+        response[channels.name] = np.maximum(noise.response[channels.name], least)
+    return replace(noise, discrepancy=max(noise.discrepancy, LEAST * force), response=response)
 
 
 def _rms_force(equations: NormalEquations, point: Point) -> float:

@@ -166,8 +166,8 @@ def told_below(evidence: RecordEvidence, solution: RecordSolution, functions: sl
         drive = averages.by_interval(residual)[:, functions].cpu().numpy()
         return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
 
-    found = power(equations.physics_residual(point))
-    moved = [functions_moved for _, functions_moved in equations.moved_forces(point, solution.drawn(DRAWS))]
+    found = power(equations.motion.residual(point))
+    moved = [functions_moved for _, functions_moved in equations.motion.moved(point, solution.drawn(DRAWS))]
     scatter = np.zeros_like(found)
     for of_draw in zip(*moved, strict=True):
         scatter += power(torch.cat(of_draw)) / DRAWS

@@ -22,7 +22,8 @@ from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.sensor_doubts import DELAY, Term, sparse_rows
+from pinn_cli.training.band.sensor_doubts import DELAY, Term
+from pinn_cli.training.factors.channel_at_point import sparse_rows
 from pinn_cli.training.noise_model import NoiseModel
 
 # Oscillators that are attached are tried at frequencies in this ratio at first, or in a larger one, and damped so that
@@ -190,7 +191,7 @@ def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, te
     """(size, D), products of forces with the rows of the readout weights."""
     border = np.zeros((equations.layout.size, len(terms)))
     own, felt = felt_histories(equations, terms)
-    weight = equations.weights(noise)["physics"]
+    weight = equations.motion.weight(noise)
     for part, function, rows, _ in equation_columns(equations, point):
         by, weighed = np.flatnonzero(felt[function]), weight if weight.ndim == 1 else weight[part]
         pulled = own[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
@@ -216,7 +217,7 @@ def equation_columns(equations: NormalEquations, point: Point) -> Iterator[tuple
         (I, S or 1, p).
     """
     for part in equations.windows(equations.physics):
-        segments, rows = equations.physics.part(part), equations.rows(equations.physics, point, part=part)
+        segments, rows = equations.physics.part(part), equations.motion.rows(equations.physics, point, part=part)
         averages = None if equations.averages is None else equations.averages.part(part)
         places = equations.layout.columns(segments.feature)
         for function in torch.nonzero(equations.target.equation).flatten().tolist():

@@ -19,9 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from pinn_cli.physics import observation_masks
-from pinn_cli.record.gauge import GAUGE
-from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import DECISIVE_DROP, SCAN_FACTOR
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.noise_levels import floor
@@ -128,21 +125,13 @@ def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, fir
 
 
 def _left_and_size(evidence: RecordEvidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Mean squares of what a point leaves of the response's sensors, and of these, by quantity; NaN of no sensor."""
-    equations, record = evidence.equations, evidence.problem.record
+    """Mean squares of what a point leaves of the response's sensors, and of these, by name; NaN of no sensor."""
     left, size = {}, {}
-    for name, mask in observation_masks(equations.target, evidence.problem.acceleration_through).items():
-        if name not in equations.inputs and name != "observer":
-            there = mask.cpu().numpy() > 0
-            square = equations.squares(point)[name].cpu().numpy() / len(record.time)
-            left[name] = np.where(there, square, np.nan)
-            size[name] = np.where(there, np.mean(record.histories(name) ** 2, axis=0), np.nan)
-    if equations.gauge_rows:
-        of_response = np.array([gauge.quantity != FORCE for gauge in record.gauges])
-        squares = [float(r.square().sum()) for r in equations.gauge_residuals(point)]
-        samples = np.array([rows.samples for rows in equations.gauge_rows])
-        left[GAUGE] = np.where(of_response, np.array(squares) / samples, np.nan)
-        size[GAUGE] = np.where(of_response, [float(np.mean(gauge.values**2)) for gauge in record.gauges], 0.0)
+    for own in evidence.equations.channels:
+        response = own.there & ~own.acting
+        if response.any():
+            left[own.name] = np.where(response, own.squares(point) / own.samples, np.nan)
+            size[own.name] = np.where(own.there, response * own.numbers("rms") ** 2, np.nan)
     return left, size
 
 
@@ -211,7 +200,6 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         Point(torch.as_tensor(-solution.factor.readout.solved(still, own)).to(point.unknowns), torch.as_tensor(own))
         for own in np.eye(count)
     ]
-    weights = equations.weights(noise)
     scores, information = np.zeros((CELLS, count)), np.zeros((CELLS, count, count))
 
     def add(left: torch.Tensor, moved: list[torch.Tensor], first: int, total: int) -> None:
@@ -221,21 +209,12 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         np.add.at(scores, place, torch.einsum("gs,gsp->gp", left.reshape(len(left), -1), rows).cpu().numpy())
         np.add.at(information, place, (rows.mT @ rows).cpu().numpy())
 
-    masks = observation_masks(equations.target, equations.problem.acceleration_through)
-    sensors = [name for name in masks if name not in equations.inputs and name != "observer"]
-    for part, residuals in equations.in_windows(point):
-        for name in set(sensors) & residuals.keys():
-            weight = weights[name].sqrt()
-            jets = [equations.jet(equations.observation, step, part) for step in steps]
-            moved = [equations.dynamics.sensed(name, jet) * weight for jet in jets]
-            add(residuals[name] * weight, moved, part.start, equations.observation.mask.shape[0])
-    physics, of_physics = equations.physics_residual(point), weights["physics"].sqrt()
-    for part, forces in equations.moved_forces(point, steps):
+    for own in equations.channels:
+        root = torch.as_tensor(np.nan_to_num(1.0 / noise.response[own.name])).to(point.unknowns)
+        for piece, (at, moved) in zip(own.residuals(point), own.moved(point, steps), strict=True):
+            add(piece.residual * root[at], [change * root[at] for change in moved], piece.first, piece.groups)
+    physics, of_physics = equations.motion.residual(point), equations.motion.weight(noise).sqrt()
+    for part, forces in equations.motion.moved(point, steps):
         weight = of_physics if of_physics.ndim == 1 else of_physics[part]
         add(physics[part] * weight, [force * weight for force in forces], part.start, len(physics))
-    if equations.gauge_rows:
-        by_step = [equations.moved_gauges(point, step) for step in steps]
-        each = zip(equations.gauge_residuals(point), zip(*by_step, strict=True), noise.response[GAUGE], strict=True)
-        for left, moved_by, sigma in each:
-            add(left / float(sigma), [moved / float(sigma) for moved in moved_by], 0, len(left))
     return scores, information

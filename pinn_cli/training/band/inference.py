@@ -11,7 +11,6 @@ import numpy as np
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
-from pinn_cli.record.gauge import GAUGE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import FACTOR, ParameterVector
@@ -25,6 +24,7 @@ from pinn_cli.training.band.inferred import InferenceSettings, Inferred
 from pinn_cli.training.band.marginal_peak import at_marginal_peak
 from pinn_cli.training.band.near_levels import near_known_levels, softer_point
 from pinn_cli.training.band.noise_levels import settled
+from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.part_of_record import is_trustworthy, part_of_record, whole_from
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.resolution import carried_over, knots_wanted
@@ -35,7 +35,7 @@ from pinn_cli.training.band.turns import at_turns, has_turns
 from pinn_cli.training.band.windows_discrepancy import of_all_windows
 from pinn_cli.training.base import built
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, first_level, starting_levels
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
 
 # Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
@@ -149,11 +149,9 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
     settings, history = InferenceSettings(ITERATIONS, TOLERANCE, learn_spread=True, pooled=False), History(False)
     try:
         found = _best_start(replace(problem, alternatives=()), [Spline()], settings, device, history)
+        noise = found.trained.noise.records[0]
     except DivergenceError:
-        response, force = starting_levels(problem.record)
-        gauges = [first_level(gauge) for gauge in problem.record.gauges]
-        return (response | {GAUGE: np.array(gauges)} if gauges else response), force
-    noise = found.trained.noise.records[0]
+        noise = starting_noise(NormalEquations(_built(Spline(), problem), problem, device))
     return noise.response, noise.response.get(FORCE, noise.force[: problem.dynamics.ndof])
 
 

@@ -26,7 +26,8 @@ from pinn_cli.system.quantities import MOTION
 from pinn_cli.training.band.force_doubts import ForceTerm, equation_columns, felt_histories
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.sensor_doubts import SensorTerm, Shown
+from pinn_cli.training.band.sensor_doubts import SensorTerm
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.noise_model import NoiseModel
 
 # Bands are this much wider than high, but have so many residuals of every sensor.
@@ -140,7 +141,7 @@ def left_spectra(
     equations: NormalEquations,
     point: Point,
     noise: NoiseModel,
-    channels: Sequence[Shown],
+    channels: Sequence[ChannelAtPoint],
     terms: tuple[Sequence[ForceTerm], Sequence[SensorTerm]],
     moved: np.ndarray,
     believed: np.ndarray,
@@ -194,9 +195,9 @@ def _of_equations(
     moved: np.ndarray,
 ) -> dict[int, np.ndarray]:
     """Whitened histories (J, 1 + W) of every equation that is enforced."""
-    p, residual = len(point.parameters), equations.physics_residual(point)
+    p, residual = len(point.parameters), equations.motion.residual(point)
     own, felt = felt_histories(equations, forces)
-    root = equations.weights(noise)["physics"].sqrt()
+    root = equations.motion.weight(noise).sqrt()
     every: defaultdict[int, list[Tensor]] = defaultdict(list)
     for part, function, rows, by in equation_columns(equations, point):
         found = torch.as_tensor(rows @ moved).to(residual).unflatten(0, by.shape[:2])
@@ -212,14 +213,14 @@ def _of_equations(
 
 def _of_channels(
     equations: NormalEquations,
-    channels: Sequence[Shown],
+    channels: Sequence[ChannelAtPoint],
     sensors: Sequence[SensorTerm],
     moved: np.ndarray,
     before: int,
 ) -> Iterator[tuple[np.ndarray, float]]:
     """The same of every channel; ``before`` columns are not of sensors."""
     for i, one in enumerate(channels):
-        histories = one.moved(equations, moved)
+        histories = one.moved(equations.layout, moved)
         histories[:, 0] += one.residual
         for place, by in one.parameters.items():
             histories[:, 1 + place] += by
@@ -230,7 +231,7 @@ def _of_channels(
         yield histories, float(np.median(np.diff(one.time)))
 
 
-def _seen(channels: Sequence[Shown], edges: np.ndarray) -> np.ndarray:
+def _seen(channels: Sequence[ChannelAtPoint], edges: np.ndarray) -> np.ndarray:
     """(bands,) bool: where some response sensor shows more of the motion than noise.
 
     Elsewhere an estimate that follows its sensors moves as their noise does, and so do its columns: what they explain

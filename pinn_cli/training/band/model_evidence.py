@@ -18,8 +18,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.physics import observation_masks
-from pinn_cli.record.gauge import GAUGE
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.record_evidence import OF_PARAMETERS, RecordEvidence, RecordSolution
 from pinn_cli.training.noise_model import NoiseModel
@@ -51,28 +49,14 @@ def sensors_term(evidence: RecordEvidence, solution: RecordSolution) -> float:
 
 def _count(evidence: RecordEvidence) -> int:
     """Samples of all response sensors."""
-    equations, record = evidence.equations, evidence.problem.record
-    masks = observation_masks(equations.target, evidence.problem.acceleration_through)
-    samples = sum(int(mask.sum()) for mask in masks.values()) * len(record.time)
-    return samples + sum(rows.samples for rows in equations.gauge_rows)
+    return int(sum(channels.samples[channels.there].sum() for channels in evidence.equations.channels))
 
 
 def of_motion(evidence: RecordEvidence, noise: NoiseModel) -> NoiseModel:
     """Sensors that together say of the motion how large it is, and no more."""
-    record = evidence.problem.record
-    response = {}
-    for quantity, sigma in noise.response.items():
-        if quantity == GAUGE:
-            sizes = [gauge.values for gauge in record.gauges]
-            response[quantity] = np.array([_size(values) for values in sizes])
-        else:
-            values = record.histories(quantity)
-            size = np.array([_size(values[:, i]) for i in range(values.shape[1])])
-            response[quantity] = np.where(np.isfinite(sigma), size, sigma)
+    response = dict(noise.response)
+    for channels in evidence.equations.channels:
+        # Of each sample the deviation with which all of them together say the root mean square.
+        size = channels.numbers("rms") * np.sqrt(channels.samples)
+        response[channels.name] = np.where(size > 0.0, size, np.where(channels.there, 1.0, np.nan))
     return replace(noise, response=response)
-
-
-def _size(values: np.ndarray) -> float:
-    """Standard deviation of each sample with which all of them together say the root mean square."""
-    found = float(np.sqrt(np.sum(values**2)))
-    return found if math.isfinite(found) and found > 0.0 else 1.0

@@ -12,17 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.physics import observation_masks
 from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.response import GROUND
-from pinn_cli.record.spectrum import lowest_level
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN
 from pinn_cli.training.band.driving import told_below
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.force_residuals import ForceResiduals
 from pinn_cli.training.band.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.noise_model import FINEST_SENSOR, NoiseLevels, NoiseModel, finest_level
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
@@ -115,28 +112,17 @@ def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> Taken:
     add up to what they must; a few draws tell each to some per cent.
     """
     equations, noise, point = evidence.equations, solution.noise, solution.point
-    physics = equations.weights(noise)["physics"]
-    response = {quantity: np.zeros(len(sigma)) for quantity, sigma in noise.response.items()}
-    enforced = np.zeros(equations.dynamics.size)
     draws = solution.drawn(DRAWS, of_mean_length=True)
-    for drawn in draws:
-        for part in equations.windows(equations.observation):
-            seen = equations.jet(equations.observation, drawn, part)
-            for quantity in response:
-                if quantity != GAUGE and quantity not in equations.inputs:
-                    values = equations.dynamics.sensed(quantity, seen)
-                    response[quantity] += values.square().sum((0, 1)).cpu().numpy() / DRAWS
-        for quantity, rows in equations.inputs.items():
-            values = rows.in_band(rows.filtered(equations.flat_states(rows.segments, drawn)))
-            response[quantity] += values.square().sum(0).cpu().numpy() / rows.refinement / DRAWS
-        moved = equations.moved_gauges(point, drawn)
-        if moved:
-            response[GAUGE] += np.array([float(values.square().sum()) for values in moved]) / DRAWS
-    for part, forces in equations.moved_forces(point, draws):
+    response = {
+        channels.name: channels.squares_moved(point, draws) / DRAWS / noise.response[channels.name] ** 2
+        for channels in equations.channels
+    }
+    physics, enforced = equations.motion.weight(noise), np.zeros(equations.dynamics.size)
+    for part, forces in equations.motion.moved(point, draws):
         weight = physics if physics.ndim == 1 else physics[part]
         for force in forces:
             enforced += (force.square() * weight).sum((0, 1)).cpu().numpy() / DRAWS
-    return Taken({q: square / noise.response[q] ** 2 for q, square in response.items()}, enforced)
+    return Taken(response, enforced)
 
 
 def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseModel) -> NoiseModel:
@@ -149,66 +135,58 @@ def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseMode
         noise = replace(noise, innovation=_limited(innovation, noise.innovation))
     if equations.problem.record.repeats is not None:
         return replace(noise, discrepancy=discrepancy)
-    squares, samples = equations.squares(solution.point), len(equations.problem.record.time)
-    response = dict(noise.response)
-    for name, mask in observation_masks(equations.target, equations.problem.acceleration_through).items():
-        if name == "observer":  # its residual holds the force's noise as well
-            continue
-        there, square = mask.cpu().numpy(), squares[name].cpu().numpy()
-        if name in equations.inputs:
-            square = _left_of_input(evidence, solution, name)
+    response, under_forces = dict(noise.response), bool(equations.problem.inputs.forces)
+    every = _usual_levels(evidence, noise)
+    for channels in equations.channels:
+        name, samples, square = channels.name, channels.samples, channels.squares(solution.point)
         left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
-        usual, share = _usual_level(evidence, name, noise), np.clip(taken.response[name] / samples, 0.0, 1.0)
-        under_forces = bool(equations.problem.inputs.forces)
-        weight = samples * KINSHIP_UNDER_FORCES if under_forces else samples * KINSHIP * share**OPENNESS
+        usual, share = every[name], np.clip(taken.response[name] / samples, 0.0, 1.0)
+        weight = samples * (KINSHIP_UNDER_FORCES if under_forces else KINSHIP * share**OPENNESS)
         found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
         level = _limited(np.sqrt(found), noise.response[name])
-        response[name] = np.where(there, np.maximum(level, least.response[name]), noise.response[name])
-    if GAUGE in response:
-        noise = replace(noise, taken_up=taken.response[GAUGE])
-        square = np.array([float(r.square().sum()) for r in equations.gauge_residuals(solution.point)])
-        shown = np.array([rows.samples for rows in equations.gauge_rows])
-        left = np.maximum(shown - taken.response[GAUGE], FEWEST_LEFT * shown)
-        level = _limited(np.sqrt(square / left), noise.response[GAUGE])
-        response[GAUGE] = np.maximum(level, least.response[GAUGE])
+        response[name] = np.where(channels.there, np.maximum(level, least.response[name]), noise.response[name])
+    noise = replace(noise, taken_up=taken.response.get(GAUGE))
     most = np.full(len(force), np.inf)
-    for dof in np.flatnonzero(np.isfinite(noise.force)):  # of finite elements a load cell is a channel
-        if shown_there := evidence.shown_noise(FORCE)[dof]:
-            most[dof] = max(LOUDEST * shown_there, least.force[dof])
+    for dof, cell in evidence.load_cells.items():
+        if cell.shown:
+            most[dof] = max(LOUDEST * cell.shown, least.force[dof])
     force = np.clip(_limited(force, noise.force), least.force, most)
     return replace(noise, response=response, force=force, discrepancy=discrepancy)
 
 
-def _left_of_input(evidence: RecordEvidence, solution: RecordSolution, quantity: str) -> np.ndarray:
-    """(channels,) sum of squares of what the solution leaves of an input's samples."""
-    equations = evidence.equations
-    rows, point = equations.inputs[quantity], solution.point
-    left = rows.target.new_zeros((rows.segments.samples, rows.target.shape[-1]))
-    for part in equations.windows(rows.segments):
-        states = equations.states(rows.segments, point, part)
-        rows.segments.part(part).place(rows.residual(states, part), left)
-    return rows.in_band(left).square().sum(0).cpu().numpy() / rows.refinement
-
-
-def _usual_level(evidence: RecordEvidence, quantity: str, noise: NoiseModel) -> np.ndarray:
-    """(n,) noise that each sensor would have if the record left it open; 0 where nothing is known.
+def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.ndarray]:
+    """Name to the noise that each sensor would have if the record left it open; 0 where nothing is known.
 
     What its spectrum shows above its band, or as much as others of its kind. A lone accelerometer beside a load cell,
     whose spectrum shows nothing: what its emptiest part has at most, or see `BESIDE_LOAD_CELL`.
     """
-    equations, levels = evidence.equations, noise.response[quantity]
-    record, plain = equations.problem.record, equations.dynamics.structure.shapes is None
-    channels, shown = record.histories(quantity), evidence.shown_noise(quantity)
-    rms, out = np.sqrt(np.mean(channels**2, axis=0)), np.zeros(channels.shape[1])
-    there, mass = np.flatnonzero(record.sensors(quantity)), equations.prescribed["m"].cpu().numpy()
-    for dof in there:
-        others = [levels[other] / rms[other] for other in there if other != dof and rms[other] > 0]
-        if shown[dof] or others:
-            out[dof] = shown[dof] or rms[dof] * np.median(others)
-        elif quantity == "acceleration" and plain and noise.force[dof] > 0 and mass[dof] > 0:
-            of_load_cell = lowest_level(record.force[:, dof], record.step) / mass[dof]
-            out[dof] = min(lowest_level(channels[:, dof], record.step), BESIDE_LOAD_CELL * of_load_cell)
-    return out
+    equations = evidence.equations
+    levels = {
+        (channels.name, i): (sensor, noise.response[channels.name][i])
+        for channels in equations.channels
+        for i, sensor in enumerate(channels.sensors)
+        if sensor is not None
+    }
+    out = {channels.name: np.zeros(len(channels.there)) for channels in equations.channels}
+    for (name, i), (sensor, _) in levels.items():
+        others = [
+            level / other.rms
+            for key, (other, level) in levels.items()
+            if key != (name, i) and other.quantity == sensor.quantity and other.rms > 0
+        ]
+        if sensor.shown or others:
+            out[name][i] = sensor.shown or sensor.rms * np.median(others)
+        elif sensor.quantity == "acceleration" and sensor.dof is not None:
+            out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * _of_load_cell(evidence, noise, sensor.dof))
+    return {name: np.where(np.isfinite(level), level, 0.0) for name, level in out.items()}
+
+
+def _of_load_cell(evidence: RecordEvidence, noise: NoiseModel, dof: int) -> float:
+    """What the noise of a load cell makes of the acceleration of its mass, at most; infinite where there is none."""
+    mass = float(evidence.equations.prescribed["m"][dof]) if dof in evidence.load_cells else 0.0
+    if not (mass > 0.0 and noise.force[dof] > 0.0):
+        return np.inf
+    return evidence.load_cells[dof].most / mass
 
 
 def _forces(
@@ -282,29 +260,19 @@ def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarra
 
 def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
     """The least levels that are looked for."""
-    record, noise = evidence.equations.problem.record, solution.noise
-    finest = {
-        q: FINEST_SENSOR * np.sqrt(np.mean(record.histories(q) ** 2, axis=0)) for q in noise.response if q != GAUGE
-    }
-    if GAUGE in noise.response:
-        finest[GAUGE] = np.array([finest_level(gauge) for gauge in record.gauges])
-    of_force = np.full(len(noise.force), np.nan)
-    if np.isfinite(noise.force).any():
-        of_force[: record.ndof] = FINEST_SENSOR * np.sqrt(np.mean(record.force**2, axis=0))
-    force = float(np.nanmax(of_force)) / FINEST_SENSOR if np.isfinite(noise.force).any() else noise.discrepancy
+    noise, of_force = solution.noise, np.full(len(solution.noise.force), np.nan)
+    for dof, cell in evidence.load_cells.items():
+        of_force[dof] = max(cell.finest, cell.shown)
+    force = max((cell.rms for cell in evidence.load_cells.values()), default=noise.discrepancy)
     of_noise = FINEST_OF_NOISE * noise.least_of_inputs
     discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), of_noise)
-    response = {q: np.fmin(finest[q], level) for q, level in noise.response.items()}
-    # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load
-    # cell's, none at all would do as well; and the ground, which may move alike at all frequencies, takes noise for it.
-    if GROUND in response:
-        response[GROUND] = np.maximum(response[GROUND], evidence.shown_noise(GROUND))
-    for dof in np.flatnonzero(record.sensors("force") & ~record.gauged("force")):
-        shown = evidence.shown_noise(FORCE)[dof]
-        if FORCE in response:
-            response[FORCE][dof] = max(response[FORCE][dof], shown)
-        else:
-            of_force[dof] = max(of_force[dof], shown)
+    response = dict(noise.response)
+    for channels in evidence.equations.channels:
+        # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load
+        # cell's, none at all would do as well; and the ground, which may move alike at all frequencies, takes noise
+        # for it.
+        least = np.fmax(channels.numbers("finest"), channels.acting * channels.numbers("shown"))
+        response[channels.name] = np.fmin(least, noise.response[channels.name])
     return replace(noise, response=response, force=of_force, discrepancy=discrepancy)
 
 

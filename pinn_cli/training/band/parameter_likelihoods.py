@@ -151,8 +151,8 @@ def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> Forc
     """Of one record."""
     equations, record, point = evidence.equations, evidence.problem.record, solution.point
     at_samples = slice(None, None, equations.refinement)
-    residual = equations.physics.scatter(equations.force_residual(point))[at_samples]
-    rows = equations.rows(equations.forces, point)
+    residual = equations.physics.scatter(equations.motion.force(point))[at_samples]
+    rows = equations.motion.rows(equations.forces, point)
     p = len(equations.uncertain)
     gram, moment = np.zeros((p, p)), np.zeros(p)
     for dof in torch.nonzero(equations.target.equation).flatten().tolist():

@@ -115,7 +115,7 @@ def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple
         return np.zeros(0), 0
     segments, total = equations.physics, np.zeros(equations.vector.places)
     for part in equations.windows(segments):
-        per_std = equations.own_by_parameter(segments, solution.point, part)
+        per_std = equations.motion.own_by_parameter(segments, solution.point, part)
         total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
     force = np.sqrt(total / segments.samples)[equations.vector.column]
     # What spectra have told holds what the model leaves out already.

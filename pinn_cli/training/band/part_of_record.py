@@ -23,8 +23,8 @@ from pinn_cli.training.band.discrepancy_search import (
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.levenberg_marquardt import followed
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.residuals import collocation_refinement
-from pinn_cli.training.band.ridge import carried_ridge
+from pinn_cli.training.factors.frame import collocation_refinement
+from pinn_cli.training.factors.ridge import carried_ridge
 from pinn_cli.training.noise_model import NoiseLevels
 
 # Samples of a part, at least; a share of the record, at least. Levels of 20 000 samples are right to half a percent.
@@ -100,7 +100,7 @@ def whole_from(
         noise: Where a search of the whole would begin.
     """
     equations, own, before = evidence.equations, evidence.equations.each[0], of_part.equations.each[0]
-    own.ridge = carried_ridge(before.ridge, before.layout, own.layout)
+    own.ridge.value = carried_ridge(before.ridge.value, before.layout, own.layout)
     noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
     steps = min(_steps(largest, part.noise.discrepancy), _steps_to_indifference(noise))
     # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.

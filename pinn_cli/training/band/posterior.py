@@ -237,7 +237,7 @@ class LocalRows:
     ) -> None:
         self.equations, self.segments = equations, segments.part(part)
         self.averages = None if averages is None else averages.part(part)
-        self.rows = equations.rows(segments, point, part=part)
+        self.rows = equations.motion.rows(segments, point, part=part)
         self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
         self.own = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
 

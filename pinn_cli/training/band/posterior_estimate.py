@@ -106,11 +106,12 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
 
 def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[str, np.ndarray]:
     """Quantity to the noise of its sensors; of a gauge over its gain, and as it shows it under a name of their own."""
+    record = equations.problem.record
     levels = {quantity: sigma.copy() for quantity, sigma in solution.noise.response.items()}
     if GAUGE not in levels:
         return levels
     gain = equations.parameters(solution.point)["gain"].cpu().numpy()
-    for gauge, sigma, factor in zip(equations.problem.record.gauges, levels[GAUGE], gain, strict=True):
+    for gauge, sigma, factor in zip(record.gauges, levels[GAUGE], gain, strict=True):
         if gauge.dof is not None:
             levels[gauge.quantity][gauge.dof] = sigma / abs(factor)
     return levels
@@ -196,16 +197,10 @@ def _share_force(
 
 
 def _effective_parameters(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, list[float | None]]:
-    """Quantity with sensors to how many values of each channel's samples the solution has taken up."""
-    record = evidence.equations.problem.record
+    """Name of sensors to how many values of each one's samples the solution has taken up."""
     taken = values_taken(evidence, solution).response
-    sensors = {
-        quantity: record.sensors(quantity) & ~record.gauged(quantity)
-        for quantity in evidence.equations.dynamics.observed
-    }
-    if GAUGE in taken:
-        sensors[GAUGE] = np.ones(len(record.gauges), dtype=bool)
-    return {q: _listed(np.where(there, taken[q], np.nan)) for q, there in sensors.items() if there.any()}
+    every = evidence.equations.channels
+    return {own.name: _listed(np.where(own.there, taken[own.name], np.nan)) for own in every}
 
 
 def _listed(sigma: np.ndarray) -> list[float | None]:

@@ -10,15 +10,15 @@ import torch
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.network.spline import SplineNetwork
-from pinn_cli.physics import observation_masks
-from pinn_cli.record.gauge import GAUGE
-from pinn_cli.record.spectrum import occupied_band, visible_floor
+from pinn_cli.record.spectrum import occupied_band
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.force_residuals import ForceResiduals
 from pinn_cli.training.band.motion_density import log_density, seen_powers
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.sensor_samples import SensorSamples
 
 # Losses that are about the parameters alone.
 OF_PARAMETERS = ("gain", "marginal")
@@ -71,7 +71,6 @@ class RecordEvidence:
 
     def __init__(self, equations: NormalEquations) -> None:
         self.equations, self.problem = equations, equations.problem
-        self._shown: dict[str, np.ndarray] = {}
 
     @cached_property
     def projection(self) -> FeatureProjection:
@@ -83,15 +82,11 @@ class RecordEvidence:
         """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
         return self._projection(self.equations.observation)
 
-    def shown_noise(self, quantity: str) -> np.ndarray:
-        """(channels,), noise of each sensor of a quantity that its spectrum shows above its band; 0 where none does."""
-        if quantity not in self._shown:
-            record = self.equations.problem.record
-            shown, histories = np.zeros(len(record.sensors(quantity))), record.histories(quantity)
-            for dof in np.flatnonzero(record.sensors(quantity)):
-                shown[dof] = visible_floor(histories[:, dof], record.step) or 0.0
-            self._shown[quantity] = shown
-        return self._shown[quantity]
+    @cached_property
+    def load_cells(self) -> dict[int, SensorSamples]:
+        """DOF to the load cell whose force stands in the equations of motion, and is no channel."""
+        measured = np.flatnonzero(self.equations.target.measured_force.cpu().numpy()).tolist()
+        return {dof: SensorSamples.of_column(self.problem.record, FORCE, dof) for dof in measured}
 
     def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
         """The record's own part, without the parameters' prior and without their share of the Hessian."""
@@ -108,7 +103,7 @@ class RecordEvidence:
         """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
         equations = self.equations
         enforced, segments = equations.target.equation.cpu().numpy() > 0, equations.physics
-        pattern, tangent = equations.pattern, equations.mean_tangent(segments, point)
+        pattern, tangent = equations.pattern, equations.motion.mean_tangent(segments, point)
         stiffness, damping = (pattern.full(pattern.by_coordinate(x).cpu().numpy()) for x in tangent)
         mass = equations.dynamics.mass(equations.parameters(point)).cpu().numpy()
         kept = np.ix_(enforced, enforced)
@@ -118,46 +113,33 @@ class RecordEvidence:
         return log_density(mass[enforced], damping[kept], stiffness[kept], seen)
 
     def log_variances(self, noise: NoiseModel) -> float:
-        """Sum over all samples of the sensors; those of an observer equation stand with the forces.
-
-        An input is compared between its samples too, where features finer than these follow it.
-        """
-        masks = observation_masks(self.equations.target, self.equations.problem.acceleration_through)
-        samples = dict.fromkeys(masks, len(self.equations.problem.record.time))
-        samples |= {name: max(samples[name], self.equations.network.count) for name in self.equations.inputs}
-        of_gauges = sum(
-            2.0 * rows.samples * float(np.log(sigma))
-            for rows, sigma in zip(self.equations.gauge_rows, noise.response.get(GAUGE, ()), strict=True)
-        )
-        return of_gauges + sum(
-            2.0 * samples[name] * float(np.log(noise.response[name][mask.cpu().numpy()]).sum())
-            for name, mask in masks.items()
-            if name != "observer"
-        )
+        """Sum over all samples of the sensors; those of an observer equation stand with the forces."""
+        each = ((own.values[own.there], noise.response[own.name][own.there]) for own in self.equations.channels)
+        return float(sum(2.0 * float(values @ np.log(sigma)) for values, sigma in each))
 
     def force_residuals(self, point: Point, noise: NoiseModel) -> ForceResiduals:
         """What the physics residual holds in the features' sight and beyond it."""
         equations = self.equations
         enforced = equations.target.equation.cpu().numpy()
-        physics, weight = equations.physics_residual(point), equations.weights(noise)
+        physics, weight = equations.motion.residual(point), equations.motion.weight(noise)
         observer = None
-        if "observer" in weight:
-            seen_there = self.observer_projection.sum_of_squares(equations.residuals(point)["observer"])
-            observer = seen_there, weight["observer"].cpu().numpy()
+        if equations.observer is not None:
+            residual = torch.cat([each for _, each in equations.observer.residuals(point)])
+            observer = self.observer_projection.sum_of_squares(residual), equations.observer.weight(noise).cpu().numpy()
         left_open, unseen = np.zeros(len(enforced)), np.zeros(len(enforced))
         # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
         beyond = len(equations.problem.record.time) - equations.network.count if equations.refinement == 1 else 0
         if beyond > 0:
             moments = self.projection.no_moments(len(enforced))
             for part in equations.windows(equations.physics):
-                forces = equations.force_residual(point, part)
+                forces = equations.motion.force(point, part)
                 unseen += forces.square().sum((0, 1)).cpu().numpy()
                 self.projection.add_moments(moments, forces, part)
             unseen -= self.projection.seen(moments)
         if equations.averages is None:
             seen, count = self.projection.sum_of_squares(physics), equations.network.count
         else:  # averages between the samples count as far as the samples tell what acts there
-            trust = weight["physics"] * torch.as_tensor(noise.physics_variance).to(weight["physics"])
+            trust = weight * torch.as_tensor(noise.physics_variance).to(weight)
             seen = (physics.square() * trust).sum((0, 1)).cpu().numpy()
             count = equations.averages.count
             if trust.ndim > 1:
@@ -185,7 +167,7 @@ def occupied_share(evidence: RecordEvidence, solution: RecordSolution) -> float:
     equations = evidence.equations
     unforced = equations.target.unforced & equations.dynamics.has_mass.to(equations.target.unforced.device)
     enforced = unforced if bool(unforced.any()) else equations.target.equation
-    residual, step = equations.physics_residual(solution.point), 1.0 / equations.network.free_intervals
+    residual, step = equations.motion.residual(solution.point), 1.0 / equations.network.free_intervals
     if equations.averages is None:
         residual, step = equations.physics.scatter(residual), equations.problem.record.step
     else:

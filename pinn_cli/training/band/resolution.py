@@ -119,7 +119,7 @@ def _highest_resonance(equations: NormalEquations, solution: RecordSolution) -> 
     parameters, point = equations.parameters(solution.point), solution.point
     structure = equations.dynamics.structure
     stretch = structure.incidence.matrix.toarray()
-    stiffness = equations.mean_tangent(equations.observation, point)[0][: len(stretch)].cpu().numpy()
+    stiffness = equations.motion.mean_tangent(equations.observation, point)[0][: len(stretch)].cpu().numpy()
     root = np.sqrt(parameters["m"].cpu().numpy())
     rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
     frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)

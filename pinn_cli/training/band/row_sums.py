@@ -137,6 +137,11 @@ class RowSums:
             for one, other in pairs:
                 self._add_block(one, other, part, place)
 
+    def add_diagonal(self, weight: float | np.ndarray, unknowns: np.ndarray) -> None:
+        """Add weights, (size,) or one of all, of the squares of the readout weights (size,)."""
+        self.main[:] += weight
+        self._gradient[0, self._inside] += weight * unknowns
+
     def add_constant(self, feature: Tensor, gram: np.ndarray, coupling: spmatrix) -> None:
         """Add products that are those of features times those of functions.
 

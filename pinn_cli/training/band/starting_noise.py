@@ -7,31 +7,29 @@ import math
 import numpy as np
 
 from pinn_cli.record.amplitudes import support_amplitudes
-from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.record import Record
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, GROUND, MOTION, SUPPORT
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.noise_model import NoiseModel, first_level, starting_levels
+from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_scales import CONTINUITY_TOLERANCE, force_and_velocity_scale
+from pinn_cli.training.sensor_samples import starting_levels
 
 
 def starting_noise(equations: NormalEquations) -> NoiseModel:
     """Where the noise levels of one record start; the discrepancy is the force that acts."""
     problem = equations.problem
     force, velocity = force_and_velocity_scale(problem)
-    response, sensors = starting_levels(problem.record)
+    quantities = [*problem.record.response_quantities, *((FORCE,) if problem.dynamics.inputs.loads else ())]
+    response = {quantity: np.full(len(problem.record.sensors(quantity)), np.nan) for quantity in quantities}
+    response |= {channels.name: channels.numbers("first") for channels in equations.channels}
+    if equations.observer is not None:
+        response["acceleration"] = starting_levels(problem.record, "acceleration")
     points, dynamics, shapes = equations.refinement, problem.dynamics, problem.structure.shapes
-    driving = np.full(dynamics.size, np.nan)
-    for quantity, levels in (*response.items(), (FORCE, sensors)):
-        levels[problem.record.gauged(quantity)] = np.nan
-    if problem.record.gauges:
-        response[GAUGE] = np.array([first_level(gauge) for gauge in problem.record.gauges])
-    if shapes is not None or dynamics.inputs.loads:
-        response |= {FORCE: sensors} if dynamics.inputs.loads else {}
-        sensors = np.full(dynamics.ndof, np.nan)
-    sensors = np.pad(sensors, (0, dynamics.size - dynamics.ndof), constant_values=np.nan)
+    driving, sensors = np.full((2, dynamics.size), np.nan)
+    if equations.target.measured_force.any():  # otherwise load cells are channels
+        sensors[: dynamics.ndof] = starting_levels(problem.record, FORCE)
     # A force of modes acts on a DOF the more, the less this DOF moves with them.
     driving[dynamics.forces] = force if shapes is None else force / shapes.scale
     driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]

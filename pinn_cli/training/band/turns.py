@@ -57,7 +57,7 @@ def _turns(equations: NormalEquations, point: Point) -> Turns | None:
     assert isinstance(equations.network, SplineNetwork)
     turns = Turns(time[turning].cpu().numpy(), 1.0, 1.0)
     near = turns.near(equations.averages.times(time), equations.network.spacing)
-    square = equations.physics_residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).cpu().numpy()
+    square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).cpu().numpy()
     if not 0.0 < near.mean() < MOST:
         return None
     before, (level, other) = equations.problem.turns, (float(np.sqrt(square[x].mean())) for x in (near, ~near))

@@ -21,7 +21,8 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.parameters import MASS, ParameterVector
-from pinn_cli.training.noise_model import starting_levels
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
 from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
 
 # The power of unknown forces is told at frequencies that grow by this factor: much more than a resonance is wide.
@@ -89,9 +90,9 @@ class SpectralModel:
         shapes = problem.structure.shapes
         self.pushed = np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T
         self.unknown_forces = len(problem.inputs.forces)
-        floor = starting_levels(problem.record)
-        self.first_noise = np.array([floor[0][quantity][dof] for quantity, dof in spectrum.sensors])
-        self.load_noise = floor[1][list(spectrum.loads)]
+        sensors = [SensorSamples.of_column(problem.record, *sensor) for sensor in spectrum.sensors]
+        self.first_noise = np.array([sensor.first for sensor in sensors])
+        self.load_noise = starting_levels(problem.record, FORCE)[list(spectrum.loads)]
         self.shape = _hats(omega)
 
     @property

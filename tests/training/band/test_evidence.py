@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of
+from one_record import evidence_of, levels_of, shown_noise
 from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -20,7 +20,7 @@ from pinn_cli.training.band.discrepancy_search import scanned, widened_for_colou
 from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, sensor_noise
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
 
@@ -40,7 +40,7 @@ def disturbed(
     force[:, 0] += 0.003 * rng.normal(size=SAMPLES)
     record = Record(simulation.time, *noisy, force, ~known.forced).keep({"acceleration": (1, 2, 3)})
     equations = NormalEquations(Spline(intervals=INTERVALS).build(record), Problem(structure, record, (), through))
-    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1.0, continuity=1.0)
+    noise = shown_noise(record, discrepancy=1.0, continuity=1.0)
     # An average over a knot interval carries the power of its samples, less what varies within the interval: of what
     # fills the band up to f, the mean of sinc^2 up to f times the interval.
     within = np.sinc(np.linspace(0.0, band[1] * equations.network.spacing, 101))
@@ -153,7 +153,7 @@ def believed_and_unknown(start: float | None) -> tuple[Evidence, NoiseLevels]:
     record = measured(structure, snr_db=50.0, duration=20.0).record.keep({"acceleration": (1, 3)})
     problem = Problem(structure.with_parameters(kappa=kappa), record, (*believed, *unknown))
     equations = NormalEquations(Spline(knots_per_period=5.0).build(record), problem)
-    noise = NoiseModel(*sensor_noise(equations.network, record), discrepancy=1e-4, continuity=1.0)
+    noise = shown_noise(record, discrepancy=1e-4, continuity=1.0)
     return evidence_of(equations, 30, 1e-8), levels_of(noise)
 
 

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from one_record import shown_noise
 from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
@@ -29,7 +30,6 @@ from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.learned_parameters import LearnedParameters
-from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 SENSORS = (1, 2, 3, 4)
 
@@ -90,7 +90,7 @@ def test_the_normal_equations_are_those_of_the_loss(design):
     free, rest = (posed(record, begins, ndof=3) for begins in ("free", "rest"))
     network = design.build(record)
     before, after = NormalEquations(network, free), NormalEquations(network, rest)
-    noise = NoiseModel(*sensor_noise(network, record), discrepancy=0.1, continuity=0.1)
+    noise = shown_noise(record, discrepancy=0.1, continuity=0.1)
     point = after.start()
     generator = torch.Generator().manual_seed(0)
     point = Point(0.1 * torch.randn(len(point.unknowns), generator=generator).double(), point.parameters)

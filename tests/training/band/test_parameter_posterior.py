@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of, problem_of
+from one_record import evidence_of, levels_of, problem_of, shown_noise
 from scipy.stats import norm, truncnorm
 from small_problems import accelerations, measured, small_chain
 
@@ -22,7 +22,6 @@ from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.estimate import ParameterEstimate
-from pinn_cli.training.noise_model import NoiseModel, sensor_noise
 
 NINETY = norm.ppf(0.95)
 
@@ -49,7 +48,7 @@ def posed(true: Structure, model: Structure, uncertain: tuple[Parameter, ...], *
 
 def solved(evidence: Evidence, discrepancy: float = 3e-4) -> Trained:
     (equations,) = evidence.equations.each
-    noise = NoiseModel(*sensor_noise(equations.network, equations.problem.record), discrepancy, 1.0)
+    noise = shown_noise(equations.problem.record, discrepancy, 1.0)
     trained = evidence.train(levels_of(noise), equations.start())
     assert trained is not None
     assert trained.solution.converged
@@ -231,7 +230,7 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     stiffnesses = tuple(unknown("k", dof, 20.0, 200.0) for dof in names)
     evidence = posed(small_chain(), small_chain("linear"), stiffnesses, duration=duration)
     (equations,) = evidence.equations.each
-    noise = levels_of(NoiseModel(*sensor_noise(equations.network, equations.problem.record), 1.0, 1.0))
+    noise = levels_of(shown_noise(equations.problem.record, 1.0, 1.0))
     trained = widened_for_colour(evidence, scanned(evidence, noise, 1.0, equations.start()))
     hessian = 200.0 * np.sqrt(np.diag(trained.factor.corner_covariance))
     estimates, _ = estimated(equations, trained)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of
+from one_record import evidence_of, levels_of, shown_noise
 from small_problems import QUANTITIES, measured, small_chain
 
 from pinn_cli.network.fourier import Fourier
@@ -32,7 +32,7 @@ from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.simulated_start import simulated_start
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel, sensor_noise
+from pinn_cli.training.noise_model import NoiseLevels
 
 
 def equations(record: Record, structure: Structure, uncertain=(), design=None) -> NormalEquations:
@@ -92,7 +92,7 @@ def test_there_is_none_where_the_chain_is_too_stiff():
 
 def searching(record: Record) -> tuple[Evidence, NoiseLevels]:
     found = equations(record, small_chain())
-    noise = NoiseModel(*sensor_noise(found.network, record), 1.0, 1.0)
+    noise = shown_noise(record, 1.0, 1.0)
     return evidence_of(found), levels_of(noise)
 
 

@@ -1,4 +1,4 @@
-"""Rows of sensors, which never change: each feels functions of time, or derivatives of them."""
+"""Rows that never change: of what feels functions of time, or derivatives of them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pinn_cli.network.linear_readout import Segments
 from pinn_cli.training.band.row_sums import RowSums
 
 
-class SensorRows:
-    """Constant rows of the sensors of one quantity.
+class ConstantRows:
+    """Rows of several channels that feel functions alike.
 
     Args:
-        segments: Features at the times of the observations.
-        felt: What the sensors feel: features (I, S, B), such as a derivative, and weights (channels, functions) of the
+        segments: Features at their times.
+        felt: What they feel: features (I, S, B), such as a derivative, and weights (channels, functions) of the
             functions that have them.
     """
 
@@ -37,7 +37,7 @@ class SensorRows:
         Args:
             sums: What they are added to.
             residual: (I, S, channels).
-            weight: (channels,), 0 where there is no sensor.
+            weight: (channels,), 0 where there is none.
             part: Which groups the residual is of.
         """
         feature, by_channel = self.segments.feature[part], diags(weight.cpu().numpy())

@@ -13,14 +13,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.beginning import TIE, Beginning
-from pinn_cli.training.band.layout import BandLayout
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.row_sums import Rows, RowSums, Touched
+from pinn_cli.training.factors.factor import Factor
+from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.modal_scale import modal_deviation
+from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviation of an unknown force at the first sample, over the force that the record is about.
@@ -50,28 +51,29 @@ class State(NamedTuple):
         return cls(order, deviation, np.full(deviation.shape, -1), np.zeros(0), np.zeros(0))
 
 
-class StateRows:
+class KnownState(Factor):
     """What is known of the functions at one sample, over standard deviations.
 
     Two residuals per function, linear in the readout: J w - x with J (F, 2, B) over the B features alive there. All of
     it is on the CPU, where the solver is.
 
     Args:
-        network: Fixed features, linear readout.
+        frame: Of the record.
         state: What is known.
-        layout: Of the readout weights.
         time: (1,), s, of the sample.
     """
 
-    def __init__(self, network: LinearReadout, state: State, layout: BandLayout, time: Tensor) -> None:
-        segments = network.segments(time)
+    name = "initial"
+
+    def __init__(self, frame: Frame, state: State, time: Tensor) -> None:
+        super().__init__(frame)
+        segments = frame.network.segments(time)
         alive = segments.mask[:, 0] > 0
         self.feature = segments.feature[alive][:1].cpu()
         jet = segments.displacement, segments.velocity, segments.acceleration
         rows = torch.stack([x[alive][0, 0] for x in jet[state.order : state.order + 2]]).cpu()
         self.jacobian = rows / rows.new_tensor(state.deviation)[:, :, None]
-        self.layout = layout
-        place = layout.positions(self.feature.numpy(), np.arange(len(state.deviation))[:, None])  # (F, B)
+        place = frame.layout.positions(self.feature.numpy(), np.arange(len(state.deviation))[:, None])  # (F, B)
         self.place = torch.as_tensor(place)
         # Of the uncertain numbers: which residual has each, where that stands, and how large it is there.
         self.of, self.rate = np.nonzero(state.column >= 0)
@@ -79,32 +81,32 @@ class StateRows:
         over = state.deviation[self.of, self.rate]
         self.value, self.unit = (rows.new_tensor(x[self.number] / over) for x in (state.value, state.unit))
 
-    def loss(self, unknowns: Tensor, numbers: Tensor) -> float:
-        """Sum of squares, with the uncertain numbers (p,)."""
-        return float(self._residuals(unknowns.cpu(), numbers.cpu()).square().sum())
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """See :meth:`Factor.loss`."""
+        return float(self.residuals(point).square().sum())
 
-    def add_to(self, sums: RowSums, point: Point, places: np.ndarray) -> None:
-        """Add their products at a point; the uncertain numbers have places (p,) among all parameters."""
-        order = self.layout.pattern.order
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        order = self.frame.layout.pattern.order
         by = np.zeros((3, 2, len(order)))  # both numbers of a function and the residual, by the value and the rate
         by[self.rate, self.rate, self.of] = -self.unit.numpy()
-        by[-1] = self._residuals(point.unknowns.cpu(), point.parameters.cpu()).numpy().T
-        there = np.where(self.column >= 0, np.append(places, -1)[self.column], -1)
+        by[-1] = self.residuals(point).numpy().T
+        there = np.where(self.column >= 0, np.append(self.frame.vector.column, -1)[self.column], -1)
         touched = Touched(0, 0, self.jacobian.permute(2, 1, 0).numpy()[None, :, :, None, order])
         sums.add(Rows(self.feature, [touched], there[order].T, by[:, :, None, order]))
 
-    def _residuals(self, unknowns: Tensor, numbers: Tensor) -> Tensor:
+    def residuals(self, point: Point) -> Tensor:
         """(F, 2)."""
+        unknowns, numbers = point.unknowns.cpu(), point.parameters.cpu()
         out = torch.einsum("frb,fb->fr", self.jacobian, unknowns[self.place])
         if len(self.number):
             out[self.of, self.rate] -= self.value + self.unit * numbers[self.number]
         return out
 
 
-def states_known(
-    network: LinearReadout, problem: Problem, layout: BandLayout, time: Tensor, beginning: Beginning | None = None
-) -> list[StateRows]:
-    """At the first sample and at the last one, (N,) ``time`` being the record's; none where both are anyhow."""
+def states_known(frame: Frame) -> list[KnownState]:
+    """At the first sample and at the last one; none where both are anyhow."""
+    problem, beginning, time = frame.problem, frame.beginning, frame.target.observation_time
     first, last = time[:1], time[-1:]
     states = [(_first(problem, beginning), first)]
     size = modal_deviation(problem)
@@ -113,7 +115,7 @@ def states_known(
         every[: problem.dynamics.ndof] = size
         of_modes = State.about_zero(1, every)
         states += [(of_modes, last)] if beginning is not None else [(of_modes, first), (of_modes, last)]
-    return [StateRows(network, state, layout, at) for state, at in states if state is not None]
+    return [KnownState(frame, state, at) for state, at in states if state is not None]
 
 
 def _first(problem: Problem, beginning: Beginning | None) -> State | None:

@@ -17,7 +17,7 @@ the filter is of first order, or none: an error above the band is then as probab
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -28,11 +28,14 @@ from torch import Tensor
 from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.record.between_samples import interpolated, refined_times
-from pinn_cli.record.record import Record
-from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.record.channels import channel_name
 from pinn_cli.system.functions import FLAT
-from pinn_cli.training.band.sensor_rows import SensorRows
-from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
+from pinn_cli.training.factors.constant_channels import ConstantChannels
+from pinn_cli.training.factors.constant_rows import ConstantRows
+from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
 
 # Corner of the errors' filter over the Nyquist frequency.
 CORNER = 1.2
@@ -40,50 +43,34 @@ CORNER = 1.2
 FROM_THE_END = 3
 
 
-class InputRows:
-    """Rows of the sensors of one measured input.
-
-    Args:
-        quantity: What they measure.
-        record: With their samples.
-        there: (channels,) bool, which of its sensors are compared: those without a calibration of their own.
-        network: Fixed features, linear readout.
-        dynamics: The unknown functions of time.
-        refinement: Points for every sample.
+class InputChannels(ConstantChannels):
+    """The sensors of one measured input; arguments as of :class:`ConstantChannels`.
 
     Attributes:
         time: (P,), s, of the points.
         points: Features there.
         segments: The same, as they count there.
         told: (P,), 1 where the samples tell the input, 0 near the ends.
-        rows: Constant rows of the filtered error.
         gain: Of the filter, which B is divided by.
-        target: (I, S, channels), filtered history, 0 where there is no sensor.
     """
 
-    def __init__(
-        self,
-        quantity: str,
-        record: Record,
-        there: np.ndarray,
-        network: LinearReadout,
-        dynamics: Dynamics,
-        refinement: int,
-    ) -> None:
+    def __init__(self, frame: Frame, quantity: str, mask: Tensor) -> None:
+        super().__init__(frame, quantity, mask)
+        record, network, refinement = frame.problem.record, frame.network, frame.refinement
         like = network.readout.detach()
-        self.refinement, self.there = refinement, torch.as_tensor(there).to(like.device)
+        self.acting, self.per_sample = np.ones(len(self.there), bool), refinement
         self.time = torch.as_tensor(refined_times(record.time, refinement)).to(like)
         self.points = network.segments(self.time)
         corner = CORNER * math.pi / record.step
-        ((order, felt),) = dynamics.sensing(quantity)
+        ((order, felt),) = frame.dynamics.sensing(quantity)
         factors = (1.0, 2.0 * FLAT / corner, corner**-2)[: 3 - order]
         # The noise is that of the samples in the band that the features follow: there |B|^2 is one on average.
         reach = min(1.0, network.free_intervals * record.step) / CORNER
         self.gain = (1.0, (1.0 + 2.0 * reach**2 / 3.0) ** 0.5, (1.0 + reach**4 / 5.0) ** 0.5)[2 - order]
         self.order = order
         weights = [csr_matrix(factor / self.gain * felt) for factor in factors]
-        self.felt = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
-        history = np.where(there, np.nan_to_num(record.histories(quantity)), 0.0)
+        self._weights = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
+        history = np.where(self.there, np.nan_to_num(record.histories(quantity)), 0.0)
         values, spread, noise = interpolated(history, record.step, refinement)
         # At the ends of a record, where half of the neighbours are missing, they tell less than a sample does. There
         # the samples stand alone.
@@ -97,10 +84,10 @@ class InputRows:
         plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
         jet = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
-        self.rows = SensorRows(self.segments, list(zip(jet[order:], weights, strict=True)))
+        self.rows = ConstantRows(self.segments, list(zip(jet[order:], weights, strict=True)))
 
     def _filtered(self, network: LinearReadout, values: Tensor, factors: Sequence[float]) -> Tensor:
-        """(P, channels), B applied: to as much as the features follow, the rest stays."""
+        """(P, K), B applied: to as much as the features follow, the rest stays."""
         if len(factors) == 1:
             return values / self.gain
         segments, features = first_output(network, self.points), output_features(network, self.points)
@@ -109,17 +96,59 @@ class InputRows:
         assert isinstance(rates, Tensor)
         return (values + segments.scatter(rates)) / self.gain
 
-    def filtered(self, states: States) -> Tensor:
-        """(I, S, channels), what the sensors feel of a motion, through the filter."""
+    def felt(self, states: States) -> Tensor:
+        """(..., K), what they feel, through the filter: white where the input is what was measured."""
         jet = (states.displacement, states.velocity, states.acceleration)
-        return sum(x @ felt for x, felt in zip(jet[self.order :], self.felt, strict=True))  # type: ignore[return-value]
+        return sum(x @ w for x, w in zip(jet[self.order :], self._weights, strict=True))  # type: ignore[return-value]
 
-    def residual(self, states: States, part: slice) -> Tensor:
-        """(I, S, channels), white where the input is what was measured, and 0 at padding; of some groups."""
-        return (self.filtered(states) - self.target[part]) * self.segments.mask[part, :, None] * self.there
+    @property
+    def values(self) -> np.ndarray:
+        """(K,); an input is compared between its samples too, where features finer than these follow it."""
+        return np.maximum(self.samples, self.frame.network.count)
+
+    def squares(self, point: Point) -> np.ndarray:
+        """(K,), of what is left in the band of the samples."""
+        left = self.target.new_zeros((self.segments.samples, len(self.there)))
+        for part in self.frame.windows(self.segments):
+            self.segments.part(part).place(self.residual(point, part), left)
+        return self._in_band(left)
+
+    def squares_moved(self, point: Point, steps: Sequence[Point]) -> np.ndarray:
+        """(K,), the same of what small steps move."""
+        every = (self._in_band(self.felt(self.frame.flat_states(self.segments, step)) * self.mask) for step in steps)
+        return np.sum(list(every), axis=0)
+
+    def _in_band(self, histories: Tensor) -> np.ndarray:
+        return self.in_band(histories).square().sum(0).cpu().numpy() / self.per_sample
 
     def in_band(self, histories: Tensor) -> Tensor:
-        """(P, channels) histories at the points, as far as the sensors' samples follow them."""
+        """(P, K) histories at the points, as far as the sensors' samples follow them."""
         spectrum = torch.fft.rfft(histories, dim=0)
-        spectrum[len(histories) // (2 * self.refinement) + 1 :] = 0.0
+        spectrum[len(histories) // (2 * self.per_sample) + 1 :] = 0.0
         return torch.fft.irfft(spectrum, len(histories), dim=0)
+
+    def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
+        """See :meth:`Channels.at`."""
+        points, record = self.points, self.frame.problem.record
+        features = dict(enumerate((points.displacement, points.velocity, points.acceleration)))
+        felt = self.felt(self.frame.flat_states(points, point)).cpu().numpy()
+        left = points.scatter(self.residual(point)).cpu().numpy()
+        for i in np.flatnonzero(self.there).tolist():
+            yield ChannelAtPoint(
+                channel_name(record, self.name, i),
+                self.name,
+                points,
+                features,
+                [
+                    Part(int(function), order, float(weight[function, i]))
+                    for order, weight in enumerate(self._weights, start=self.order)
+                    for function in np.flatnonzero(weight[:, i].cpu().numpy())
+                ],
+                felt[:, i],
+                None,
+                left[:, i],
+                self.time.cpu().numpy(),
+                float(noise.response[self.name][i]) * self.per_sample**0.5,
+                counted=self.told.cpu().numpy(),
+                per_sample=self.per_sample,
+            )

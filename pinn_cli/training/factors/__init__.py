@@ -1,0 +1,1 @@
+"""What says something about the unknowns of a record: one kind of factor a file."""

@@ -1,0 +1,339 @@
+"""Channels with samples and a calibration of their own: its numbers are known, believed or unknown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.record.channels import channel_name
+from pinn_cli.record.gauge import DELAYS_ALLOWED, GAUGE, Gauge
+from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_sums import Rows, RowSums, Touched
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
+from pinn_cli.training.factors.factor import Channels, Factor, Piece
+from pinn_cli.training.factors.feels import Feels, WeightedSum, felt_by, weighted
+from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.sensor_samples import SensorSamples
+
+
+class Moment(NamedTuple):
+    """The features at a channel's samples, each looked at so much earlier as the channel is late.
+
+    Attributes:
+        delay: s.
+        segments: I groups of S samples.
+        third: (I, S, B), third derivative of the features.
+    """
+
+    delay: float
+    segments: Segments
+    third: Tensor
+
+    def features(self, order: int) -> Tensor:
+        """(I, S, B), of a derivative."""
+        s = self.segments
+        return (s.displacement, s.velocity, s.acceleration, self.third)[order]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a channel shows at a point, and what that is made of.
+
+    Attributes:
+        moment: Its samples.
+        felt: (I, S).
+        gain: Of what it shows over that.
+        residual: (I, S), estimated minus measured.
+        parts: Derivative of what it feels.
+        columns: Place of a parameter to what that does to what it shows (I, S), per prior standard deviation.
+    """
+
+    moment: Moment
+    felt: Tensor
+    gain: Tensor
+    residual: Tensor
+    parts: list[Part]
+    columns: dict[int, Tensor]
+
+
+class CalibratedChannel:
+    """One of them.
+
+    Args:
+        gauge: Which.
+        number: Its own among the record's gauges, counted from 0.
+        frame: Of the record.
+
+    Attributes:
+        places: Kind of a number of its calibration that is uncertain to its place among all parameters.
+        time, measured: (J,), s, and samples that felt a motion within the record.
+        feels: What it feels before a filter.
+        state: The function that is the state of its filter, see :mod:`pinn_cli.training.factors.sensor_filter`; None:
+            it is behind none.
+    """
+
+    def __init__(self, gauge: Gauge, number: int, frame: Frame) -> None:
+        self.gauge, self.number, self.frame = gauge, number, frame
+        self.places = {
+            p.kind: frame.vector.first[p.kind] + number
+            for p in frame.vector.moving
+            if p.kind in CALIBRATION_UNITS and p.index == number
+        }
+        network = frame.network
+        kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
+        self.time, self.measured = (torch.as_tensor(x[kept]).to(frame.target.force) for x in (gauge.time, gauge.values))
+        self.since = self.time - gauge.start
+        self.feels, filters = felt_by(gauge, number, frame), frame.dynamics.inputs.filters
+        self.state = frame.dynamics.filters.start + filters.index(number) if number in filters else None
+        self._moment: Moment | None = None
+
+    def _inside(self, start: float, stop: float) -> np.ndarray:
+        """(J,) bool, samples at which it felt a motion within the record, whatever its delay may turn out to be."""
+        (first, last), margin = self._delays, 1e-9 * (stop - start)
+        kept: np.ndarray = (self.gauge.time - last >= start - margin) & (self.gauge.time - first <= stop + margin)
+        return kept
+
+    @property
+    def _delays(self) -> tuple[float, float]:
+        """The least and the largest with which its samples felt a motion within the record."""
+        delay = self.gauge.of("delay")
+        return delay.value - DELAYS_ALLOWED * delay.std, delay.value + DELAYS_ALLOWED * delay.std
+
+    def reaches(self, parameters: Mapping[str, Tensor]) -> bool:
+        """Whether its delay is one of those: with another one, samples ask for a motion that there is none of."""
+        first, last = self._delays
+        return "delay" not in self.places or first <= float(self.value("delay", parameters)) <= last
+
+    def value(self, kind: str, parameters: Mapping[str, Tensor]) -> Tensor:
+        """One number of the calibration."""
+        return parameters[kind][self.number]
+
+    def moment(self, delay: float) -> Moment:
+        """The features as a delay has them; kept until it changes."""
+        if self._moment is None or self._moment.delay != delay:
+            time, network = self.time - delay, self.frame.network
+            sample, mask, feature, jet = network.groups(time, 3)
+            segments = Segments(sample, mask, feature, jet[0], jet[1], jet[2], None, network.count, len(time))
+            self._moment = Moment(delay, segments, jet[3])
+        return self._moment
+
+    @property
+    def shows(self) -> Feels:
+        """What it shows but for its calibration: what it feels, or of a filter a derivative of its state."""
+        return self.feels if self.state is None else WeightedSum([Part(self.state, self.gauge.filter_order, 1.0)])
+
+    def residual(self, point: Point) -> Tensor:
+        """(I, S), what it would show without noise minus what it shows."""
+        parameters = self.frame.parameters(point)
+        moment = self.moment(float(self.value("delay", parameters)))
+        return self._residual(moment, self.shows.value(self.frame.jet(moment.segments, point), parameters), parameters)
+
+    def _residual(self, moment: Moment, felt: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        gain, offset, drift = (self.value(kind, parameters) for kind in ("gain", "offset", "drift"))
+        gather = moment.segments.gather
+        shown = gain * felt + offset + drift * gather(self.since)
+        return (shown - gather(self.measured)) * moment.segments.mask
+
+    def at(self, point: Point) -> Shown:
+        """What it shows, linearised."""
+        frame, parameters = self.frame, self.frame.parameters(point)
+        moment = self.moment(float(self.value("delay", parameters)))
+        jet, gain, shows = frame.jet(moment.segments, point), self.value("gain", parameters), self.shows
+        felt, parts = shows.value(jet, parameters), shows.parts(jet, parameters)
+        by = {place: gain * column for place, column in shows.by_parameter(jet, parameters).items()}
+        by |= {self.places[kind]: column for kind, column in self._by_number(moment, felt, gain).items()}
+        if "delay" in self.places:
+            by[self.places["delay"]] = -gain * self._changed(moment, parts, point, more=1)
+        spread, mask = frame.spread_by_place, moment.segments.mask
+        columns = {place: spread[place] * column * mask for place, column in by.items()}
+        return Shown(moment, felt, gain, self._residual(moment, felt, parameters), parts, columns)
+
+    def _by_number(self, moment: Moment, felt: Tensor, gain: Tensor) -> dict[str, Tensor]:
+        """Kind of an uncertain number to what it does to what is shown."""
+        by = {"gain": felt, "offset": torch.ones_like(felt), "drift": moment.segments.gather(self.since)}
+        return {kind: column for kind, column in by.items() if kind in self.places}
+
+    def _changed(self, moment: Moment, parts: list[Part], step: Point, more: int = 0) -> Tensor:
+        """(I, S), change of what it feels with a step of the readout weights, or with one derivative more."""
+        local = self.frame.layout.weights(step.unknowns)[moment.segments.feature]  # (I, B, functions)
+        out = local.new_zeros(moment.segments.mask.shape)
+        for function, order, weight in parts:
+            out = out + weight * (moment.features(order + more) @ local[..., function, None])[..., 0]
+        return out
+
+    def moved(self, shown: Shown, step: Point) -> Tensor:
+        """(I, S), change of what it shows with a small step."""
+        by = self.frame.vector.placed(step.parameters)
+        out = shown.gain * self._changed(shown.moment, shown.parts, step) * shown.moment.segments.mask
+        for place, column in shown.columns.items():
+            out = out + by[place] * column
+        return out
+
+    def add_to(self, sums: RowSums, point: Point, weight: float) -> None:
+        """Add the weighted products of its rows; ``weight`` is that of every sample."""
+        shown = self.at(point)
+        features = summed_features(shown.parts, shown.moment.features, shown.gain)
+        add_products(sums, shown.moment.segments, features, shown.residual, shown.columns, weight)
+
+    def at_point(self, point: Point, sigma: float) -> ChannelAtPoint:
+        """See :meth:`Channels.at`."""
+        shown, record, gauge = self.at(point), self.frame.problem.record, self.gauge
+        segments, flat = shown.moment.segments, lambda x: shown.moment.segments.scatter(x).cpu().numpy()
+        number = {int(place): i for i, place in enumerate(self.frame.vector.column)}
+        displacement = None
+        if gauge.quantity == "acceleration":
+            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", gauge))
+            displacement = flat(turning.value(self.frame.jet(segments, point), {}))
+        return ChannelAtPoint(
+            f"sensor {gauge.name}" if gauge.dof is None else channel_name(record, gauge.quantity, gauge.dof),
+            gauge.quantity,
+            segments,
+            {order: shown.moment.features(order) for order in range(3)},
+            shown.parts,
+            flat(shown.felt),
+            displacement,
+            flat(shown.residual),
+            self.time.cpu().numpy(),
+            sigma,
+            float(shown.gain),
+            self.places,
+            {number[place]: flat(column) for place, column in shown.columns.items() if place in number},
+        )
+
+
+class CalibratedChannels(Channels):
+    """All of them.
+
+    Args:
+        frame: Of the record.
+    """
+
+    name = GAUGE
+
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        gauges = frame.problem.record.gauges
+        self.each = [CalibratedChannel(gauge, number, frame) for number, gauge in enumerate(gauges)]
+        self.sensors = [SensorSamples.of_gauge(gauge) for gauge in gauges]
+        self.there = np.ones(len(gauges), dtype=bool)
+        self.samples = np.array([len(channel.time) for channel in self.each])
+        self.acting = np.array([gauge.quantity in (FORCE, GROUND) for gauge in gauges], dtype=bool)
+
+    def residuals(self, point: Point) -> Iterator[Piece]:
+        """See :meth:`Channels.residuals`."""
+        for i, channel in enumerate(self.each):
+            residual = channel.residual(point)
+            yield Piece(slice(i, i + 1), 0, len(residual), residual[..., None])
+
+    def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
+        """See :meth:`Channels.moved`."""
+        for i, channel in enumerate(self.each):
+            shown = channel.at(point)
+            yield slice(i, i + 1), [channel.moved(shown, step)[..., None] for step in steps]
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """Infinite where a delay is out of the record's reach."""
+        parameters = self.frame.parameters(point)
+        if not all(channel.reaches(parameters) for channel in self.each):
+            return math.inf
+        return float(np.sum(self.squares(point) / noise.response[GAUGE] ** 2))
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        for channel, sigma in zip(self.each, noise.response[GAUGE], strict=True):
+            channel.add_to(sums, point, float(sigma) ** -2)
+
+    def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
+        """See :meth:`Channels.at`."""
+        for channel, sigma in zip(self.each, noise.response[GAUGE], strict=True):
+            yield channel.at_point(point, float(sigma))
+
+
+class Gains(Factor):
+    """What is most probable together with one motion is a gain that is too large.
+
+    Smaller motions are more probable by their prior. Over all motions the density of a gain has a factor gain^-taken,
+    with the values of its sensor that the motion has taken up (the determinant of the motion's Hessian).
+
+    Args:
+        frame: Of the record.
+        channels: Those whose gain is uncertain.
+    """
+
+    name = "gain"
+
+    def __init__(self, frame: Frame, channels: Sequence[CalibratedChannel]) -> None:
+        super().__init__(frame)
+        self.channels = [channel for channel in channels if "gain" in channel.places]
+
+    def _counted(self, noise: NoiseModel) -> list[tuple[CalibratedChannel, float]]:
+        if noise.taken_up is None:
+            return []
+        return [(channel, float(noise.taken_up[channel.number])) for channel in self.channels]
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """See :meth:`Factor.loss`."""
+        parameters = self.frame.parameters(point)
+        each = (taken * channel.value("gain", parameters).abs().log() for channel, taken in self._counted(noise))
+        return float(sum(2.0 * float(one) for one in each))
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        parameters, spread = self.frame.parameters(point), self.frame.spread_by_place
+        for channel, taken in self._counted(noise):
+            place = channel.places["gain"]
+            sums.slope[place] += taken * float(spread[place] / channel.value("gain", parameters))
+
+
+def add_products(
+    sums: RowSums,
+    segments: Segments,
+    features: Mapping[int, Tensor],
+    residual: Tensor,
+    columns: Mapping[int, Tensor],
+    weight: float,
+) -> None:
+    """Add the weighted products of rows.
+
+    Args:
+        sums: What they are added to.
+        segments: Of their times, I groups of S.
+        features: Function to what its features are in the rows (I, S, B).
+        residual: (I, S).
+        columns: Place of a parameter to what that does to the rows (I, S), per prior deviation.
+        weight: Of every row.
+    """
+    root = weight**0.5
+    of_functions = ((root * phi).permute(2, 1, 0).cpu().numpy() for phi in features.values())
+    first = sums.rank[list(features)].tolist()
+    assert max(first) - min(first) <= sums.reach, "functions that one row feels stand within the band"
+    touched = [Touched(place, 0, phi[None, ..., None]) for place, phi in zip(first, of_functions, strict=True)]
+    by = root * torch.stack([*columns.values(), residual]).mT
+    places = np.array(list(columns), dtype=np.int64)[:, None]
+    sums.add(Rows(segments.feature, touched, places, by[..., None].cpu().numpy()))
+
+
+def summed_features(
+    parts: Sequence[Part], features: Callable[[int], Tensor], gain: Tensor | float = 1.0
+) -> dict[int, Tensor]:
+    """Function to the sum of its features (I, S, B) in rows that are made of some parts.
+
+    Args:
+        parts: Of the rows.
+        features: Order of a derivative to the features (I, S, B).
+        gain: Of all of them.
+    """
+    found: dict[int, Tensor] = {}
+    for function, order, factor in parts:
+        added = (factor[..., None] if isinstance(factor, Tensor) and factor.ndim else factor) * features(order)
+        found[function] = found[function] + added if function in found else added
+    return {function: gain * phi for function, phi in found.items()}

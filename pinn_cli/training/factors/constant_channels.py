@@ -1,0 +1,130 @@
+"""Channels whose rows never change: sensors on the record's clock whose calibration is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.network.base import States
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.record.channels import channel_name
+from pinn_cli.system.functions import Jet
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_sums import RowSums
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
+from pinn_cli.training.factors.constant_rows import ConstantRows
+from pinn_cli.training.factors.factor import Channels, Piece
+from pinn_cli.training.factors.frame import EVERY, Frame
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.sensor_samples import SensorSamples
+
+
+class ConstantChannels(Channels):
+    """The channels of one quantity, K of them, those without a sensor included.
+
+    Args:
+        frame: Of the record.
+        quantity: What they measure.
+        mask: (K,) bool, those that are compared.
+
+    Attributes:
+        segments: Features where they are compared.
+        target: (I, S, K), what they are compared with there.
+        rows: By the readout weights.
+        per_sample: Points for each of their samples.
+    """
+
+    segments: Segments
+    target: Tensor
+    rows: ConstantRows
+    per_sample = 1
+
+    def __init__(self, frame: Frame, quantity: str, mask: Tensor) -> None:
+        super().__init__(frame)
+        self.name, self.mask, self.there = quantity, mask, mask.cpu().numpy()
+        record = frame.problem.record
+        self.samples = np.full(len(self.there), len(record.time))
+        self.sensors = [
+            SensorSamples.of_column(record, quantity, dof) if there else None for dof, there in enumerate(self.there)
+        ]
+        self._kept: tuple[Point | None, Tensor] = None, mask
+
+    def felt(self, states: States) -> Tensor:
+        """(..., K), what they feel of a motion."""
+        return self.frame.dynamics.sensed(self.name, Jet(*states[:3]))
+
+    def weight(self, noise: NoiseModel) -> Tensor:
+        """(K,), one over the variances of points that count for their share of a sample."""
+        variance = self.per_sample * noise.response[self.name] ** 2
+        return torch.as_tensor(np.nan_to_num(1.0 / variance)).to(self.target) * self.mask
+
+    def residual(self, point: Point, part: slice = EVERY) -> Tensor:
+        """(I, S, K), of some groups."""
+        return (self.felt(self.frame.states(self.segments, point, part)) - self.target[part]) * self.mask
+
+    def residuals(self, point: Point) -> Iterator[Piece]:
+        """See :meth:`Channels.residuals`."""
+        for part in self.frame.windows(self.segments):
+            yield Piece(slice(0, len(self.there)), part.start, len(self.target), self.residual(point, part))
+
+    def moved(self, point: Point, steps: Sequence[Point]) -> Iterator[tuple[slice, list[Tensor]]]:
+        """See :meth:`Channels.moved`."""
+        for part in self.frame.windows(self.segments):
+            of_steps = (self.frame.states(self.segments, step, part) for step in steps)
+            yield slice(0, len(self.there)), [self.felt(states) * self.mask for states in of_steps]
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """See :meth:`Factor.loss`."""
+        if point is not self._kept[0]:
+            each = [piece.residual.square().sum((0, 1)) for piece in self.residuals(point)]
+            self._kept = point, torch.stack(each).sum(0)
+        return float(self.weight(noise) @ self._kept[1])
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        weight = self.weight(noise)
+        for part in self.frame.windows(self.segments):
+            self.rows.add_to(sums, self.residual(point, part), weight, part)
+
+
+class ResponseChannels(ConstantChannels):
+    """Sensors of a motion of the DOFs, one channel a DOF; arguments as of :class:`ConstantChannels`."""
+
+    def __init__(self, frame: Frame, quantity: str, mask: Tensor) -> None:
+        super().__init__(frame, quantity, mask)
+        self.acting = np.zeros(len(self.there), bool)
+        self.segments = frame.observation
+        self.target = self.segments.gather(frame.target.response[quantity])
+        jet = self.segments.displacement, self.segments.velocity, self.segments.acceleration
+        sensing = [(jet[order], felt) for order, felt in frame.dynamics.sensing(quantity)]
+        self.rows = ConstantRows(self.segments, sensing)
+
+    def at(self, point: Point, noise: NoiseModel) -> Iterator[ChannelAtPoint]:
+        """See :meth:`Channels.at`."""
+        frame, segments = self.frame, self.segments
+        states = frame.flat_states(segments, point)
+        displacement = frame.dynamics.sensed("displacement", Jet(*states[:3])).cpu().numpy()
+        felt, sensing = self.felt(states).cpu().numpy(), frame.dynamics.sensing(self.name)
+        residual = felt - frame.target.response[self.name].cpu().numpy()
+        features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
+        for dof in np.flatnonzero(self.there).tolist():
+            parts = [
+                Part(int(function), order, float(weight))
+                for order, weights in sensing
+                for function, weight in zip(weights[dof].indices, weights[dof].data, strict=True)
+            ]
+            yield ChannelAtPoint(
+                channel_name(frame.problem.record, self.name, dof),
+                self.name,
+                segments,
+                features,
+                parts,
+                felt[:, dof],
+                displacement[:, dof],
+                residual[:, dof],
+                frame.problem.record.time,
+                float(noise.response[self.name][dof]),
+            )

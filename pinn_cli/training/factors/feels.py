@@ -1,0 +1,159 @@
+"""What a sensor may feel of the functions of time: each kind of sensor is a class of this page.
+
+A kind says what it feels, and what that is made of: parts, and what parameters of the model do to it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from torch import Tensor
+
+from pinn_cli.record.gauge import Gauge
+from pinn_cli.record.response import GROUND
+from pinn_cli.system.dynamics import Dynamics
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.system.quantities import CONNECTION_FORCE, TILT
+from pinn_cli.training.factors.channel_at_point import Part
+from pinn_cli.training.factors.frame import Frame
+
+
+class Feels(ABC):
+    """What a sensor feels."""
+
+    @abstractmethod
+    def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+        """(I, S), of functions (I, S, N)."""
+
+    @abstractmethod
+    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """The derivative of that by the functions, and by their derivatives."""
+
+    def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
+        """Place of an uncertain parameter to the derivative (I, S) by it."""
+        return {}
+
+
+class WeightedSum(Feels):
+    """A weighted sum of functions, or of derivatives of them.
+
+    Args:
+        parts: With numbers as weights.
+    """
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.own = list(parts)
+
+    def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+        """See :meth:`Feels.value`."""
+        out = jet.value.new_zeros(jet.value.shape[:-1])
+        for function, order, weight in self.parts(jet, parameters):
+            out = out + weight * jet[order][..., function]
+        return out
+
+    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """See :meth:`Feels.parts`."""
+        return self.own
+
+
+class Tilting(WeightedSum):
+    """An accelerometer that turns with its place: it feels g over a length times the displacement as well.
+
+    Args:
+        parts: Of what it feels when it does not turn.
+        turning: Of the displacement of its place.
+        number: Of the gauge.
+        place: Of the tilt among the uncertain parameters; None: it is known.
+    """
+
+    def __init__(self, parts: Sequence[Part], turning: Sequence[Part], number: int, place: int | None) -> None:
+        super().__init__(parts)
+        self.turning, self.number, self.place = WeightedSum(turning), number, place
+
+    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """See :meth:`Feels.parts`."""
+        tilt = parameters[TILT][self.number]
+        return [*self.own, *(Part(function, order, tilt * w) for function, order, w in self.turning.own)]
+
+    def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
+        """See :meth:`Feels.by_parameter`."""
+        return {} if self.place is None else {self.place: self.turning.value(jet, parameters)}
+
+
+class ConnectionForce(Feels):
+    """The force of a connection, whatever its law.
+
+    Args:
+        frame: Of the record.
+        connection: Which, counted from 0.
+    """
+
+    def __init__(self, frame: Frame, connection: int) -> None:
+        self.frame, self.connection = frame, connection
+
+    def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+        """See :meth:`Feels.value`."""
+        dynamics, structure = self.frame.dynamics, self.frame.dynamics.structure
+        e, de = (structure.elongation(dynamics.stretching(x)) for x in (jet.value, jet.rate))
+        z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
+        force: Tensor = structure.connection_force(e, de, parameters, z)[..., self.connection]
+        return force
+
+    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """See :meth:`Feels.parts`."""
+        dynamics, c = self.frame.dynamics, self.connection
+        slope = self._linearised(jet, parameters)
+        stretch, memory, parts = dynamics.stretched[c], dynamics.structure.memory, []
+        for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
+            parts.append(Part(function, 0, weight * slope.stiffness[..., c]))
+            parts.append(Part(function, 1, weight * slope.damping[..., c]))
+        if c in memory:
+            parts.append(Part(dynamics.hidden.start + int(np.searchsorted(memory, c)), 0, 1.0))
+        return parts
+
+    def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
+        """See :meth:`Feels.by_parameter`."""
+        slope, vector = self._linearised(jet, parameters), self.frame.vector
+        return {
+            vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., p.index]
+            for p in vector.moving
+            if p.kind in slope.by_parameter and self.frame.dynamics.branch(p.kind)[p.index] == self.connection
+        }
+
+    def _linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Linearisation:
+        u, v = (self.frame.dynamics.stretching(x) for x in (jet.value, jet.rate))
+        return self.frame.dynamics.structure.linearise(u, v, parameters)
+
+
+def felt_by(gauge: Gauge, number: int, frame: Frame) -> Feels:
+    """What a gauge feels before any filter of its own.
+
+    Args:
+        gauge: Of the record.
+        number: Its own among the record's, counted from 0.
+        frame: Of the record.
+    """
+    if gauge.quantity == CONNECTION_FORCE:
+        return ConnectionForce(frame, gauge.connection)
+    parts = weighted(frame.dynamics, gauge.quantity, gauge)
+    if TILT not in gauge.calibration:
+        return WeightedSum(parts)
+    turning, first = weighted(frame.dynamics, "displacement", gauge), frame.vector.first
+    moves = any(p.kind == TILT and p.index == number for p in frame.vector.moving)
+    return Tilting(parts, turning, number, first[TILT] + number if moves else None)
+
+
+def weighted(dynamics: Dynamics, quantity: str, gauge: Gauge) -> list[Part]:
+    """Of sensors of a quantity that feel the same weighted sum of DOFs as a gauge."""
+    weights: defaultdict[tuple[int, int], float] = defaultdict(float)
+    channels = {0: 1.0} if quantity == GROUND else gauge.weights
+    for order, matrix in dynamics.sensing(quantity):
+        for channel, weight in channels.items():
+            row = matrix[channel]
+            for function, share in zip(row.indices.tolist(), row.data.tolist(), strict=True):
+                weights[function, order] += weight * share
+    return [Part(function, order, weight) for (function, order), weight in weights.items() if weight]

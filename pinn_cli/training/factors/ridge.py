@@ -1,0 +1,66 @@
+"""A weak prior on the readout weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_sums import RowSums
+from pinn_cli.training.factors.factor import Factor
+from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.noise_model import NoiseModel
+
+# Relative to the largest diagonal of the first normal matrix: keeps directions that nothing measures from running away.
+# Fourier features on a period longer than the record have such directions: below 1e-15 their Gauss-Newton steps never
+# settle; splines do not notice it.
+RELATIVE_RIDGE = 1e-15
+
+
+class Ridge(Factor):
+    """Of every unknown: DOFs share one; modes, forces and the ground's acceleration have their own.
+
+    Modes may be a million times as stiff as the lowest one is, whose ridge would then be no weak prior.
+
+    Args:
+        frame: Of the record.
+
+    Attributes:
+        value: A number, or (size,); None until the first normal matrix, on which it hangs, has been added up.
+    """
+
+    name = "ridge"
+
+    def __init__(self, frame: Frame) -> None:
+        super().__init__(frame)
+        self.value: float | np.ndarray | None = None
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """See :meth:`Factor.loss`."""
+        if self.value is None:
+            return 0.0
+        return float((torch.as_tensor(self.value).to(point.unknowns) * point.unknowns.square()).sum())
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        self.value = self._of(sums.main) if self.value is None else self.value
+        sums.add_diagonal(self.value, point.unknowns.cpu().numpy())
+
+    def _of(self, diagonal: np.ndarray) -> float | np.ndarray:
+        dynamics, layout = self.frame.dynamics, self.frame.layout
+        if dynamics.is_plain:
+            return RELATIVE_RIDGE * float(diagonal.max())
+        by_function = layout.weights(torch.from_numpy(diagonal))  # (count, functions)
+        largest = by_function.amax(0)
+        if dynamics.structure.shapes is None:
+            largest[: dynamics.ndof] = largest[: dynamics.ndof].max()
+        return RELATIVE_RIDGE * layout.unknowns(largest.expand_as(by_function)).numpy()
+
+
+def carried_ridge(ridge: float | np.ndarray | None, part: BandLayout, whole: BandLayout) -> float | np.ndarray | None:
+    """The ridge of a part of a record on all of it: it hangs on the first weights, and should not on the way taken."""
+    if not isinstance(ridge, np.ndarray):
+        return ridge
+    by_function = part.weights(torch.from_numpy(ridge))[0]
+    return whole.unknowns(by_function.expand(whole.count, whole.ndof)).numpy()

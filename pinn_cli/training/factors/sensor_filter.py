@@ -1,0 +1,87 @@
+"""The equation of a sensor's high-pass filter: p^(order) + ... + a_0 p = x, of which the sensor shows p^(order).
+
+The state p is a function of time as the motion is, and x is what the sensor feels. The equation holds on the average
+over every knot interval, as the equation of motion does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from torch import Tensor
+
+from pinn_cli.record.gauge import filter_polynomial
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.quantities import HIGH_PASS
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.row_sums import RowSums
+from pinn_cli.training.factors.calibrated_channels import CalibratedChannel, add_products, summed_features
+from pinn_cli.training.factors.channel_at_point import Part
+from pinn_cli.training.factors.factor import Factor
+from pinn_cli.training.factors.feels import WeightedSum
+from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.noise_model import NoiseModel
+
+# What the equation may leave, over the rms of the channel: less than any sensor's noise.
+EXACT = 1e-4
+
+
+class SensorFilter(Factor):
+    """That of one channel.
+
+    Args:
+        frame: Of the record.
+        channel: Which has a state.
+        state: The function that is.
+    """
+
+    name = "filter"
+
+    def __init__(self, frame: Frame, channel: CalibratedChannel, state: int) -> None:
+        super().__init__(frame)
+        self.channel, self.state, self.order = channel, state, channel.gauge.filter_order
+        self.segments, averages = frame.physics, frame.averages
+        own = (self.segments.displacement, self.segments.velocity, self.segments.acceleration)
+        self.features = own if averages is None else tuple(averages(phi) for phi in own)
+        values = channel.gauge.values
+        self.weight = (EXACT * (float(np.std(values)) or 1.0)) ** -2
+
+    def _polynomial(self, parameters: Mapping[str, Tensor]) -> Sequence[float]:
+        return filter_polynomial(self._corner(parameters), self.order)
+
+    def _corner(self, parameters: Mapping[str, Tensor]) -> float:
+        return 2.0 * math.pi * float(self.channel.value(HIGH_PASS, parameters))
+
+    def _jet(self, point: Point) -> Jet:
+        """Functions at the points, or their averages."""
+        local = self.frame.layout.weights(point.unknowns)[self.segments.feature]
+        return Jet(*(phi @ local for phi in self.features))
+
+    def _parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
+        own = [Part(self.state, order, a) for order, a in enumerate(self._polynomial(parameters))]
+        return own + [Part(f, order, -w) for f, order, w in self.channel.feels.parts(jet, parameters)]
+
+    def residual(self, point: Point) -> Tensor:
+        """(I, 1), or (I, S) at points, what the state asks for less what is felt."""
+        jet, parameters = self._jet(point), self.frame.parameters(point)
+        return WeightedSum(self._parts(jet, parameters)).value(jet, parameters)
+
+    def loss(self, point: Point, noise: NoiseModel) -> float:
+        """See :meth:`Factor.loss`."""
+        return self.weight * float(self.residual(point).square().sum())
+
+    def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
+        """See :meth:`Factor.add_to`."""
+        jet, parameters, spread = self._jet(point), self.frame.parameters(point), self.frame.spread_by_place
+        parts, corner = self._parts(jet, parameters), self._corner(parameters)
+        by = {place: -column for place, column in self.channel.feels.by_parameter(jet, parameters).items()}
+        if HIGH_PASS in self.channel.places:
+            slope = (1.0,) if self.order == 1 else (2.0 * corner, math.sqrt(2.0))
+            of_state = WeightedSum([Part(self.state, order, 2.0 * math.pi * a) for order, a in enumerate(slope)])
+            by[self.channel.places[HIGH_PASS]] = of_state.value(jet, parameters)
+        columns = {place: spread[place] * column for place, column in by.items()}
+        features = summed_features(parts, self.features.__getitem__)
+        residual = WeightedSum(parts).value(jet, parameters)
+        add_products(sums, self.segments, features, residual, columns, self.weight)
