@@ -213,9 +213,10 @@ class GaugeRows:
         if c in structure.memory:
             parts.append((dynamics.hidden.start + int(np.searchsorted(structure.memory, c)), 0, 1.0))
         by = {
-            self.vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., p.index]
+            self.vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., own].sum(-1)
             for p in self.vector.moving
-            if p.kind in slope.by_parameter and dynamics.branch(p.kind)[p.index] == c
+            if p.kind in slope.by_parameter
+            and (own := (dynamics.branch(p.kind) == c) & (structure.carriers[p.kind][1] == p.index)).any()
         }
         return Felt(force, self._summed(moment, local, parts, 1), parts, by)
 

@@ -81,19 +81,19 @@ class StateRows:
 
     def loss(self, unknowns: Tensor, numbers: Tensor) -> float:
         """Sum of squares, with the uncertain numbers (p,)."""
-        return float(self._residuals(unknowns.cpu(), numbers.cpu()).square().sum())
+        return float(self.residuals(unknowns.cpu(), numbers.cpu()).square().sum())
 
     def add_to(self, sums: RowSums, point: Point, places: np.ndarray) -> None:
         """Add their products at a point; the uncertain numbers have places (p,) among all parameters."""
         order = self.layout.pattern.order
         by = np.zeros((3, 2, len(order)))  # both numbers of a function and the residual, by the value and the rate
         by[self.rate, self.rate, self.of] = -self.unit.numpy()
-        by[-1] = self._residuals(point.unknowns.cpu(), point.parameters.cpu()).numpy().T
+        by[-1] = self.residuals(point.unknowns.cpu(), point.parameters.cpu()).numpy().T
         there = np.where(self.column >= 0, np.append(places, -1)[self.column], -1)
         touched = Touched(0, 0, self.jacobian.permute(2, 1, 0).numpy()[None, :, :, None, order])
         sums.add(Rows(self.feature, [touched], there[order].T, by[:, :, None, order]))
 
-    def _residuals(self, unknowns: Tensor, numbers: Tensor) -> Tensor:
+    def residuals(self, unknowns: Tensor, numbers: Tensor) -> Tensor:
         """(F, 2)."""
         out = torch.einsum("frb,fb->fr", self.jacobian, unknowns[self.place])
         if len(self.number):
