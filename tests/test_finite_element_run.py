@@ -119,6 +119,21 @@ def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
     assert len(first) == 2
 
 
+def test_no_sensor_feels_the_force_of_a_part(in_folder_with_a_beam: PinnRun):
+    mmwrite("root.mtx", beam_part(10, range(5)))
+    columns = np.random.default_rng(0).normal(size=(64, 3))
+    pd.DataFrame({"t": 0.01 * np.arange(64), **dict(zip("far", columns.T, strict=True))}).to_csv(
+        "beam.csv", index=False
+    )
+    outcome = in_folder_with_a_beam(
+        *SMALL[:5], "system.factors={root: root.mtx}", "data=csv", "data.path=beam.csv", "data.force={b: f}",
+        "data.acceleration={tip: a}", "data.channels={r: {sensor: connection_force, connection: root}}",
+    )  # fmt: skip
+    assert outcome.status == 2
+    assert "data.channels.r.connection=root" in outcome.err
+    assert "a connection: mode_1, mode_2" in outcome.err
+
+
 @pytest.mark.slow
 def test_parts_far_off_in_a_record_of_the_whole_model(pinn_run: PinnRun):
     """The first coordinates leave out more than the sensors' noise; every mode of the beam is in the record."""

@@ -193,7 +193,7 @@ def read_source(
         if model_error.name != "none":
             hint = "a measured record brings its own truth; system=... is the model that you prescribe"
             raise InputError("model_error", model_error.name, "none unless data=simulated", hint)
-        labels, count = structure.labels, sum(g.incidence.shape[0] for g in structure.groups if not g.damps_whole)
+        labels, count = structure.labels, len(structure.parameters["k"])
         connections = [labels.connection(i) for i in range(count)]
         with in_names(structure.labels):
             held = validation_of(measured)

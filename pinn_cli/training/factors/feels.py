@@ -117,11 +117,13 @@ class ConnectionForce(Feels):
 
     def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
         """See :meth:`Feels.by_parameter`."""
-        slope, vector = self._linearised(jet, parameters), self.frame.vector
+        slope, vector, dynamics = self._linearised(jet, parameters), self.frame.vector, self.frame.dynamics
+        carriers = dynamics.structure.carriers
         return {
-            vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., p.index]
+            vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., own].sum(-1)
             for p in vector.moving
-            if p.kind in slope.by_parameter and self.frame.dynamics.branch(p.kind)[p.index] == self.connection
+            if p.kind in slope.by_parameter
+            and (own := (dynamics.branch(p.kind) == self.connection) & (carriers[p.kind][1] == p.index)).any()
         }
 
     def _linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Linearisation:

@@ -107,7 +107,7 @@ def autograd_equations(
     def weighted(unknowns, parameters):
         residuals = equations.residuals(Point(unknowns, parameters))
         rows = [(r * weights[name].sqrt()).flatten() for name, r in residuals.items()]
-        states = [known._residuals(unknowns, parameters).flatten() for known in equations.states_known]
+        states = [known.residuals(unknowns, parameters).flatten() for known in equations.states_known]
         return torch.cat([*rows, *states])
 
     inputs = (point.unknowns, point.parameters)

@@ -1,0 +1,195 @@
+"""What every factor adds to the normal equations is the product of its Jacobian, for whatever problem is drawn.
+
+The Jacobian is that of automatic differentiation. Of a sensor's delay and the corner of its filter, for which features
+and equations are made anew, it is that of central differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+from random_problems import equations, generators, noise_of, somewhere
+from scipy.linalg import block_diag
+from scipy.sparse import csr_matrix
+
+from pinn_cli.runs import side_by_side
+from pinn_cli.system.quantities import HIGH_PASS
+from pinn_cli.training.band.bordered import BorderedSystem
+from pinn_cli.training.band.least_squares import LeastSquares
+from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
+from pinn_cli.training.band.record_evidence import RecordEvidence
+from pinn_cli.training.factors import equation_rows, frame
+from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains
+from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
+from pinn_cli.training.factors.factor import Channels, Factor, Residuals
+from pinn_cli.training.factors.known_state import KnownState
+from pinn_cli.training.factors.ridge import Ridge
+from pinn_cli.training.factors.sensor_filter import SensorFilter
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+
+FIXED = settings(
+    derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck), max_examples=30
+)
+DIFFERENCED, LENGTH = ("delay", HIGH_PASS), 1e-5
+# Of the step: the diagonal is so much larger, and the system so well conditioned that any two solutions of it agree.
+DAMPING = 0.1
+
+
+class Linearised:
+    """Residuals of one record at a point, over their standard deviations, and their Jacobian.
+
+    Without the prior of the parameters, which several records share. Of what the losses hold beside squares, a gain's
+    logarithm and a constant pull on the parameters, the gradient has its part and the Hessian none.
+    """
+
+    def __init__(self, own: NormalEquations, at: Point, noise: NoiseModel) -> None:
+        self.own, self.at, self.noise = own, at, noise
+        found = self.residuals(at)
+        ends = np.cumsum([0, *map(len, found.values())])
+        self.rows = dict(zip(found, map(slice, ends[:-1], ends[1:]), strict=True))
+        self.values = torch.cat(list(found.values())).numpy()
+
+    def residuals(self, at: Point) -> dict[str, torch.Tensor]:
+        """(rows,) of every factor."""
+        out = {}
+        for i, factor in enumerate(self.own.factors):
+            for j, rows in enumerate(self.of_factor(factor, at)):
+                out[f"{factor.name} {i} {j}"] = rows.flatten()
+        return out
+
+    def of_factor(self, factor: Factor, at: Point) -> Iterator[torch.Tensor]:
+        """Piece by piece; of a sensor sample by sample, since a delay takes samples to other groups."""
+        if isinstance(factor, Channels):
+            yield from self.of_channels(factor, at, [piece.residual for piece in factor.residuals(at)])
+        elif isinstance(factor, Residuals):
+            yield torch.cat([r for _, r in factor.residuals(at)]) * factor.weight(self.noise).sqrt()
+        elif isinstance(factor, SensorFilter):
+            yield factor.weight**0.5 * factor.residual(at)
+        elif isinstance(factor, KnownState):
+            yield factor.residuals(at)
+        elif isinstance(factor, Ridge):
+            yield torch.as_tensor(factor.value).sqrt() * at.unknowns
+        else:
+            assert isinstance(factor, Gains)
+
+    def of_channels(self, factor: Channels, at: Point, pieces: Sequence[torch.Tensor]) -> Iterator[torch.Tensor]:
+        root = 1.0 / self.noise.response[factor.name]
+        if isinstance(factor, CalibratedChannels):
+            with torch.no_grad():
+                delays = [float(x) for x in self.own.parameters(at)["delay"]]
+            for channel, delay, piece, by in zip(factor.each, delays, pieces, root, strict=True):
+                yield channel.moment(delay).segments.scatter(piece) * by
+        else:
+            yield torch.cat(list(pieces)) * factor.weight(self.noise).sqrt()
+
+    def _along(self, unknowns: torch.Tensor, parameters: torch.Tensor) -> torch.Tensor:
+        return torch.cat(list(self.residuals(Point(unknowns, parameters)).values()))
+
+    def differenced(self, function, kinds: Sequence[str]) -> dict[int, float | torch.Tensor]:
+        """Central differences of a function of points, by the place of every parameter of some kinds."""
+        out = {}
+        for i, parameter in enumerate(self.own.uncertain):
+            if parameter.kind in kinds:
+                step = torch.zeros_like(self.at.parameters).index_fill(0, torch.tensor(i), LENGTH)
+                up, down = (function(Point(self.at.unknowns, self.at.parameters + x)) for x in (step, -step))
+                out[len(self.at.unknowns) + i] = (up - down) / (2.0 * LENGTH)
+        return out
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """(rows, size + p)."""
+        at = self.at.unknowns, self.at.parameters
+        by = torch.cat(torch.autograd.functional.jacobian(self._along, at, vectorize=True), -1)
+        for column, slope in self.differenced(lambda at: self._along(at.unknowns, at.parameters), DIFFERENCED).items():
+            by[:, column] = slope
+        return by.numpy()
+
+    @property
+    def hessian(self) -> np.ndarray:
+        """(size + p, size + p), of Gauss and Newton."""
+        return self.jacobian.T @ self.jacobian
+
+    @cached_property
+    def gradient(self) -> np.ndarray:
+        """(size + p,)."""
+        out = self.jacobian.T @ self.values - np.append(np.zeros(len(self.at.unknowns)), self.own.pull)
+        for column, slope in self.differenced(lambda at: self.own.losses(at, self.noise)["gain"], ("gain",)).items():
+            out[column] += 0.5 * slope
+        return out
+
+
+def assert_close(found: np.ndarray, expected: np.ndarray) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7 * np.abs(expected).max(initial=1e-300))
+
+
+def assert_system(system: BorderedSystem, hessian: np.ndarray, gradient: np.ndarray) -> None:
+    border = csr_matrix(system.border).toarray()
+    found = np.block([[system.band.dense(), border], [border.T, system.corner]])
+    scale = np.sqrt(np.diag(hessian))
+    assert_close(found / scale / scale[:, None], hessian / scale / scale[:, None])
+    assert_close(np.concatenate((system.gradient, system.corner_gradient)) / scale, gradient / scale)
+
+
+def assert_moves(rows: Linearised, step: Point) -> None:
+    """Changes of forces and of what channels show with a small step are products of the Jacobian."""
+    own, moved = rows.own, rows.jacobian @ torch.cat((step.unknowns, step.parameters)).numpy()
+    for i, factor in enumerate(own.factors):
+        if isinstance(factor, Channels):
+            found = list(rows.of_channels(factor, rows.at, [x for _, (x,) in factor.moved(rows.at, [step])]))
+        elif isinstance(factor, EquationsOfMotion):
+            forces = torch.cat([force for _, (force,) in factor.moved(rows.at, [step])])
+            found = [forces * factor.weight(rows.noise).sqrt()]
+        else:
+            continue
+        for j, change in enumerate(found):
+            assert_close(change.flatten(), moved[rows.rows[f"{factor.name} {i} {j}"]])
+
+
+@pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
+@pytest.mark.parametrize("plain", [True, False])
+@FIXED
+@given(st.data(), generators(), st.booleans(), st.sampled_from((0.3, 1.0, 4.0)))
+def test_rows_are_derivatives(plain: bool, data, rng: np.random.Generator, in_pieces: bool, spread: float) -> None:
+    """Of one record and of two that share parameters: normal equations, losses, what steps change, a damped step."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "usable_cores", lambda: [0])
+        if in_pieces:
+            patch.setattr(equation_rows, "CHUNK", 3000)
+            patch.setattr(frame, "ROWS_AT_ONCE", 2000)
+        check_rows(data.draw(equations(plain)), rng, spread)
+
+
+def check_rows(each: list[NormalEquations], rng: np.random.Generator, spread: float) -> None:
+    for own in each:
+        gauges = [(g.quantity, *g.weights, g.connection, g.filter_order) for g in own.problem.record.gauges]
+        note(f"{own.network} {own.problem.inputs} {gauges} {[p.name for p in own.uncertain]}")
+        own.pull = rng.normal(size=len(own.uncertain))
+    whole = LeastSquares([RecordEvidence(own) for own in each])
+    noise = NoiseLevels(tuple(noise_of(own, rng) for own in each), spread)
+    point = whole.joined([somewhere(own, rng) for own in each])
+    systems, precision = whole.assemble(point, noise), whole.prior_precision(noise).numpy()
+    x, count = point.parameters.numpy(), len(point.unknowns)
+    hessian = block_diag(np.zeros((count, count)), precision)
+    gradient, losses, start = hessian @ np.append(point.unknowns, x), x @ precision @ x, 0
+    for i, (own, at, level) in enumerate(zip(each, whole.split(point), noise.records, strict=True)):
+        rows, columns, stop = Linearised(own, at, level), whole.columns[i], start + own.layout.size
+        prior = block_diag(np.zeros((own.layout.size,) * 2), precision[np.ix_(columns, columns)])
+        given = np.append(at.unknowns, at.parameters)
+        assert_system(systems.systems[i], rows.hessian + prior, rows.gradient + prior @ given)
+        assert_moves(rows, somewhere(own, rng))
+        places, start = np.append(np.arange(start, stop), count + columns), stop
+        hessian[np.ix_(places, places)] += rows.hessian
+        gradient[places] += rows.gradient
+        losses += rows.values @ rows.values - 2.0 * own.pull @ x[columns] + own.losses(at, level).get("gain", 0.0)
+    assert sum(whole.losses(point, noise).values()) == pytest.approx(losses, rel=1e-9)
+    scale = np.sqrt(np.diag(hessian))
+    scaled = hessian / scale / scale[:, None] + DAMPING * np.eye(len(scale))
+    step = np.concatenate(systems.factor(DAMPING).step(systems))
+    assert_close(step * scale, -np.linalg.solve(scaled, gradient / scale))
