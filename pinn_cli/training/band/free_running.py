@@ -209,8 +209,9 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         np.add.at(scores, place, torch.einsum("gs,gsp->gp", left.reshape(len(left), -1), rows).cpu().numpy())
         np.add.at(information, place, (rows.mT @ rows).cpu().numpy())
 
+    # What acts on the structure is as it was measured: what its sensors leave says nothing of the model.
     for own in equations.channels:
-        root = torch.as_tensor(np.nan_to_num(1.0 / noise.response[own.name])).to(point.unknowns)
+        root = torch.as_tensor(np.nan_to_num(~own.acting / noise.response[own.name])).to(point.unknowns)
         for piece, (at, moved) in zip(own.residuals(point), own.moved(point, steps), strict=True):
             add(piece.residual * root[at], [change * root[at] for change in moved], piece.first, piece.groups)
     physics, of_physics = equations.motion.residual(point), equations.motion.weight(noise).sqrt()

@@ -271,8 +271,8 @@ def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
         # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load
         # cell's, none at all would do as well; and the ground, which may move alike at all frequencies, takes noise
         # for it.
-        least = np.fmax(channels.numbers("finest"), channels.acting * channels.numbers("shown"))
-        response[channels.name] = np.fmin(least, noise.response[channels.name])
+        finest = np.fmin(channels.numbers("finest"), noise.response[channels.name])
+        response[channels.name] = np.fmax(finest, channels.acting * channels.numbers("shown"))
     return replace(noise, response=response, force=of_force, discrepancy=discrepancy)
 
 
