@@ -21,6 +21,8 @@ from pinn_cli.training.band.dissipated_energy import dissipated_energy
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.base import built
 from pinn_cli.training.noise_model import NoiseModel
 
 
@@ -31,11 +33,8 @@ def posed(structure: Structure, samples: int = 49) -> tuple[NormalEquations, Noi
     uncertain = tuple(replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter())
     inputs = Inputs(rate=4.0) if len(structure.memory) else Inputs()
     problem = Problem(structure, record, uncertain, inputs=inputs)
-    level, forces = np.full(structure.ndof, 0.01), np.full(problem.dynamics.size, np.nan)
-    forces[: structure.ndof] = np.where(record.sensors("force"), 0.02, np.nan)
-    noise = NoiseModel(dict.fromkeys(("displacement", "velocity", "acceleration"), level), forces, 0.03, 1.0)
-    network = Spline(intervals=12).build(record, functions=problem.dynamics.size)
-    return NormalEquations(network, problem), noise
+    equations = NormalEquations(built(Spline(intervals=12), problem), problem)
+    return equations, starting_noise(equations)
 
 
 def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.ndarray]:
