@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 
 from pinn_cli.record.record import Record
 from pinn_cli.runs.side_by_side import Items
@@ -12,8 +13,11 @@ from pinn_cli.training.band.bordered import BorderedFactor, BorderedSystem
 from pinn_cli.training.band.evidence import Evidence, Trained
 from pinn_cli.training.band.least_squares import LeastSquares
 from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.record_evidence import RecordEvidence
 from pinn_cli.training.band.shared_border import SharedSystem
+from pinn_cli.training.factors.constant_channels import ConstantChannels
+from pinn_cli.training.factors.factor import Residuals
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.sensor_samples import starting_levels
 
@@ -34,6 +38,18 @@ def shown_noise(record: Record, discrepancy: float, continuity: float = 1.0) -> 
     """Sensors' noise as their spectra show it."""
     response = {quantity: starting_levels(record, quantity) for quantity in record.response_quantities}
     return NoiseModel(response, starting_levels(record, "force"), discrepancy, continuity)
+
+
+def residuals_of(equations: NormalEquations, point: Point) -> dict[str, torch.Tensor]:
+    """Of the sensors on the record's clock and of the equations, whole, by name."""
+    each = [factor for factor in equations.factors if isinstance(factor, ConstantChannels | Residuals)]
+    return {factor.name: torch.cat([found[-1] for found in factor.residuals(point)]) for factor in each}
+
+
+def weights_of(equations: NormalEquations, noise: NoiseModel) -> dict[str, torch.Tensor]:
+    """Of the same."""
+    each = [factor for factor in equations.factors if isinstance(factor, ConstantChannels | Residuals)]
+    return {factor.name: factor.weight(noise) for factor in each}
 
 
 def shared(system: BorderedSystem, told: np.ndarray | None = None) -> SharedSystem:

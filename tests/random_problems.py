@@ -34,7 +34,7 @@ from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.noise_model import NoiseModel
 
-SAMPLES, STEP, START = 36, 0.1, 2.0
+SAMPLES, STEP, START = 30, 0.1, 2.0
 # Settings, and parameters beside c and k, of a connection of every law; some share a kind of parameter.
 LAWS: dict[str, dict[str, Any]] = {
     "linear": {},
@@ -43,11 +43,10 @@ LAWS: dict[str, dict[str, Any]] = {
     "power_damping": {"exponent": 1.5, "mu": 0.7},
     "polynomial": {"k_2": 3.0, "k_3": 20.0},
     "friction": {"F_c": 1.4},
-}
-WITH_MEMORY: dict[str, dict[str, Any]] = {
     "bouc_wen": {"A": 9.0, "beta": 2.0, "gamma": -0.6, "n": 1.2},
     "jenkins": {"k_t": 9.0, "F_c": 2.5},
 }
+WITH_MEMORY = ("bouc_wen", "jenkins")
 DAMPING = (None, {"ratio": 0.05}, {"ratio": [0.05, 0.02]}, {"rayleigh": [0.1, 0.02]})
 CALIBRATION = {
     "gain": Calibration(1.2, 0.4, unknown=True),
@@ -72,9 +71,10 @@ def some(draw: st.DrawFn, of: Any, least: int = 0) -> list[Any]:
 
 
 @st.composite
-def connections(draw: st.DrawFn, laws: dict[str, Any], dofs: list[str], supports: list[str]) -> dict[str, Any]:
+def connections(draw: st.DrawFn, plain: bool, dofs: list[str], supports: list[str]) -> dict[str, Any]:
     """A chain of the DOFs from the ground or from a support, and perhaps a brace or what feels a weighted sum."""
-    rng = draw(generators())
+    rng, laws = draw(generators()), [law for law in LAWS if law not in WITH_MEMORY]
+    laws += [] if plain else 3 * WITH_MEMORY
     chain = zip([*supports, "ground"][:1] + dofs, dofs, strict=False)
     ends: list[dict[str, Any]] = [{"between": list(pair)} for pair in chain]
     if draw(st.booleans()):
@@ -83,8 +83,8 @@ def connections(draw: st.DrawFn, laws: dict[str, Any], dofs: list[str], supports
         ends.append({"weights": {dofs[0]: 0.8, (supports or dofs)[-1]: -0.6}})
     out = {}
     for i, between in enumerate(ends):
-        name = draw(st.sampled_from(list(laws)))
-        own = {"c": 1.0, "k": 15.0, **laws[name]}
+        name = draw(st.sampled_from(laws))
+        own = {"c": 1.0, "k": 15.0, **LAWS[name]}
         varied = {kind: value * (1.0 if kind == "exponent" else rng.uniform(0.6, 1.4)) for kind, value in own.items()}
         out[f"e{i}"] = {**between, "law": name, **varied}
     return out
@@ -101,7 +101,7 @@ def structures(draw: st.DrawFn, plain: bool) -> Structure:
     damping = None if supports else draw(st.sampled_from(DAMPING))
     if damping == DAMPING[2] and len(dofs) == 1:
         damping = DAMPING[1]
-    joined = draw(connections(LAWS if plain else LAWS | WITH_MEMORY, dofs, supports))
+    joined = draw(connections(plain, dofs, supports))
     return build_structure(sorted(dofs), mass, joined, damping=damping, supports=supports)
 
 
@@ -114,7 +114,7 @@ def reduced(draw: st.DrawFn) -> Structure:
             for which in (np.arange(5) < 2, np.arange(5) >= 2)]  # fmt: skip
     own = None
     if draw(st.booleans()):
-        own = connected(names, [1.0] * 3, draw(connections(LAWS | WITH_MEMORY, list(names), [])))
+        own = connected(names, [1.0] * 3, draw(connections(False, list(names), [])))
     parts = Parts(*({"low": x} for x in (each[0], 0.9))) if draw(st.booleans()) else Parts({}, {})
     static = np.array(draw(st.sampled_from(([], [2]))), dtype=int)
     whole = WholeModel(csc_matrix(M), each[0] + each[1], tuple(parts.matrices.values()), static, np.array([0, 2, 4]))
@@ -127,21 +127,25 @@ def reduced(draw: st.DrawFn) -> Structure:
 def gauges(draw: st.DrawFn, structure: Structure, inputs: dict[str, list[int]], number: int) -> Gauge:
     """A sensor with samples of its own, of the motion, of inputs by the DOFs that they have, or of a connection."""
     rng, n = draw(generators()), structure.ndof
-    quantity, weights, connection = draw(st.sampled_from((MOTION[-1], *MOTION, CONNECTION_FORCE, *inputs))), {}, -1
+    quantity, weights, connection = (
+        draw(st.sampled_from((*MOTION, *MOTION[2:], *inputs, CONNECTION_FORCE, CONNECTION_FORCE))),
+        {},
+        -1,
+    )
     if quantity in MOTION:
         felt = some(draw, range(n), 1)
         weights = dict(zip(felt, rng.normal(size=len(felt)) if len(felt) > 1 else [1.0], strict=True))
     elif quantity == FORCE:
         weights = {draw(st.sampled_from(inputs[FORCE])): 1.0}
     elif quantity == CONNECTION_FORCE:
-        connection = draw(st.integers(0, structure.incidence.shape[0] - 1))
+        connection = draw(st.sampled_from([*structure.memory.tolist(), *range(structure.incidence.shape[0])]))
     order = draw(st.integers(0, 2)) if inputs and quantity in FELT_BY[HIGH_PASS] else 0
     doubts = [
         kind for kind in CALIBRATION if quantity in FELT_BY.get(kind, (quantity,)) and order | (kind != HIGH_PASS)
     ]
     calibration = {HIGH_PASS: Calibration(0.2)} if order else {}
     calibration |= {kind: CALIBRATION[kind] for kind in some(draw, doubts)}
-    time = START + np.sort(rng.uniform(0.0, STEP * (SAMPLES - 1), 30))
+    time = START + np.sort(rng.uniform(0.0, STEP * (SAMPLES - 1), 24))
     values, fills = rng.normal(size=len(time)), quantity != CONNECTION_FORCE
     return Gauge(f"g{number}", quantity, weights, time, values, calibration, connection, fills, order)
 
@@ -163,25 +167,24 @@ def records(draw: st.DrawFn, structure: Structure, plain: bool) -> Record:
     if structure.supports:
         measured = draw(st.sampled_from(list(SUPPORT)))
         supports[measured] = rng.normal(size=(SAMPLES, structure.supports))
-    ground = rng.normal(size=SAMPLES) if moves else None
+    ground = rng.normal(size=(SAMPLES, 1)) if moves else None
     loads = [dof for dof in forced if np.isfinite(force[0, dof])]
     inputs = {} if plain else {FORCE: loads} if loads else {}
     inputs |= {GROUND: []} if moves else {}
     every: list[Gauge] = []
     for number in range(draw(st.integers(0, 2))):
         gauge = draw(gauges(structure, inputs, number))
-        taken = any(gauge.quantity == other.quantity and gauge.dof == other.dof for other in every)
-        if gauge.quantity in columns and gauge.dof is not None:
-            taken |= bool(np.isfinite(columns[gauge.quantity][0, gauge.dof]))
-        gauge = replace(gauge, fills=gauge.fills and not taken)
-        if gauge.dof is not None and gauge.quantity != GROUND:
-            {**columns, FORCE: force}[gauge.quantity][:, gauge.dof] = gauge.history(time)
-        ground = gauge.history(time) if gauge.dof is not None and gauge.quantity == GROUND else ground
+        others = [other for other in every if (other.quantity, other.dof) == (gauge.quantity, gauge.dof)]
+        shown = {**columns, FORCE: force, GROUND: ground}.get(gauge.quantity)
+        taken = gauge.quantity in MOTION and gauge.dof is not None and np.isfinite(shown[0, gauge.dof])
+        gauge = replace(gauge, fills=gauge.fills and not others and not taken)
+        if gauge.dof is not None:
+            shown[:, gauge.dof] = gauge.history(time)
         every.append(gauge)
     held = not moves and not supports and structure.shapes is None and draw(st.booleans())
     return Record(
         time, **columns, force=force, unforced=~np.isin(np.arange(n), forced), gauges=tuple(every),
-        intersample="zero_order_hold" if held else "band_limited", ground_acceleration=ground,
+        intersample="zero_order_hold" if held else "band_limited", ground_acceleration=ground[:, 0] if moves else None,
         frame=draw(st.sampled_from(("absolute", "relative"))) if moves else "absolute",
         supports=supports, support_names=structure.labels.supports,
     )  # fmt: skip
@@ -226,7 +229,7 @@ def equations(draw: st.DrawFn, plain: bool) -> list[NormalEquations]:
         plain: Whether nothing but the motion of DOFs is unknown, beside parameters.
     """
     problem = draw(problems(plain))
-    designs = st.builds(Spline, degree=st.sampled_from((6, 6, 5)), intervals=st.sampled_from((6, 14)))
+    designs = st.builds(Spline, degree=st.sampled_from((6, 6, 5)), intervals=st.sampled_from((5, 11)))
     if not any(own.record.gauges for own in problem.by_record):
         designs |= st.builds(Fourier, harmonics=st.just(4))
     design = draw(designs)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.sparse import csr_matrix
 
-from pinn_cli.system.connection import BoucWen, Duffing, Friction, Jenkins, Linear, VanDerPol
+from pinn_cli.system.connection import BoucWen, Duffing, Linear, VanDerPol
 from pinn_cli.system.connection_groups import ConnectionGroup
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
@@ -67,16 +67,6 @@ def hysteretic() -> Structure:
         "n": _numbers(1.0, 1.3),
     }
     return Structure(parameters, groups)
-
-
-def contacts() -> Structure:
-    """Two masses that rub on the ground and on each other, one contact creeps and one gives way: both have an F_c."""
-    groups = (
-        ConnectionGroup(Jenkins(), Incidence.between([{0: 1.0}], 2)),
-        ConnectionGroup(Friction(0.5), Incidence.between([{0: -1.0, 1: 1.0}], 2)),
-    )
-    parameters = {"m": _numbers(10.0, 8.0), "c": _numbers(1.0, 1.2), "k": _numbers(15.0, 6.0)}
-    return Structure(parameters | {"k_t": _numbers(9.0), "F_c": _numbers(2.5, 1.4)}, groups)
 
 
 def carried() -> Structure:

@@ -176,17 +176,11 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
         ]
         if sensor.shown or others:
             out[name][i] = sensor.shown or sensor.rms * np.median(others)
-        elif sensor.quantity == "acceleration" and sensor.dof is not None:
-            out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * _of_load_cell(evidence, noise, sensor.dof))
-    return {name: np.where(np.isfinite(level), level, 0.0) for name, level in out.items()}
-
-
-def _of_load_cell(evidence: RecordEvidence, noise: NoiseModel, dof: int) -> float:
-    """What the noise of a load cell makes of the acceleration of its mass, at most; infinite where there is none."""
-    mass = float(evidence.equations.prescribed["m"][dof]) if dof in evidence.load_cells else 0.0
-    if not (mass > 0.0 and noise.force[dof] > 0.0):
-        return np.inf
-    return evidence.load_cells[dof].most / mass
+        elif sensor.quantity == "acceleration" and sensor.dof in evidence.load_cells:
+            mass, force = float(equations.prescribed["m"][sensor.dof]), evidence.load_cells[sensor.dof].most
+            if noise.force[sensor.dof] > 0 and mass > 0:
+                out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * force / mass)
+    return {name: np.nan_to_num(level) for name, level in out.items()}
 
 
 def _forces(

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of, shown_noise
+from one_record import evidence_of, levels_of, residuals_of, shown_noise
 from small_problems import QUANTITIES, excitation, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -91,7 +91,7 @@ def test_the_derivative_of_the_evidence_is_that_of_its_formula():
     # Physics alone depends on the discrepancy: sum (x^2 - 1) + tr(H^-1 H_physics) per share of the discrepancy.
     (level,) = middle.noise.records
     variance, squared = level.physics_variance, level.discrepancy**2
-    seen = own.residuals(middle.solution.point)["physics"].square().sum((0, 1)).numpy()
+    seen = residuals_of(own, middle.solution.point)["physics"].square().sum((0, 1)).numpy()
     share = squared / variance
     size = own.layout.size
     inverse = np.linalg.inv(dense_band(own, middle.solution.point, level))
@@ -120,7 +120,7 @@ def test_the_evidence_prefers_the_right_stiffness():
     (right_one,) = evidence.equations.each
     wrong = evidence_of(NormalEquations(right_one.network, Problem(structure, record)))
     # The ridge is relative to the first matrix: the same in both.
-    wrong.equations.each[0].ridge = right_one.ridge
+    wrong.equations.each[0].ridge.value = right_one.ridge.value
     assert wrong.train(noise.with_discrepancy(put_in), wrong.equations.start()).log_evidence < right.log_evidence - 10.0
 
 

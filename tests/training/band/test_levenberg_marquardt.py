@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, factored, levels_of, problem_of
+from one_record import evidence_of, factored, levels_of, problem_of, residuals_of, weights_of
 from small_problems import NONLINEARITIES, accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
@@ -51,10 +51,10 @@ def solved(equations: NormalEquations, noise: NoiseModel, **settings):
 
 def weighted_residuals(equations: NormalEquations, noise: NoiseModel):
     """All residuals over their standard deviations, with the prior's, of the unknowns and parameters in one vector."""
-    weights, size = equations.weights(noise), equations.layout.size
+    weights, size = weights_of(equations, noise), equations.layout.size
 
     def residuals(z):
-        terms = equations.residuals(Point(z[:size], z[size:])).items()
+        terms = residuals_of(equations, Point(z[:size], z[size:])).items()
         return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in terms] + [z[size:]])
 
     return residuals
@@ -144,7 +144,7 @@ def test_convergence_is_quadratic_where_the_model_is_exact(nonlinearity, away):
     record = replace(equations.problem.record, acceleration=motion[2].numpy(), displacement=motion[0].numpy(),
                      force=force, unforced=np.zeros(3, bool))  # fmt: skip
     exact = NormalEquations(equations.network, replace(equations.problem, record=record))
-    exact.ridge = 0.0  # it would move the solution away from the one that the record was made of
+    exact.ridge.value = 0.0  # it would move the solution away from the one that the record was made of
     level = np.full(3, 0.01)
     noise = NoiseModel({"displacement": level, "velocity": np.full(3, np.nan), "acceleration": level}, level, 0.01, 1.0)
     whole, levels = problem_of(exact), levels_of(noise, spread=1e6)

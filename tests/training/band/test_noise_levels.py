@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from independent_records import IndependentRecord, frame_record, measured, storey_record
-from one_record import evidence_of, levels_of, of_record
+from one_record import evidence_of, levels_of, of_record, residuals_of
 from small_problems import excitation, small_chain
 from solved_records import estimated, model
 
@@ -106,7 +106,7 @@ def test_the_evidence_is_greatest_at_the_levels_that_are_found():
         return evidence.log_evidence(point, noise, evidence.equations.assemble(point, noise).factor())
 
     samples = len(equations.problem.record.time)
-    residual = equations.residuals(point)["acceleration"].square().sum((0, 1)).numpy()
+    residual = residuals_of(equations, point)["acceleration"].square().sum((0, 1)).numpy()
     taken = of_record(values_taken, evidence, once).response["acceleration"]
     for dof in range(3):
         slope = (log_evidence(dof, step) - log_evidence(dof, -step)) / (2.0 * step)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import evidence_of, levels_of, problem_of, shown_noise
+from one_record import evidence_of, levels_of, problem_of, residuals_of, shown_noise, weights_of
 from scipy.stats import norm, truncnorm
 from small_problems import accelerations, measured, small_chain
 
@@ -73,12 +73,12 @@ def estimated(equations: NormalEquations, trained: Trained) -> tuple[list[Parame
 
 def dense_posterior(equations: NormalEquations, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
     """Peak and covariance of the parameters, in prior standard deviations: every weighted residual differentiated."""
-    weights, point = equations.weights(trained.noise.records[0]), trained.solution.point
+    weights, point = weights_of(equations, trained.noise.records[0]), trained.solution.point
     size = len(point.unknowns)
-    precision = torch.cat((torch.full((size,), equations.ridge), problem_of(equations).precision(trained.noise)))
+    precision = torch.cat((torch.full((size,), equations.ridge.value), problem_of(equations).precision(trained.noise)))
 
     def weighted(z):
-        residuals = equations.residuals(Point(z[:size], z[size:])).items()
+        residuals = residuals_of(equations, Point(z[:size], z[size:])).items()
         return torch.cat([(r * weights[name].sqrt()).flatten() for name, r in residuals])
 
     z = torch.cat((point.unknowns, point.parameters))

@@ -15,7 +15,8 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.posterior import ReadoutPosterior
-from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.base import built
 
 SAMPLES, NONE = 33, float("nan")
 
@@ -32,17 +33,9 @@ def test_all_channels_at_once_are_as_one_by_one():
         replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter() if p.prescribed
     )
     problem = Problem(structure, record, uncertain, inputs=Inputs(True, True, (1,), 0.3, 4.0, 5.0, (0, 3)))
-    size = problem.dynamics.size
-    equations = NormalEquations(Spline(intervals=8).build(record, functions=size), problem)
-    driving = np.array([NONE, NONE, NONE, 0.6, 0.9, 0.9, 1.3])
-    levels = {
-        "displacement": np.full(4, NONE), "velocity": np.full(4, NONE),
-        "acceleration": np.array([0.1, NONE, 0.1, NONE]),
-        "ground_acceleration": np.array([0.8]), "force": np.array([0.5, NONE, NONE, 0.7]),
-    }  # fmt: skip
-    noise = NoiseModel(levels, np.full(size, NONE), 0.3, 1e-3, innovation=driving)
+    equations = NormalEquations(built(Spline(intervals=8), problem), problem)
     point = equations.start()
-    factor = factored(equations.assemble(point, noise, np.eye(len(equations.uncertain))))
+    factor = factored(equations.assemble(point, starting_noise(equations), np.eye(len(equations.uncertain))))
     posterior = ReadoutPosterior(equations, point, factor)
     found = posterior.sensed(equations.observation)
     for quantity in ("displacement", "velocity", "acceleration"):
@@ -62,7 +55,7 @@ def test_a_parameter_of_modes_is_as_strong_as_it_pulls_at_them():
     equations = NormalEquations(Spline(intervals=8).build(record, functions=problem.dynamics.size), problem)
     start = equations.start()
     moved = replace(start, unknowns=torch.linspace(-1.0, 1.0, len(start.unknowns), dtype=torch.float64))
-    strength = equations.own_by_parameter(equations.physics, moved)[..., spring.index]
-    rows = equations.rows(equations.physics, moved).parameter
+    strength = equations.motion.own_by_parameter(equations.physics, moved)[..., spring.index]
+    rows = equations.motion.rows(equations.physics, moved).parameter
     pulled = rows[..., 0, :].square().sum((-1, -2)).sqrt()
     torch.testing.assert_close(strength.abs(), pulled, rtol=1e-9, atol=1e-12)

@@ -90,18 +90,6 @@ def somewhere(evidence: Evidence) -> Point:
 
 
 @pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
-@pytest.mark.parametrize("damping", [0.0, 0.1])
-def test_a_step_is_that_of_the_dense_matrix(uncertain, damping):
-    evidence, noise = together(uncertain)
-    point = somewhere(evidence)
-    system = evidence.equations.assemble(point, noise)
-    w, x = system.factor(damping).step(system)
-    hessian, gradient = dense(evidence, point, noise)
-    expected = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-    np.testing.assert_allclose(np.concatenate((w, x)), expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
 def test_a_step_stops_at_a_bound_and_the_others_make_up_for_it(uncertain):
     evidence, noise = together(uncertain)
     point = somewhere(evidence)
@@ -120,22 +108,6 @@ def test_a_step_stops_at_a_bound_and_the_others_make_up_for_it(uncertain):
     expected = -np.linalg.solve(hessian[np.ix_(free_ones, free_ones)], right)
     np.testing.assert_allclose(np.delete(x, bounded), expected[len(w) :], rtol=1e-5)
     np.testing.assert_allclose(w, expected[: len(w)], rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
-def test_losses_are_the_sum_over_records_with_the_prior_once(uncertain):
-    evidence, noise = together(uncertain)
-    point = somewhere(evidence)
-    found = evidence.equations.losses(point, noise)
-    each = [
-        own.losses(at, level)
-        for own, at, level in zip(evidence.equations.each, evidence.equations.split(point), noise.records, strict=True)
-    ]
-    for name in ("physics", "acceleration"):
-        assert found[name] == pytest.approx(sum(own[name] for own in each))
-    unknown = np.array([q.unknown for q in evidence.equations.uncertain])
-    x = point.parameters.numpy()
-    assert found["prior"] == pytest.approx(np.sum(x**2 * np.where(unknown, 1.0, 0.8**-2)))
 
 
 @pytest.mark.parametrize("uncertain", [SHARED, PARTLY])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from one_record import factored, shared
+from one_record import factored, residuals_of, shared
 from small_problems import measured, small_chain
 from structures import braced, hysteretic
 
@@ -15,12 +15,14 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band import residuals
 from pinn_cli.training.band.connection_forces import connection_forces
 from pinn_cli.training.band.dissipated_energy import dissipated_energy
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
+from pinn_cli.training.band.starting_noise import starting_noise
+from pinn_cli.training.base import built
+from pinn_cli.training.factors import frame
 from pinn_cli.training.noise_model import NoiseModel
 
 
@@ -31,11 +33,8 @@ def posed(structure: Structure, samples: int = 49) -> tuple[NormalEquations, Noi
     uncertain = tuple(replace(p, prior_std=0.05 * abs(p.prescribed)) for p in structure.every_parameter())
     inputs = Inputs(rate=4.0) if len(structure.memory) else Inputs()
     problem = Problem(structure, record, uncertain, inputs=inputs)
-    level, forces = np.full(structure.ndof, 0.01), np.full(problem.dynamics.size, np.nan)
-    forces[: structure.ndof] = np.where(record.sensors("force"), 0.02, np.nan)
-    noise = NoiseModel(dict.fromkeys(("displacement", "velocity", "acceleration"), level), forces, 0.03, 1.0)
-    network = Spline(intervals=12).build(record, functions=problem.dynamics.size)
-    return NormalEquations(network, problem), noise
+    equations = NormalEquations(built(Spline(intervals=12), problem), problem)
+    return equations, starting_noise(equations)
 
 
 def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.ndarray]:
@@ -48,7 +47,7 @@ def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.nd
     posterior, segments = ReadoutPosterior(equations, point, factor), equations.observation
     stretch = equations.dynamics.branches.matrix[: equations.dynamics.structure.incidence.shape[0]]
     moved = [
-        torch.cat(each) for each in zip(*(f for _, f in equations.moved_forces(point, [away, start])), strict=True)
+        torch.cat(each) for each in zip(*(f for _, f in equations.motion.moved(point, [away, start])), strict=True)
     ]
     found = {
         "losses": list(equations.losses(point, noise).values()),
@@ -62,15 +61,15 @@ def everything(equations: NormalEquations, noise: NoiseModel) -> dict[str, np.nd
         "energy": np.stack(dissipated_energy(posterior)),
     }
     return {name: np.asarray(value) for name, value in found.items()} | {
-        name: each.numpy() for name, each in equations.residuals(point).items()
+        name: each.numpy() for name, each in residuals_of(equations, point).items()
     }
 
 
 @pytest.mark.parametrize("structure", [small_chain("duffing", 3), braced(), hysteretic()], ids=["chain", "braced", "z"])
 def test_windows_change_nothing(structure: Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = everything(*posed(structure))
-    monkeypatch.setattr(residuals, "ROWS_AT_ONCE", 600)
-    monkeypatch.setattr(residuals, "KEPT", 0)
+    monkeypatch.setattr(frame, "ROWS_AT_ONCE", 600)
+    monkeypatch.setattr(frame, "KEPT", 0)
     equations, noise = posed(structure)
     assert len(equations.windows(equations.physics)) > 3
     pieces = everything(equations, noise)
@@ -79,8 +78,8 @@ def test_windows_change_nothing(structure: Structure, monkeypatch: pytest.Monkey
 
 
 def test_no_more_than_a_window_of_a_long_motion_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(residuals, "ROWS_AT_ONCE", 600)
-    monkeypatch.setattr(residuals, "KEPT", 0)
+    monkeypatch.setattr(frame, "ROWS_AT_ONCE", 600)
+    monkeypatch.setattr(frame, "KEPT", 0)
     equations, noise = posed(small_chain("duffing", 3))
     equations.assemble(equations.start(), noise)
     (states,) = equations._kept_states.values()

@@ -14,6 +14,7 @@ from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.base import built
+from pinn_cli.training.factors.input_channels import InputChannels
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
 
 SAMPLES, RATE, LEVEL = 600, 100.0, 0.03
@@ -36,9 +37,13 @@ def posed(intervals: int, measured: np.ndarray) -> NormalEquations:
     return NormalEquations(built(Spline(intervals=intervals), problem), problem)
 
 
+def of_ground(equations: NormalEquations) -> InputChannels:
+    return next(own for own in equations.channels if isinstance(own, InputChannels))
+
+
 def left(equations: NormalEquations, ground) -> torch.Tensor:
     """(P, 1), what the sensor's rows leave of a motion of the ground, a function of time, at their points."""
-    network, rows, at = equations.network, equations.inputs["ground_acceleration"], equations.dynamics.ground.start
+    network, rows, at = equations.network, of_ground(equations), equations.dynamics.ground.start
     time = np.arange(TIME[0], TIME[-1], 1.0 / RATE / 12.0)
     segments = network.segments(torch.as_tensor(time))
     projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
@@ -46,13 +51,13 @@ def left(equations: NormalEquations, ground) -> torch.Tensor:
     weights[:, at] = projection.coefficients(torch.as_tensor(ground(time))[:, None])[:, 0]
     point = equations.start()
     point.unknowns[:] = equations.layout.unknowns(weights)
-    residual = rows.residual(equations.states(rows.segments, point), slice(None))
+    residual = rows.residual(point)
     return rows.segments.scatter(residual)
 
 
 def told(equations: NormalEquations, ground) -> float:
     """Mean square of what is left, per sample."""
-    return float(left(equations, ground).square().sum()) / equations.inputs["ground_acceleration"].refinement / SAMPLES
+    return float(left(equations, ground).square().sum()) / of_ground(equations).per_sample / SAMPLES
 
 
 @pytest.mark.parametrize("intervals", [900, 1300, 2000])
@@ -76,6 +81,6 @@ def test_an_alias_that_no_sample_shows_costs_as_much_as_noise():
 def test_what_is_left_in_the_band_is_the_noise_of_the_samples(intervals):
     noise = np.random.default_rng(5).normal(size=SAMPLES)
     equations = posed(intervals, moving(TIME) + LEVEL * noise)
-    rows = equations.inputs["ground_acceleration"]
-    in_band = rows.in_band(left(equations, moving)).square().sum() / rows.refinement / SAMPLES
+    rows = of_ground(equations)
+    in_band = rows.in_band(left(equations, moving)).square().sum() / rows.per_sample / SAMPLES
     assert float(in_band) == pytest.approx(LEVEL**2 * np.mean(noise**2), rel=0.1)
