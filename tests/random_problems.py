@@ -140,11 +140,8 @@ def gauges(draw: st.DrawFn, structure: Structure, inputs: dict[str, list[int]], 
     elif quantity == CONNECTION_FORCE:
         connection = draw(st.sampled_from([*structure.memory.tolist(), *range(structure.incidence.shape[0])]))
     order = draw(st.integers(0, 2)) if inputs and quantity in FELT_BY[HIGH_PASS] else 0
-    doubts = [
-        kind for kind in CALIBRATION if quantity in FELT_BY.get(kind, (quantity,)) and order | (kind != HIGH_PASS)
-    ]
-    calibration = {HIGH_PASS: Calibration(0.2)} if order else {}
-    calibration |= {kind: CALIBRATION[kind] for kind in some(draw, doubts)}
+    doubts = [kind for kind in CALIBRATION if kind != HIGH_PASS and quantity in FELT_BY.get(kind, (quantity,))]
+    calibration = {kind: CALIBRATION[kind] for kind in some(draw, doubts) + [HIGH_PASS] * (order > 0)}
     time = START + np.sort(rng.uniform(0.0, STEP * (SAMPLES - 1), 24))
     values, fills = rng.normal(size=len(time)), quantity != CONNECTION_FORCE
     return Gauge(f"g{number}", quantity, weights, time, values, calibration, connection, fills, order)
@@ -154,12 +151,11 @@ def gauges(draw: st.DrawFn, structure: Structure, inputs: dict[str, list[int]], 
 def records(draw: st.DrawFn, structure: Structure, plain: bool) -> Record:
     """Noise in any columns and gauges, one plain sensor of the motion at least; of plain ones no input is unknown."""
     rng, n, time = draw(generators()), structure.ndof, START + STEP * np.arange(SAMPLES)
-    forced, known = some(draw, range(n)), draw(st.booleans())
+    forced, left_open = some(draw, range(n)), draw(st.integers(0, 3)) == 0
     moves = not plain and draw(st.booleans())
     force = np.zeros((SAMPLES, n))
     force[:, forced] = rng.normal(size=(SAMPLES, len(forced)))
-    if forced and not known:
-        force[:, forced[0]] = np.nan
+    force[:, forced[: int(left_open)]] = np.nan
     columns = {name: np.full((SAMPLES, n), np.nan) for name in MOTION}
     for quantity, dof in some(draw, [(q, dof) for q in MOTION for dof in range(n)], 1):
         columns[quantity][:, dof] = rng.normal(size=SAMPLES)

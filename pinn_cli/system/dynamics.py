@@ -34,7 +34,7 @@ from torch import Tensor
 from pinn_cli.system.coupling import Coupling
 from pinn_cli.system.functions import Functions, Jet
 from pinn_cli.system.incidence import Incidence
-from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.system.linearisation import Linearisation, slopes
 from pinn_cli.system.parameters import MASS
 
 
@@ -147,22 +147,16 @@ class Dynamics(Functions):
         self, u: Tensor, v: Tensor, z: Tensor, parameters: Mapping[str, Tensor]
     ) -> dict[str, Tensor]:
         """Derivatives of -h / rate (..., h) by elongation, its rate, hidden force and the kinds of parameters."""
-        structure = self.structure
-        e, de, hidden = (x.detach().requires_grad_() for x in (structure.elongation(u), structure.elongation(v), z))
-        local = {
-            kind: parameters[kind].detach().expand(*z.shape[:-1], -1).clone().requires_grad_()
-            for kind in self._remembered
-        }
-        with torch.enable_grad():
-            rate = structure.hidden_rate(e, de, hidden, {**parameters, **local})
-            given = {"e": e, "de": de, "z": hidden, **local}
-            slopes = torch.autograd.grad(-rate.sum() / self.inputs.rate, list(given.values()), allow_unused=True)
-        out = {
-            name: torch.zeros_like(x) if slope is None else slope
-            for (name, x), slope in zip(given.items(), slopes, strict=True)
-        }
-        out["e"], out["de"] = (out[name][..., structure.memory] for name in ("e", "de"))
-        return out
+        structure, kinds = self.structure, self._remembered
+
+        def rate(e: Tensor, de: Tensor, z: Tensor, *values: Tensor) -> Tensor:
+            own = {**parameters, **dict(zip(kinds, values, strict=True))}
+            return -structure.hidden_rate(e, de, z, own) / self.inputs.rate
+
+        given = (parameters[kind].expand(*z.shape[:-1], -1) for kind in kinds)
+        _, (by_e, by_de, by_z, *by) = slopes(rate, structure.elongation(u), structure.elongation(v), z, *given)
+        own = {"e": by_e[..., structure.memory], "de": by_de[..., structure.memory], "z": by_z}
+        return own | dict(zip(kinds, by, strict=True))
 
     @cached_property
     def _remembered(self) -> tuple[str, ...]:

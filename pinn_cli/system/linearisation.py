@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 
 from pinn_cli.system.parameters import MASS, Parameter
+
+
+def slopes(function: Callable[..., torch.Tensor], *given: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    """What a function makes of tensors, and the derivatives of its sum by each of them, as large as they are.
+
+    Forces are elementwise in time and connection: one reverse pass through their sum gives every derivative of each.
+    """
+    leaves = [x.detach().requires_grad_() for x in given]
+    with torch.enable_grad():
+        value = function(*leaves)
+        by = torch.autograd.grad(value.sum(), leaves, allow_unused=True, materialize_grads=True)
+    return value.detach(), list(by)
 
 
 @dataclass(frozen=True, eq=False)

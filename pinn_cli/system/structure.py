@@ -19,7 +19,7 @@ from pinn_cli.system.connection_groups import ConnectionGroup, GroupPart, carrie
 from pinn_cli.system.damping import StructuralDamping
 from pinn_cli.system.incidence import Incidence
 from pinn_cli.system.labels import Labels
-from pinn_cli.system.linearisation import Linearisation
+from pinn_cli.system.linearisation import Linearisation, slopes
 from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.shapes import Shapes
@@ -331,24 +331,18 @@ class Structure:
         return (f - self.restoring_force(u, v, p, z)) / p[MASS]
 
     def linearise(self, u: torch.Tensor, v: torch.Tensor, parameters: Mapping[str, torch.Tensor]) -> Linearisation:
-        """The connections linearised about displacements u and velocities v (..., n).
+        """The connections linearised about displacements u and velocities v (..., n)."""
+        e, de = self.elongation(u), self.elongation(v)
+        own = [part.own(parameters) for part in self.parts]
 
-        The internal force is elementwise in time and connection, so one reverse pass through its sum gives every
-        derivative.
-        """
-        e, de = (self.elongation(x).detach().requires_grad_() for x in (u, v))
-        own = [
-            {kind: x.detach().expand(*e.shape[:-1], -1).clone().requires_grad_() for kind, x in given.items()}
-            for given in (part.own(parameters) for part in self.parts)
-        ]
-        shaped = (e, de, *(x for given in own for x in given.values()))
-        with torch.enable_grad():
-            force = self._connection_force(e, de, own)
-            gradients = torch.autograd.grad(force.sum(), shaped, allow_unused=True)
-        filled = [torch.zeros_like(x) if g is None else g for g, x in zip(gradients, shaped, strict=True)]
-        each = list(zip([kind for given in own for kind in given], filled[2:], strict=True))
+        def force(e: torch.Tensor, de: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:
+            left = iter(values)
+            return self._connection_force(e, de, [{kind: next(left) for kind in given} for given in own])
+
+        value, by = slopes(force, e, de, *(x.expand(*e.shape[:-1], -1) for given in own for x in given.values()))
+        each = list(zip([kind for given in own for kind in given], by[2:], strict=True))
         by_parameter = {k: torch.cat([x for other, x in each if other == k], -1) for k in self.carriers}
-        return Linearisation(force.detach(), filled[0], filled[1], by_parameter)
+        return Linearisation(value, by[0], by[1], by_parameter)
 
     def parameters_like(self, x: Array) -> dict[str, Array]:
         """The parameters as x is: numpy arrays of its dtype, or tensors of its dtype and device with their graph."""

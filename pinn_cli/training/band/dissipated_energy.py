@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.system.energy import dissipated_power, stored_by_memory, trapezoids
+from pinn_cli.system.linearisation import slopes
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
@@ -58,7 +59,7 @@ class _Energy:
     each: Tensor
     by_value: Tensor
     by_rate: Tensor
-    by_hidden: Tensor | None
+    by_hidden: Tensor
     by_kind: dict[str, Tensor]
 
     @classmethod
@@ -66,27 +67,24 @@ class _Energy:
         """Every connection has its own power, so one reverse pass through their sum gives every derivative."""
         dynamics, structure = equations.dynamics, equations.dynamics.structure
         segments, jet = equations.observation.part(part), equations.jet(equations.observation, point, part)
-        e, de = (structure.elongation(dynamics.stretching(x)).detach().requires_grad_() for x in jet[:2])
-        z = jet.value[..., dynamics.hidden].detach().requires_grad_() if len(structure.memory) else None
-        given = {k: v.detach().clone().requires_grad_() for k, v in equations.parameters(point).items()}
-        inner = {kind: given[kind] for kind in structure.carriers}
-        time = equations.problem.record.time
+        e, de = (structure.elongation(dynamics.stretching(x)) for x in jet[:2])
+        parameters, time = equations.parameters(point), equations.problem.record.time
         weight, ends = trapezoids(time), np.zeros(len(time))
         ends[0], ends[-1] = 1.0, -1.0
-        with torch.enable_grad():
-            power = dissipated_power(structure, e, de, given, z)
-            each = (segments.gather(torch.as_tensor(weight).to(e))[..., None] * power).sum((0, 1))
-            if z is not None:
-                stored = stored_by_memory(structure, z, given)
-                released = (segments.gather(torch.as_tensor(ends).to(e))[..., None] * stored).sum((0, 1))
-                each = each.index_add(0, torch.as_tensor(structure.memory, device=e.device), released)
-            each = each[torch.as_tensor(structure.added, device=e.device)]
-            leaves = [e, de, *([] if z is None else [z]), *inner.values()]
-            slopes = torch.autograd.grad(each.sum(), leaves, allow_unused=True)
-        filled = [torch.zeros_like(x) if slope is None else slope for x, slope in zip(leaves, slopes, strict=True)]
-        motion, rest = filled[: 2 if z is None else 3], filled[2 if z is None else 3 :]
-        by_kind = dict(zip(inner, rest, strict=True))
-        return cls(each.detach(), motion[0], motion[1], None if z is None else motion[2], by_kind)
+
+        def energy(e: Tensor, de: Tensor, z: Tensor, *values: Tensor) -> Tensor:
+            own = {**parameters, **dict(zip(structure.carriers, values, strict=True))}
+            power, stored = dissipated_power(structure, e, de, own, z), stored_by_memory(structure, z, own)
+            each, released = (
+                (segments.gather(torch.as_tensor(x).to(e))[..., None] * of_time).sum((0, 1))
+                for x, of_time in ((weight, power), (ends, stored))
+            )
+            each = each.index_add(0, torch.as_tensor(structure.memory, device=e.device), released)
+            return each[torch.as_tensor(structure.added, device=e.device)]
+
+        z, given = jet.value[..., dynamics.hidden], (parameters[kind] for kind in structure.carriers)
+        each, (by_e, by_de, by_z, *by) = slopes(energy, e, de, z, *given)
+        return cls(each, by_e, by_de, by_z, dict(zip(structure.carriers, by, strict=True)))
 
     def add_by_weight(self, out: np.ndarray, equations: NormalEquations, part: slice) -> None:
         """Add the derivatives (size, C) by the readout weights that are alive in these groups."""
@@ -98,8 +96,6 @@ class _Energy:
             stretch = dynamics.stretched[connection]
             for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
                 np.add.at(out[:, column], local[:, function], weight * moment[..., connection])
-        if self.by_hidden is None:
-            return
         hidden = (segments.displacement.mT @ self.by_hidden).cpu().numpy()
         for number, connection in enumerate(structure.memory.tolist()):
             column = int(np.searchsorted(structure.added, connection))
