@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.channels import channels
-from pinn_cli.record.spectrum import record_band
+from pinn_cli.record.channels import channels, record_band
 from pinn_cli.scheme.reach import unreached_dofs
 from pinn_cli.system.modes import modes_of
 from pinn_cli.system.parameters import MASS

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from small_problems import accelerations, measured, small_chain, sped_up
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.spectrum import (
     band_share,
     lowest_level,
     occupied_band,
     periodogram,
-    record_band,
     signal_band,
     signal_edges,
     visible_floor,
