@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.between_samples import between_samples
 from pinn_cli.record.implicit_steps import implicit_steps
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import force_spline, support_motion
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
 from pinn_cli.record.steps import follower_masses, method_needed, with_slow_followers
-from pinn_cli.record.supports import SupportErrors
+from pinn_cli.record.supports import SupportErrors, support_motion
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
@@ -163,8 +163,7 @@ class _Ensemble:
         if ground is not None:
             self.load[:, 1] = ground[:, None] * structure.with_ground
         self.supports = support_motion(record)
-        self.held = record.intersample == "zero_order_hold"
-        self.between = None if self.held else force_spline(record.time, self.load)
+        self.between = between_samples(record.time, self.load, record.intersample)
 
     def followed(self, state: np.ndarray, own: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """States and loads of all members at some samples, from what each has of a load for its own."""
@@ -172,18 +171,17 @@ class _Ensemble:
         method, substeps = method_needed(self.structure, self.record.step)
 
         def load(at: np.ndarray) -> np.ndarray:
-            assert self.between is not None
             place = (at - time[0]) / (time[1] - time[0])
             together: np.ndarray = self._beside(at, self.between(at))[:, None] + _between(own, place)
             return together
 
         sampled = self._beside(time, self.load[part])[:, None] + own
-        hold = "zero_order" if self.held else "exact"
+        hold = self.between.hold
         if method == "rk4":
             return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
         # A stiff law has each member take its own steps, many of them.
         grid = np.linspace(time[0], time[-1], STRAIGHT * (len(time) - 1) + 1)
-        table, each = sampled if self.held else load(grid), []
+        table, each = sampled if hold == "zero_order" else load(grid), []
         for i in range(len(state)):
             own = table[:, i : i + 1]
             acting = lambda at, own=own: _between(own, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731

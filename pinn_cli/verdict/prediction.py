@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.fft import irfft, rfft
-from scipy.interpolate import make_interp_spline
 
-from pinn_cli.record.resimulation import support_motion
+from pinn_cli.record.between_samples import BandLimited, between_samples
 from pinn_cli.record.simulation import OverflowsError, simulate
 from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
+from pinn_cli.record.supports import support_motion
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
 from pinn_cli.verdict.linear_response import decays, felt_modes, linear_response
@@ -22,18 +21,12 @@ if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
-    from pinn_cli.record.runge_kutta import Force
     from pinn_cli.system.structure import Structure
 
 # Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
 MOST_STEPS = 40_000
 # Steps of Runge-Kutta that take as long as the implicit steps of a sample.
 OF_IMPLICIT = 10
-# A spline through samples this many times as dense follows a history up to the Nyquist frequency to 1e-3.
-DENSER, SPLINE_DEGREE = 4, 5
-# Dense samples behind a part of a history that its spline goes through as well: none further on reaches into the part
-# (each counts 0.43 times as much as the one before it).
-BEYOND_PART = 64
 LINEAR = ("m", "c", "k")
 
 
@@ -86,13 +79,12 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
     if samples < len(modes.poles) * 8:
         return None
     part = record.until(samples)
-    hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
-    moved = record.ground_acceleration
-    ground = None if moved is None else between_samples(record, moved, samples)
-    force = force_between_samples(record, hold, samples)
+    moved = part.ground_acceleration
+    ground = None if moved is None else BandLimited(part.time, moved)
+    force = between_samples(part.time, part.force, part.intersample)
     try:
         response = simulate(
-            structure, force, part.time, hold, method, substeps, initial=start, ground=ground,
+            structure, force, part.time, force.hold, method, substeps, initial=start, ground=ground,
             supports=support_motion(record), frame=record.frame,
         )  # fmt: skip
     except (OverflowsError, TooStiffError):
@@ -103,46 +95,3 @@ def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] 
 def is_linear(structure: Structure) -> bool:
     """Whether every nonlinear parameter of a structure is zero."""
     return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
-
-
-def force_between_samples(record: Record, hold: str, samples: int | None = None) -> Force:
-    """The force at any time of the record, see :func:`between_samples`."""
-    if hold == "zero_order":
-        return lambda time: record.force[: len(time)]
-    return between_samples(record, record.force, samples)
-
-
-def between_samples(record: Record, values: np.ndarray, samples: int | None = None) -> Force:
-    """A band-limited history at any time of the record, from its samples (N,) or (N, n).
-
-    Between samples taken barely fast enough a spline loses a good part of it, so it goes through the samples of
-    the same sinusoids taken `DENSER` times as often. The record is mirrored at its end to make it periodic.
-
-    Args:
-        record: For its times.
-        values: Of a force most columns are zero as a rule, and stay so.
-        samples: The first ones, up to which alone the history is asked for; None: all.
-    """
-    columns = values.reshape(len(values), -1)
-    acting = np.flatnonzero(columns.any(axis=0))
-    last = len(record.time) - 1
-    end = DENSER * last if samples is None else min(DENSER * last, DENSER * (samples - 1) + BEYOND_PART)
-    times = np.linspace(record.time[0], record.time[-1], DENSER * last + 1)[: end + 1]
-    splines = [make_interp_spline(times, _denser(columns[:, i])[: end + 1], k=SPLINE_DEGREE) for i in acting]
-
-    def history(time: np.ndarray) -> np.ndarray:
-        out = np.zeros((*np.shape(time), columns.shape[1]))
-        for column, spline in zip(acting, splines, strict=True):
-            out[..., column] = spline(time)
-        return out.reshape(*np.shape(time), *values.shape[1:])
-
-    return history
-
-
-def _denser(values: np.ndarray) -> np.ndarray:
-    """The sinusoids of samples (N,), mirrored at their end, taken `DENSER` times as often."""
-    mirrored = np.concatenate((values, values[-2:0:-1]))
-    spectrum = rfft(mirrored)
-    spectrum[-1] *= 0.5  # the Nyquist line of an even number of samples stands for two once there are more samples
-    dense: np.ndarray = DENSER * irfft(spectrum, DENSER * len(mirrored))
-    return dense

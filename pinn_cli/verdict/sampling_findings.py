@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.channels import channels
-from pinn_cli.record.interpolation import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.finding import Finding

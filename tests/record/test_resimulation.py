@@ -10,7 +10,7 @@ from small_problems import measured, small_chain
 
 from pinn_cli.record.ensemble import Members, spread_of
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import TooStiffError, force_spline, resimulate
+from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.record.steps import with_slow_followers
@@ -103,27 +103,3 @@ def test_a_mass_that_was_estimated_at_its_bound_is_said():
     massless = structure.with_parameters(m=structure.parameters["m"] * torch.tensor([1.0, 0.0, 1.0]))
     with pytest.raises(TooStiffError, match="a mass of it is zero"):
         resimulate(massless, record, (REST, REST))
-
-
-@pytest.mark.parametrize("part", [0.05, 0.25, 0.5, 0.9])
-def test_a_force_up_to_a_part_of_the_nyquist_frequency_is_followed_between_its_samples(part):
-    rng, time = np.random.default_rng(0), np.arange(1000.0)
-    omega, phase = rng.uniform(0.0, np.pi * part, 60), rng.uniform(0.0, 2.0 * np.pi, 60)
-
-    def exact(at: np.ndarray) -> np.ndarray:
-        return np.cos(at[:, None] * omega + phase).sum(axis=1)
-
-    between = time[:-1] + 0.4
-    off = np.abs(force_spline(time, exact(time))(between) - exact(between)) / np.std(exact(time))
-    assert off[50:-50].max() < 1e-4
-    assert off.max() < 0.15
-
-
-def test_a_history_may_be_asked_for_at_times_of_any_shape():
-    time, times = np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 12).reshape(3, 4)
-    force = np.stack((np.sin(3.0 * time), np.zeros(21)), axis=1)
-    found = force_spline(time, force)(times)
-    assert found.shape == (3, 4, 2)
-    np.testing.assert_array_equal(found.reshape(-1, 2), force_spline(time, force)(times.reshape(-1)))
-    assert not found[..., 1].any()
-    assert force_spline(time, force[:, 0])(times).shape == (3, 4)
