@@ -7,13 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.between_samples import BandLimited, between_samples
-from pinn_cli.record.simulation import OverflowsError, simulate
-from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
-from pinn_cli.record.supports import support_motion
+from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
-from pinn_cli.verdict.linear_response import decays, felt_modes, linear_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,11 +19,8 @@ if TYPE_CHECKING:
     from pinn_cli.record.response import Response
     from pinn_cli.system.structure import Structure
 
-# Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
-MOST_STEPS = 40_000
-# Steps of Runge-Kutta that take as long as the implicit steps of a sample.
-OF_IMPLICIT = 10
-LINEAR = ("m", "c", "k")
+# Samples for each pole that a part of a record needs: of fewer free decays leave nothing to compare.
+SAMPLES_PER_POLE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +28,7 @@ class Prediction:
     """A response to the measured force, and the part of the record that it is of.
 
     Attributes:
-        response: (M, n) each, up to free decays.
+        response: (M, n) each; how the structure began does not matter.
         record: Its first M samples.
         modes: Of the structure without its nonlinearity, whose free decays count as part of the prediction.
     """
@@ -46,7 +39,7 @@ class Prediction:
     _decays: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict)
 
     def decays(self, channel: Channel) -> np.ndarray:
-        """See :func:`pinn_cli.verdict.linear_response.decays`; channels that feel the same modes share theirs."""
+        """See :func:`decays`; channels that feel the same modes share theirs."""
         seen = felt_modes(self.modes, channel)
         if seen not in self._decays:
             self._decays[seen] = decays(self.modes, seen, self.record)
@@ -54,44 +47,48 @@ class Prediction:
 
 
 def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
-    """The response of a structure to the record's force; None where a force is unknown or the structure is unstable.
+    """The free run of a structure through as much of a record as is affordable; None where it has none.
+
+    That of a linear structure whose free motion grows is none either.
 
     Args:
-        structure: Any. A linear one is solved in the frequency domain, exactly and in milliseconds; another one is
-            simulated from ``start`` on.
-        record: For its force and its times.
-        start: Displacement and velocity (n,) at the first sample; None: rest. Of a linear chain it does not matter.
+        structure: Any.
+        record: For what acts.
+        start: See :func:`pinn_cli.record.free_run.free_run`. Of a linear structure it does not matter.
     """
-    if not np.isfinite(record.force).all():
-        return None
-    parameters = structure.parameters_like(np.empty(0))
-    if not all(np.isfinite(value).all() for value in parameters.values()) or (parameters["m"] <= 0).any():
-        return None
-    modes = modes_of(structure)
-    # A body that nothing holds has no response that repeats itself: it is simulated.
-    if is_linear(structure) and not loose_dofs(structure):
-        response = linear_response(modes, record)
-        finite = np.isfinite(response.displacement).all() and modes.stable
-        return Prediction(response, record, modes) if finite else None
-    structure = with_slow_followers(structure, record.step)
-    method, substeps = method_needed(structure, record.step)
-    samples = min(len(record.time), MOST_STEPS // (substeps if method == "rk4" else OF_IMPLICIT))
-    if samples < len(modes.poles) * 8:
-        return None
-    part = record.until(samples)
-    moved = part.ground_acceleration
-    ground = None if moved is None else BandLimited(part.time, moved)
-    force = between_samples(part.time, part.force, part.intersample)
     try:
-        response = simulate(
-            structure, force, part.time, force.hold, method, substeps, initial=start, ground=ground,
-            supports=support_motion(record), frame=record.frame,
-        )  # fmt: skip
-    except (OverflowsError, TooStiffError):
+        part = affordable(structure, record)
+        response = free_run(structure, part, start)
+    except NoFreeRunError:
         return None
-    return Prediction(response, part, modes)
+    found = prediction_of(structure, part, response)
+    short = found is not None and part is not record and len(part.time) < SAMPLES_PER_POLE * len(found.modes.poles)
+    return None if short else found
 
 
-def is_linear(structure: Structure) -> bool:
-    """Whether every nonlinear parameter of a structure is zero."""
-    return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
+def prediction_of(structure: Structure, record: Record, response: Response) -> Prediction | None:
+    """The same, where somebody has the free run already."""
+    modes = modes_of(structure)
+    # A body that nothing holds moves away, and is no less stable for it.
+    grows = is_linear(structure) and not modes.stable and not loose_dofs(structure)
+    return None if grows else Prediction(response, record, modes)
+
+
+def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:
+    """Numbers of the modes, one of every pair, that move where a channel's sensor is."""
+    upper = np.flatnonzero(modes.poles.imag >= 0)
+    shape = modes.shapes[channel.dof, upper]
+    return tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))].tolist())
+
+
+def decays(modes: Modes, felt: Sequence[int], record: Record) -> np.ndarray:
+    """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel that feels some modes.
+
+    Whatever the structure did before the record began lies in their span.
+    """
+    poles = modes.poles[list(felt)]
+    time = record.time - record.time[0]
+    waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])
+    basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
+    size = np.abs(np.diag(triangle))
+    return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]
