@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.base import States
-from pinn_cli.record.between_samples import interpolated, refined_times
+from pinn_cli.record.between_samples import refined, refined_times
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
 from pinn_cli.system.dynamics import Dynamics
@@ -103,7 +103,7 @@ def targets(
         )
     points, between = force, None
     if refinement > 1:
-        points, between = _between_samples(record, force, refinement)
+        points, between = refined(force, refinement)
     return Targets(
         tensor(record.time),
         tensor(refined_times(record.time, refinement) + hold_delay(record)),
@@ -126,12 +126,6 @@ def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
         known[dynamics.loaded] = True
     known[dynamics.filters] = False
     return torch.as_tensor(known)
-
-
-def _between_samples(record: Record, force: np.ndarray, refinement: int) -> tuple[np.ndarray, np.ndarray]:
-    """(P, n) force at the refined times, and the standard deviation of what the samples leave open there, N."""
-    points, spread, _ = interpolated(force, record.step, refinement)
-    return points, spread[:, None] * np.sqrt(np.mean(force**2, axis=0))
 
 
 def observation_masks(target: Targets, through: str) -> dict[str, Tensor]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from pinn_cli.api.record import Record
-from pinn_cli.record.resimulation import force_spline
+from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD, BandLimited
 from pinn_cli.record.simulation import simulate
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.settings.errors import InputError
@@ -146,12 +146,12 @@ class Structure(structure.Structure):
         acting, forced = self._acting(force, times)
         ground = None
         if ground_acceleration is not None:
-            ground = force_spline(times, _shaped("ground_acceleration", ground_acceleration, times.shape))
+            ground = BandLimited(times, _shaped("ground_acceleration", ground_acceleration, times.shape))
         substeps = max(substeps_needed(self, times[1] - times[0]), _LEAST_SUBSTEPS)
         found = simulate(
             self, acting, times, hold, method, substeps, initial=initial, ground=ground, frame=frame  # type: ignore[arg-type]
         )  # fmt: skip
-        between = "zero_order_hold" if hold == "zero_order" else "band_limited"
+        between = INTERSAMPLE_OF_HOLD[hold]
         return Record(
             **found.measurable, unforced=~forced, intersample=between, frame=frame, dofs=self.labels.dofs  # type: ignore[arg-type]
         )  # fmt: skip
@@ -171,7 +171,7 @@ class Structure(structure.Structure):
         else:
             samples = _shaped("force", force, (len(time), self.ndof))
             forced = (samples != 0.0).any(axis=0)
-        return force_spline(time, samples), forced
+        return BandLimited(time, samples), forced
 
     def _place(self, dof: int | str) -> int:
         names = self.labels.dofs

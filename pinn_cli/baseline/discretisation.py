@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from pinn_cli.record.between_samples import between_samples
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import force_spline
 from pinn_cli.record.runge_kutta_step import Slope, runge_kutta_step
 
 # The exponential's series is summed where step times rate is at most this, and doubled from there.
@@ -15,17 +15,9 @@ SERIES_REACH = 0.5
 
 
 def interpolated_force(record: Record, substeps: int) -> np.ndarray:
-    """Measured force at the ends and the middle of every substep, (2 substeps + 1, N - 1, n), N; 0 where unknown.
-
-    Between the samples it keeps their value (``zero_order_hold``) or follows the free run's spline,
-    :func:`pinn_cli.record.resimulation.force_spline`.
-    """
-    force = np.nan_to_num(record.force)
-    if record.intersample == "zero_order_hold":
-        return np.broadcast_to(force[:-1], (2 * substeps + 1, *force[:-1].shape))
-    position = np.arange(2 * substeps + 1) / (2 * substeps)
-    samples = np.arange(float(len(force)))
-    return force_spline(samples, force)(samples[:-1] + position[:, None])
+    """Measured force at the ends and the middle of every substep, (2 substeps + 1, N - 1, n), N; 0 where unknown."""
+    force = between_samples(record.time, np.nan_to_num(record.force), record.intersample)
+    return force.within(np.arange(2 * substeps + 1) / (2 * substeps))
 
 
 def flow(slope: Slope, start: np.ndarray, force: np.ndarray, step: float) -> np.ndarray:

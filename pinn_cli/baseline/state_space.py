@@ -21,9 +21,9 @@ import torch
 from pinn_cli.baseline.channels import Channel, Loads, response_channels, uncertain_numbers
 from pinn_cli.baseline.discretisation import flow, propagators
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.scheme.calibration import calibrations
 from pinn_cli.scheme.problem import Problem

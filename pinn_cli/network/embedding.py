@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from pinn_cli.record.amplitudes import slowest_motion
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 
 EmbeddingName = Literal["none", "fourier"]
 # Above 1, so that nothing need be periodic over the record.

@@ -15,8 +15,8 @@ from pinn_cli.network.activation import ACTIVATIONS, propagate
 from pinn_cli.network.base import CONTINUITIES, Continuity, Network, NetworkDesign
 from pinn_cli.network.embedding import Embedding, EmbeddingName, embedding
 from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.legal_values import one_of, whole_number
 
 # Readout weights of an embedded network, over one by the square root of the width. Hidden units that need move only a

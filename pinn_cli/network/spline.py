@@ -12,8 +12,8 @@ from torch import Tensor
 
 from pinn_cli.network.base import CONTINUITIES, Continuity, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number, one_of, positive_number, whole_number
 

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import periodogram, record_band
+from pinn_cli.record.spectrum import periodogram
 from pinn_cli.system.quantities import SUPPORT
 
 # The Hann window spreads a channel's mean over the two lowest bins.

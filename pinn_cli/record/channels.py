@@ -1,4 +1,4 @@
-"""The channels of a record, one sensor each, and what of their samples a sensor has not followed."""
+"""The channels of a record, one sensor each, their widest band, and what of their samples a sensor has not followed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, signal_band, visible_floor
 from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
@@ -146,3 +147,24 @@ def equal_runs(signal: np.ndarray) -> list[tuple[int, int]]:
     edges = np.concatenate([[0], np.flatnonzero(np.diff(signal)) + 1, [len(signal)]])
     long = np.flatnonzero(np.diff(edges) >= CONSTANT_RUN)
     return list(zip(edges[long].tolist(), edges[long + 1].tolist(), strict=True))
+
+
+def record_band(record: Record) -> float:
+    """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution.
+
+    The motion of the ground, or of a support, is followed as far as it may reach: where it shows no noise above its
+    content, that is all that can be used.
+    """
+    bands = [
+        signal_band(record.histories(quantity)[:, dof], record.step)
+        for quantity in (*record.response_quantities, "force")
+        for dof in np.flatnonzero(record.sensors(quantity))
+    ]
+    usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
+    for quantity in record.response_quantities[len(RESPONSE_QUANTITIES) :]:
+        bands += [
+            usable
+            for moved in record.histories(quantity)[:, record.sensors(quantity)].T
+            if visible_floor(moved, record.step) is None
+        ]
+    return max(*bands, 1.0 / record.duration)

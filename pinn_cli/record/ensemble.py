@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from pinn_cli.record.between_samples import between_samples
 from pinn_cli.record.implicit_steps import implicit_steps
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import force_spline, support_motion
 from pinn_cli.record.response import Response
 from pinn_cli.record.runge_kutta import runge_kutta
 from pinn_cli.record.steps import follower_masses, method_needed, with_slow_followers
-from pinn_cli.record.supports import SupportErrors
+from pinn_cli.record.supports import SupportErrors, support_motion
 from pinn_cli.system.structure import Structure
 
 # Samples that are followed at a time: the forces of all members stand in memory for so long only.
@@ -83,6 +83,11 @@ class Members:
     replay: Replay | None = None
     carried: SupportErrors | None = None
 
+    def parameters_beside(self, structure: Structure) -> dict[str, np.ndarray]:
+        """Kind to (H + 1, members of the kind), those of the structure itself behind the members'."""
+        own = structure.parameters_like(np.empty(0))
+        return {kind: np.concatenate((values, own[kind][None])) for kind, values in self.parameters.items()}
+
 
 def affordable_members(structure: Structure, record: Record, count: int) -> int:
     """So many as are asked for; fewer where each takes its own steps."""
@@ -90,43 +95,53 @@ def affordable_members(structure: Structure, record: Record, count: int) -> int:
 
 
 def spread_of(members: Members, structure: Structure, record: Record, about: Response) -> Response:
-    """Root mean square distance of the members' motion from a response, each (N, dofs).
+    """Root mean square distance of the members' motion from that of the structure itself, each (N, dofs).
 
     Args:
         members: At least one.
         structure: Whose law they share.
         record: Whose force and ground motion act on all.
-        about: From which it is counted: that of the structure itself.
+        about: Its free run.
     """
     out = Response.unknown(record.time, record.ndof)
     with np.errstate(over="ignore", invalid="ignore"):
-        for part, motion, _, _ in followed_members(members, structure, record):
+        for part, motion, _, _ in followed_members(members, structure, record, about.state(0)):
             for name, values in motion.items():
-                distance = values - getattr(about, name)[part, None]
-                getattr(out, name)[part] = np.sqrt(np.mean(distance**2, axis=1))
+                getattr(out, name)[part] = distance(values)
     return out
 
 
+def distance(values: np.ndarray) -> np.ndarray:
+    """(M, ...), root mean square distance of the first H of values (M, H + 1, ...) from the last."""
+    return np.asarray(np.sqrt(np.mean((values[:, :-1] - values[:, -1:]) ** 2, axis=1)))
+
+
 def followed_members(
-    members: Members, structure: Structure, record: Record
+    members: Members, structure: Structure, record: Record, start: Sequence[np.ndarray]
 ) -> Iterator[tuple[slice, dict[str, np.ndarray], np.ndarray, np.ndarray]]:
     """The motion of all members, some hundred samples at a time: a step of Runge-Kutta takes about 0.2 ms.
+
+    Behind them comes that of the structure itself, from which they differ by what is uncertain alone: the steps that
+    all of them take are no part of it.
 
     Args:
         members: At least one.
         structure: Whose law they share.
         record: Whose force and ground motion act on all.
+        start: Of the structure itself: displacement, velocity and hidden forces at the first sample.
 
     Yields:
-        Samples, quantity to (M, H, dofs) at these, the states (M, H, 2 n + h), and displacement and velocity of the
-        supports (M, H, 2, S). Parts overlap by one sample.
+        Samples, quantity to (M, H + 1, dofs) at these, the states (M, H + 1, 2 n + h), and displacement and velocity of
+        the supports (M, H + 1, 2, S). Parts overlap by one sample.
     """
-    masses, structure = follower_masses(structure, record.step), with_slow_followers(structure, record.step)
-    members = replace(members, parameters={**members.parameters, "m": members.parameters["m"] * masses})
-    ensemble, samples = _Ensemble(structure, members, record), len(record.time)
+    every = members.parameters_beside(structure)
+    every["m"] = every["m"] * follower_masses(structure, record.step)
+    structure = with_slow_followers(structure, record.step)
+    ensemble, samples = _Ensemble(structure, every, record), len(record.time)
     random = np.random.default_rng(members.seed)
-    state, last, carried = members.start, _drawn(members, random, 0, 1), members.carried
-    errors = np.zeros((1, len(state), 3, structure.supports))
+    state = np.concatenate((members.start, np.concatenate(start)[None]))
+    last, carried = _drawn(members, random, 0, 1), members.carried
+    errors = np.zeros((1, len(members.start), 3, structure.supports))
     for first in range(0, samples - 1, CHUNK):
         stop = min(first + CHUNK, samples - 1) + 1
         noise = np.concatenate((last, _drawn(members, random, first + 1, stop)))
@@ -149,12 +164,12 @@ class _Ensemble:
 
     Args:
         structure: In whose coordinates it is.
-        members: Their parameters.
+        parameters: Kind to those of each.
         record: The force and the ground's motion.
     """
 
-    def __init__(self, structure: Structure, members: Members, record: Record) -> None:
-        self.structure, self.parameters, self.record = structure, members.parameters, record
+    def __init__(self, structure: Structure, parameters: Mapping[str, np.ndarray], record: Record) -> None:
+        self.structure, self.parameters, self.record = structure, parameters, record
         self.n = structure.coordinates
         force = record.force if structure.shapes is None else structure.shapes.onto_coordinates(record.force)
         ground = record.ground_acceleration
@@ -163,8 +178,7 @@ class _Ensemble:
         if ground is not None:
             self.load[:, 1] = ground[:, None] * structure.with_ground
         self.supports = support_motion(record)
-        self.held = record.intersample == "zero_order_hold"
-        self.between = None if self.held else force_spline(record.time, self.load)
+        self.between = between_samples(record.time, self.load, record.intersample)
 
     def followed(self, state: np.ndarray, own: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """States and loads of all members at some samples, from what each has of a load for its own."""
@@ -172,18 +186,17 @@ class _Ensemble:
         method, substeps = method_needed(self.structure, self.record.step)
 
         def load(at: np.ndarray) -> np.ndarray:
-            assert self.between is not None
             place = (at - time[0]) / (time[1] - time[0])
             together: np.ndarray = self._beside(at, self.between(at))[:, None] + _between(own, place)
             return together
 
         sampled = self._beside(time, self.load[part])[:, None] + own
-        hold = "zero_order" if self.held else "exact"
+        hold = self.between.hold
         if method == "rk4":
             return runge_kutta(self._slope, load, time, sampled, hold, substeps, state, None), sampled
         # A stiff law has each member take its own steps, many of them.
         grid = np.linspace(time[0], time[-1], STRAIGHT * (len(time) - 1) + 1)
-        table, each = sampled if self.held else load(grid), []
+        table, each = sampled if hold == "zero_order" else load(grid), []
         for i in range(len(state)):
             own = table[:, i : i + 1]
             acting = lambda at, own=own: _between(own, (at - time[0]) / (grid[1] - grid[0]))  # noqa: E731
@@ -233,10 +246,11 @@ class _Ensemble:
         return np.concatenate((u, moved[..., 0, :]), axis=-1), np.concatenate((v, moved[..., 1, :]), axis=-1)
 
     def beside(self, noise: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """(M, H, 2, n + S), members' own forces (M, H, n) and errors (M, H, 3, S) of supports as loads."""
-        own = np.zeros((*noise.shape[:2], 2, self.n + self.structure.supports))
-        own[:, :, 0, : self.n] = noise
-        own[..., self.n :] = errors[:, :, :2]
+        """(M, H + 1, 2, n + S), members' own forces (M, H, n) and errors (M, H, 3, S) of supports as loads."""
+        samples, members, _ = noise.shape
+        own = np.zeros((samples, members + 1, 2, self.n + self.structure.supports))
+        own[:, :-1, 0, : self.n] = noise
+        own[:, :-1, :, self.n :] = errors[:, :, :2]
         return own
 
 

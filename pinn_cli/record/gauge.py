@@ -16,10 +16,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pinn_cli.record.between_samples import SPLINE_DEGREE, BandLimited
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, TILT
 
-# Of the spline between even samples, and the part of a step by which those may come early or late.
-DEGREE, EVEN = 5, 0.02
+# Part of a step by which even samples may come early or late.
+EVEN = 0.02
 # Points in a step at which a sensor's filter is applied to a history.
 DENSER = 8
 # Of the residuals and noise levels of all gauges.
@@ -141,17 +142,15 @@ class Gauge:
     def history(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
         """(N,), what it felt at other times; see :meth:`calibrated`.
 
-        Through even samples by a spline of fifth degree; by straight lines where they are uneven or missing. Beyond its
+        Through even samples as a band-limited history; by straight lines where they are uneven or missing. Beyond its
         samples it stays what it was at the last one.
         """
         felt_at, felt = self.calibrated(found)
         if np.array_equal(felt_at, time):
             return felt
-        if len(felt) <= DEGREE or self.even_step is None:
+        if len(felt) <= SPLINE_DEGREE or self.even_step is None:
             return np.interp(time, felt_at, felt)
-        from scipy.interpolate import make_interp_spline
-
-        return np.asarray(make_interp_spline(felt_at, felt, DEGREE)(np.clip(time, felt_at[0], felt_at[-1])))
+        return BandLimited(felt_at, felt)(np.clip(time, felt_at[0], felt_at[-1]))
 
     def passed(self, time: np.ndarray, x: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
         """What its filter passes of a history (N,) at even times, as if it had begun at rest; all where there is none.
@@ -160,13 +159,12 @@ class Gauge:
         """
         if not self.filter_order:
             return x
-        from scipy.interpolate import make_interp_spline
         from scipy.signal import bilinear, lfilter
 
         dense = np.linspace(time[0], time[-1], DENSER * (len(time) - 1) + 1)
         denominator = self.filter_polynomial(found)[::-1]
         rule = bilinear([1.0, *[0.0] * self.filter_order], denominator, 1.0 / (dense[1] - dense[0]))
-        return np.asarray(lfilter(*rule, make_interp_spline(time, x, DEGREE)(dense))[::DENSER])
+        return np.asarray(lfilter(*rule, BandLimited(time, x)(dense))[::DENSER])
 
     def decays(self, time: np.ndarray, found: Mapping[str, float] | None = None) -> np.ndarray:
         """(N, order), what its filter shows of how it began."""

@@ -13,12 +13,12 @@ import numpy as np
 
 from pinn_cli.record.arriving import Arriving
 from pinn_cli.record.band import BandPass, checked_band
+from pinn_cli.record.between_samples import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.clock import TIME_UNITS, Clock
 from pinn_cli.record.data_channels import DataChannel, data_channels
 from pinn_cli.record.files.base import FileFormat
 from pinn_cli.record.files.csv import CsvFormat
 from pinn_cli.record.held_out import not_held_out, scored_by
-from pinn_cli.record.interpolation import BETWEEN_SAMPLES, FIRST_ORDER_HOLD
 from pinn_cli.record.measured_files import MeasuredFiles
 from pinn_cli.record.record import MINIMUM_SAMPLES, Frame, Measurements, Record, Truth, check_frame, dof_mask
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from pinn_cli.record.band import BandPass
+from pinn_cli.record.between_samples import INTERSAMPLE, Intersample
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES, Response
@@ -22,8 +23,6 @@ from pinn_cli.system.quantities import SUPPORT
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-Intersample = Literal["band_limited", "zero_order_hold"]
-INTERSAMPLE: tuple[str, ...] = get_args(Intersample)
 Frame = Literal["absolute", "relative"]
 FRAMES: tuple[str, ...] = get_args(Frame)
 

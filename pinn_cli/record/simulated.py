@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.record import Frame, Intersample, Measurements, Record, Truth, check_frame
+from pinn_cli.record.between_samples import INTERSAMPLE_OF_HOLD
+from pinn_cli.record.record import Frame, Measurements, Record, Truth, check_frame
 
 if TYPE_CHECKING:
     from pinn_cli.record.excitation.base import Excitation
     from pinn_cli.record.noise import Noise
     from pinn_cli.record.simulation import Simulation
     from pinn_cli.system.structure import Structure
-
-# What the force of a record does between its samples is what the simulator had it do.
-INTERSAMPLE_OF_HOLD: dict[str, Intersample] = {"exact": "band_limited", "zero_order": "zero_order_hold"}
 
 
 @dataclass(frozen=True)

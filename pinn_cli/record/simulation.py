@@ -186,19 +186,28 @@ def simulate(
             states = _dop853(slope, load, time, sampled, hold, start)
     _check_finite(states, time, structure)
     u, v, hidden = equation.split(states)
-    n = structure.coordinates
-    force, moved = sampled[:, 0, :n] if shaken else sampled, None if ground is None else sampled[:, 1, 0]
-    carried = None if supports is None else supports(time)
-    stretching = Response(time, u, v, v, force, supports=carried).stretching
-    acceleration = structure.acceleration(*stretching, force, structure.parameters_like(u), hidden)
-    if structure.shapes is not None:
-        acceleration = acceleration if moved is None else acceleration - moved[:, None] * structure.with_ground
-        return _of_dofs(
-            structure.shapes, Response(time, u, v, acceleration, excitation_force(time), moved, hidden), frame
-        )
-    if moved is not None and frame == "relative":
+    moved, carried = None if ground is None else ground(time), None if supports is None else supports(time)
+    return response_of(
+        structure, Response(time, u, v, v, excitation_force(time), moved, hidden, supports=carried), frame
+    )
+
+
+def response_of(structure: Structure, motion: Response, frame: Frame) -> Response:
+    """The response of the DOFs, from the motion of a structure's coordinates and what acts.
+
+    Args:
+        structure: Whose equation of motion gives the acceleration, with the force at the samples.
+        motion: Displacement and velocity of the coordinates, hidden forces; force on the DOFs, and what moves ground
+            and supports.
+        frame: Of the acceleration, see :func:`simulate`.
+    """
+    shapes, moved, u = structure.shapes, motion.ground_acceleration, motion.displacement
+    force = motion.force if shapes is None else shapes.onto_coordinates(motion.force)
+    acceleration = structure.acceleration(*motion.stretching, force, structure.parameters_like(u), motion.hidden)
+    if moved is not None and (shapes is not None or frame == "relative"):
         acceleration = acceleration - moved[:, None] * structure.with_ground
-    return Response(time, u, v, acceleration, force, moved, hidden, supports=carried)
+    motion = replace(motion, acceleration=acceleration)
+    return motion if shapes is None else _of_dofs(shapes, motion, frame)
 
 
 def _check_modal(shapes: Shapes, hold: str, ground: Ground | None) -> None:

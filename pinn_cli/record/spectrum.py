@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pinn_cli.record.record import Record
-from pinn_cli.record.response import RESPONSE_QUANTITIES
-
 # Anti-alias filters leave little above 80 % of the Nyquist frequency; noise read there would come out too small.
 USABLE_NYQUIST_FRACTION = 0.8
 # Content 70 dB below a channel's mean square does not count as signal: a noise-free record has no band otherwise.
@@ -100,27 +97,6 @@ def _noise_floor(power: np.ndarray) -> float:
     emptiest = min(float(np.mean(part)) for part in parts)
     # Far less anywhere than in the upper half: content fills the half that the floor is read from.
     return max(emptiest if emptiest < FAR_BELOW * floor else floor, FINEST_FLOOR * float(power.mean()))
-
-
-def record_band(record: Record) -> float:
-    """The widest band of any measured channel of the record, Hz; at least the record's own frequency resolution.
-
-    The motion of the ground, or of a support, is followed as far as it may reach: where it shows no noise above its
-    content, that is all that can be used.
-    """
-    bands = [
-        signal_band(record.histories(quantity)[:, dof], record.step)
-        for quantity in (*record.response_quantities, "force")
-        for dof in np.flatnonzero(record.sensors(quantity))
-    ]
-    usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
-    for quantity in record.response_quantities[len(RESPONSE_QUANTITIES) :]:
-        bands += [
-            usable
-            for moved in record.histories(quantity)[:, record.sensors(quantity)].T
-            if visible_floor(moved, record.step) is None
-        ]
-    return max(*bands, 1.0 / record.duration)
 
 
 def white_level(residual: np.ndarray, step: float, above: float) -> float:

@@ -42,7 +42,7 @@ def substeps_needed(structure: Structure, step: float, step_times_rate: float = 
     """Steps of Runge-Kutta per sample that resolve the linear part's highest natural frequency and strongest damping.
 
     Of modes, those above the Nyquist frequency follow what acts on them at once: they need no more than to stay stable.
-    No number of steps is enough where a mass is zero: see :func:`has_equation_of_motion`.
+    No number of steps is enough where a mass is zero.
     """
     angle = step * _rates(structure).max(axis=0)
     beyond = (angle > math.pi) & (structure.shapes is not None)
@@ -97,8 +97,3 @@ def at_rest(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Size of stiffness (N/m) and of damping (N s/m) of every connection (C,), those of its law at rest included."""
     k, c = (np.abs(parts).sum(axis=0) for parts in structure.at_rest())
     return k, c
-
-
-def has_equation_of_motion(structure: Structure) -> bool:
-    """Whether every DOF has a mass; an estimated one may be at its bound, zero."""
-    return bool(structure.parameters["m"].all())

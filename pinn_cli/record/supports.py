@@ -1,12 +1,15 @@
-"""What was measured of supports that move, and its errors, integrated where it is a velocity or an acceleration."""
+"""What was measured of supports that move, at any time, and its errors; a velocity or acceleration is integrated."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
+from pinn_cli.record.between_samples import dense_spline
 from pinn_cli.record.record import Record
 from pinn_cli.system.quantities import MOTION, SUPPORT
 
@@ -17,6 +20,32 @@ def told_by(record: Record) -> list[tuple[str, int]]:
         min(((q, MOTION.index(SUPPORT[q])) for q in record.supports if record.sensors(q)[i]), key=lambda one: one[1])
         for i in range(len(record.support_names))
     ]
+
+
+def support_motion(record: Record, first: int = 0) -> Callable[[np.ndarray], np.ndarray] | None:
+    """From times (M,) from a sample on to the motion (M, 3, S) of the supports, by splines; None where none moves.
+
+    A velocity or an acceleration is integrated from :attr:`Record.supports_begin`, and so is the sensor's noise.
+    """
+    if not record.supports:
+        return None
+    time = record.time[first:]
+    begins = np.zeros((2, len(record.support_names))) if record.supports_begin is None else record.supports_begin
+    jets = []
+    for i, (quantity, order) in enumerate(told_by(record)):
+        spline = dense_spline(time, record.supports[quantity][first:, i])
+        # What is integrated begins as it is known to: a polynomial more.
+        start = Polynomial([begins[k, i] / math.factorial(k) for k in range(order)] or [0.0])
+        jets.append((spline.antiderivative(order), order, start))
+
+    def motion(at: np.ndarray) -> np.ndarray:
+        out = np.empty((len(at), 3, len(jets)))
+        for i, (history, order, start) in enumerate(jets):
+            for k in range(3):
+                out[:, k, i] = history(at, k) + (start.deriv(k)(at - time[0]) if order > k else 0.0)
+        return out
+
+    return motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.response import RESPONSE_QUANTITIES, Response
-from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.report.fitness import fitness_percent, fitness_table
 from pinn_cli.training.estimated_structure import estimated_structure
 
@@ -67,16 +66,11 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
         record: Whose force acts, and the motion of whose ground and supports; what these do between the samples is its
             ``intersample``.
     """
-    unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
-    if unknown.size:
-        return FreeRun(None, f"the force on {record.dof_names(unknown)} is unknown, and a free run needs every force")
     structure = estimated_structure(prescribed, estimate.parameters)
     try:
-        response = _simulated(structure, estimate, record)
-    except TooStiffError as error:
-        return FreeRun(None, f"the estimated system is too stiff for a free run: {error}")
-    except OverflowsError as error:
-        return FreeRun(None, f"the estimated system is unstable: its free run overflows at {error.time:.4g} s")
+        response = free_run_of(structure, record, estimate.response, 0)
+    except NoFreeRunError as error:
+        return FreeRun(None, str(error))
     return FreeRun(response, *_contradiction(structure, estimate, record, response))
 
 
@@ -104,14 +98,6 @@ def free_run_table(
         table.insert(list(table.columns).index("group"), "against", name)
         tables.append(table[table["quantity"].isin(RESPONSE_QUANTITIES)])
     return pd.concat(tables, ignore_index=True)
-
-
-def _simulated(structure: Structure, estimate: Estimate, record: Record, first: int = 0) -> Response:
-    """The structure under the force of the record and its ground, from the estimated state at sample ``first`` on."""
-    start, carried = estimate.response.state(first), estimate.response.supports
-    if carried is not None:
-        record = replace(record, supports_begin=carried[first, :2])
-    return resimulate(structure, record, start, first=first)
 
 
 def _contradiction(structure: Structure, estimate: Estimate, record: Record, response: Response) -> tuple[str, float]:
@@ -147,8 +133,8 @@ def _excused_agreement(structure: Structure, estimate: Estimate, record: Record,
         acting = replace(record, force=force, ground_acceleration=ground)
         if estimate.response.supports is not None:
             acting = acting.carried_by(estimate.response.supports, first)
-        return _agreement(_simulated(structure, estimate, acting, first), estimate)
-    except (OverflowsError, TooStiffError):
+        return _agreement(free_run_of(structure, acting, estimate.response, first, first), estimate)
+    except NoFreeRunError:
         return float("nan")
 
 

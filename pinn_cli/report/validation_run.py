@@ -19,9 +19,8 @@ import pandas as pd
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.ensemble import Members, affordable_members, spread_of
-from pinn_cli.record.resimulation import TooStiffError, resimulate
+from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS
-from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.record.supports import SupportErrors
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.report.results import with_labels
@@ -93,16 +92,13 @@ class ValidationRun:
         record = _as_calibrated(data.record, estimate)
         structure = estimated_structure(prescribed, estimate.parameters)
         at_rest = data.begins is None
-        start = _at_rest(structure) if data.begins is None else estimate.response.state(data.begins)
+        start = None if data.begins is None else estimate.response.state(data.begins)
         if data.begins is not None and estimate.response.supports is not None:
             record = replace(record, supports_begin=estimate.response.supports[data.begins, :2])
         try:
-            response = resimulate(structure, record, start)
-        except TooStiffError as error:
-            return cls(record, data.first, at_rest, None, None, f"the identified system is too stiff: {error}")
-        except OverflowsError as error:
-            finding = f"the identified system is unstable: it overflows at {error.time:.4g} s"
-            return cls(record, data.first, at_rest, None, None, finding)
+            response = free_run(structure, record, start)
+        except NoFreeRunError as error:
+            return cls(record, data.first, at_rest, None, None, str(error))
         members = _members(structure, estimate, (seen, record), data.begins, draws, seed)
         std = None if members is None else spread_of(members, structure, record, response)
         return cls(record, data.first, at_rest, response, std)

@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import LOWEST_BINS, group_starts, lowest_level, record_band
+from pinn_cli.record.spectrum import LOWEST_BINS, group_starts, lowest_level
 from pinn_cli.record.supports import told_by
 from pinn_cli.scheme.lagged_products import Products
 from pinn_cli.system.quantities import FORCE

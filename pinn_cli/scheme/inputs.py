@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.system.quantities import FORCE

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.channel_doubts import ChannelDoubts
 from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from pinn_cli.model.model import Model
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.calibration import calibrated_starts

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.gauge import DEGREE, Gauge
+from pinn_cli.record.between_samples import BandLimited
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
 from pinn_cli.system.quantities import CALIBRATION_UNITS, TILT
@@ -82,13 +83,11 @@ def _shown(
     gauge: Gauge, found: dict[str, float], time: np.ndarray, response: Response
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,), the estimate with the gauge's residuals on it, and (N,) bool, where it has one."""
-    from scipy.interpolate import make_interp_spline
-
     (felt_at, felt), (place, inside) = gauge.calibrated(found), sample_places(gauge, found, time)
     estimated, felt_by_it = _estimated(response, gauge, found)
     shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
     expected = gauge.passed(time, felt_by_it, found)
-    left = felt[inside] - make_interp_spline(time, expected, DEGREE)(felt_at[inside])
+    left = felt[inside] - BandLimited(time, expected)(felt_at[inside])
     if gauge.filter_order:
         decays = gauge.decays(time, found)[place[inside]]
         left = left - decays @ np.linalg.lstsq(decays, left)[0]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.record_scales import force_and_velocity_scale

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.spectrum import record_band
+from pinn_cli.record.channels import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.damping import RATIO
 from pinn_cli.system.natural_modes import NaturalModes

@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.model.model import Model
-from pinn_cli.record.ensemble import Members, Replay, affordable_members, followed_members
+from pinn_cli.record.ensemble import Members, Replay, affordable_members, distance, followed_members
+from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.input_force import input_force
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
-from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.record.spectrum import lowest_level, visible_floor
 from pinn_cli.record.supports import SupportErrors
 from pinn_cli.scheme.problem import Problem
@@ -58,11 +57,9 @@ class Predictor(TrainedNetwork):
         structure, record = problem.structure, problem.record
         start = [*self.scheme.start, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
         try:
-            response = resimulate(structure, record, start)
-        except TooStiffError as error:
-            raise DivergenceError(f"the identified structure is too stiff for this record: {error}") from error
-        except OverflowsError as error:
-            raise DivergenceError(f"the identified structure overflows at {error.time:.4g} s") from error
+            response = free_run(structure, record, start)
+        except NoFreeRunError as error:
+            raise DivergenceError(str(error)) from error
         parameters, correlation = _estimates(problem), None if problem.prior is None else problem.prior.correlation
         draws = self._draws(problem, parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
@@ -106,17 +103,17 @@ class _Band:
         count, n = len(members.start), structure.coordinates
         largest = {q: np.zeros((count, record.ndof)) for q in RESPONSE_QUANTITIES}
         largest |= {"drift": np.zeros((count, drifts.shape[0])), "connection_force": np.zeros((count, len(added)))}
+        parameters = members.parameters_beside(structure)
         with np.errstate(over="ignore", invalid="ignore"):
-            for part, motion, states, carried in followed_members(members, structure, record):
+            for part, motion, states, carried in followed_members(members, structure, record, response.state(0)):
                 u, v = (np.concatenate((states[..., k * n : (k + 1) * n], carried[..., k, :]), -1) for k in range(2))
                 e, de = structure.elongation(u), structure.elongation(v)
                 z = states[..., 2 * n :] if len(structure.memory) else None
-                force = structure.connection_force(e, de, members.parameters, z)
+                force = structure.connection_force(e, de, parameters, z)
                 every = motion | {"drift": u @ drifts.T, "connection_force": force[..., added]}
                 for name, values in every.items():
-                    np.maximum(largest[name], np.abs(values).max(axis=0), out=largest[name])
-                    centre, into = self._of(name)
-                    into[part] = np.sqrt(np.mean((values - centre[part, None]) ** 2, axis=1))
+                    np.maximum(largest[name], np.abs(values[:, :-1]).max(axis=0), out=largest[name])
+                    self._of(name)[1][part] = distance(values)
         self.largest = largest
 
     def _of(self, name: str) -> tuple[np.ndarray, np.ndarray]:

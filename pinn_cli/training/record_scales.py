@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 
 # How far a separate velocity output may be from the displacement's derivative, relative to the velocities that the

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel
+from pinn_cli.record.channels import Channel, record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band, white_level
+from pinn_cli.record.spectrum import white_level
 
 # Of the 95 % band of a normal distribution.
 NINETY_FIVE_PERCENT = 1.959963984540054

@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.channels import channels
+from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import MINIMUM_SAMPLES, Record
-from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import Response
-from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, whole_number
@@ -74,7 +73,7 @@ class Forecast(Validation):
                 before = self._up_to(start, problem, setup)
                 found = setup.estimator.solve(before, setup.run)
                 forecast = _forecast(problem.record, found, setup, start, start + self._length(problem.record))
-            except (DivergenceError, OverflowsError, TooStiffError) as error:
+            except (DivergenceError, NoFreeRunError) as error:
                 reason = f"with the record up to {problem.record.time[start]:.4g} s: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
@@ -117,6 +116,5 @@ class Forecast(Validation):
 def _forecast(record: Record, found: Estimate, setup: Setup, start: int, end: int) -> Response:
     """From shortly before a block to its end."""
     first = start - max(1, round(LEAD * start))
-    state = found.response.state(first)
     structure = estimated_structure(setup.prescribed, found.parameters)
-    return resimulate(structure, record.until(end), state, first=first)
+    return free_run_of(structure, record.until(end), found.response, first, first)

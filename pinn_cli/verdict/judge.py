@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pinn_cli.record.channels import channels
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.reach import unreached_dofs
-from pinn_cli.system.modes import modes_of
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.verdict.causes import causes as fitted_causes
@@ -27,13 +25,12 @@ from pinn_cli.verdict.first_samples import first_sample_findings
 from pinn_cli.verdict.input_findings import input_findings
 from pinn_cli.verdict.noise_findings import noise_findings
 from pinn_cli.verdict.parameter_findings import baseline_findings, parameter_findings
-from pinn_cli.verdict.prediction import Prediction, is_linear, predicted
+from pinn_cli.verdict.prediction import predicted, prediction_of
 from pinn_cli.verdict.record_faults import record_faults
 from pinn_cli.verdict.sampling_findings import sampling_findings
 from pinn_cli.verdict.sensor_findings import sensor_findings
 
 if TYPE_CHECKING:
-    from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
     from pinn_cli.scheme.problem import Problem
     from pinn_cli.system.structure import Structure
@@ -45,8 +42,6 @@ TOLD_BY_CAUSES = (MASS, "gain", "delay")
 MOST_EXPLAINED = 0.5
 # NMSE of every sensor up to which a free run calls for no cause.
 PREDICTED = 0.02
-# Share of the Nyquist frequency up to which the report's free run follows the force well between its samples.
-WELL_SAMPLED = 0.5
 
 
 def judge(
@@ -69,7 +64,10 @@ def judge(
     record, structure = problem.record, estimated_structure(problem.structure, estimate.parameters)
     own = record_faults(record) + _unreached(problem) + first_sample_findings(record, estimate)
     excused = [finding.suspect for finding in own]
-    prediction = _prediction(structure, record, estimate, free_run)
+    if free_run is None:
+        prediction = predicted(structure, record, estimate.response.state(0))
+    else:
+        prediction = prediction_of(structure, record, free_run)
     findings = sensor_findings(problem, estimate, prediction) + noise_findings(problem, estimate)
     findings += parameter_findings(problem, estimate, structure) + baseline_findings(estimate, baseline, problem.record)
     findings += change_findings(estimate) + input_findings(problem, estimate, structure)
@@ -119,15 +117,6 @@ def _furthest(estimate: Estimate) -> float:
     """Largest change of a parameter from where it was prescribed, over its prescribed value."""
     moved = [abs(p.estimate - p.prescribed) / abs(p.prescribed) for p in estimate.parameters if p.prescribed]
     return max(moved, default=0.0)
-
-
-def _prediction(
-    structure: Structure, record: Record, estimate: Estimate, free_run: Response | None
-) -> Prediction | None:
-    """Of the estimated structure; a nonlinear one takes a second to simulate, which is saved where that was done."""
-    if free_run is not None and not is_linear(structure) and record_band(record) < WELL_SAMPLED * 0.5 / record.step:
-        return Prediction(free_run, record, modes_of(structure))
-    return predicted(structure, record, estimate.response.state(0))
 
 
 def _believed(problem: Problem, estimate: Estimate) -> Structure:

@@ -6,15 +6,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.fft import irfft, rfft
-from scipy.interpolate import make_interp_spline
 
-from pinn_cli.record.resimulation import support_motion
-from pinn_cli.record.simulation import OverflowsError, simulate
-from pinn_cli.record.steps import TooStiffError, method_needed, with_slow_followers
+from pinn_cli.record.free_run import NoFreeRunError, affordable, free_run, is_linear
 from pinn_cli.system.modes import Modes, modes_of
 from pinn_cli.system.support import loose_dofs
-from pinn_cli.verdict.linear_response import decays, felt_modes, linear_response
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,19 +17,10 @@ if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
-    from pinn_cli.record.runge_kutta import Force
     from pinn_cli.system.structure import Structure
 
-# Steps of Runge-Kutta, 45 us each: a nonlinear chain is followed for the first part of a longer record only.
-MOST_STEPS = 40_000
-# Steps of Runge-Kutta that take as long as the implicit steps of a sample.
-OF_IMPLICIT = 10
-# A spline through samples this many times as dense follows a history up to the Nyquist frequency to 1e-3.
-DENSER, SPLINE_DEGREE = 4, 5
-# Dense samples behind a part of a history that its spline goes through as well: none further on reaches into the part
-# (each counts 0.43 times as much as the one before it).
-BEYOND_PART = 64
-LINEAR = ("m", "c", "k")
+# Samples for each pole that a part of a record needs: of fewer free decays leave nothing to compare.
+SAMPLES_PER_POLE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +28,7 @@ class Prediction:
     """A response to the measured force, and the part of the record that it is of.
 
     Attributes:
-        response: (M, n) each, up to free decays.
+        response: (M, n) each; how the structure began does not matter.
         record: Its first M samples.
         modes: Of the structure without its nonlinearity, whose free decays count as part of the prediction.
     """
@@ -53,7 +39,7 @@ class Prediction:
     _decays: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict)
 
     def decays(self, channel: Channel) -> np.ndarray:
-        """See :func:`pinn_cli.verdict.linear_response.decays`; channels that feel the same modes share theirs."""
+        """See :func:`decays`; channels that feel the same modes share theirs."""
         seen = felt_modes(self.modes, channel)
         if seen not in self._decays:
             self._decays[seen] = decays(self.modes, seen, self.record)
@@ -61,88 +47,48 @@ class Prediction:
 
 
 def predicted(structure: Structure, record: Record, start: Sequence[np.ndarray] | None = None) -> Prediction | None:
-    """The response of a structure to the record's force; None where a force is unknown or the structure is unstable.
+    """The free run of a structure through as much of a record as is affordable; None where it has none.
+
+    That of a linear structure whose free motion grows is none either.
 
     Args:
-        structure: Any. A linear one is solved in the frequency domain, exactly and in milliseconds; another one is
-            simulated from ``start`` on.
-        record: For its force and its times.
-        start: Displacement and velocity (n,) at the first sample; None: rest. Of a linear chain it does not matter.
+        structure: Any.
+        record: For what acts.
+        start: See :func:`pinn_cli.record.free_run.free_run`. Of a linear structure it does not matter.
     """
-    if not np.isfinite(record.force).all():
-        return None
-    parameters = structure.parameters_like(np.empty(0))
-    if not all(np.isfinite(value).all() for value in parameters.values()) or (parameters["m"] <= 0).any():
-        return None
-    modes = modes_of(structure)
-    # A body that nothing holds has no response that repeats itself: it is simulated.
-    if is_linear(structure) and not loose_dofs(structure):
-        response = linear_response(modes, record)
-        finite = np.isfinite(response.displacement).all() and modes.stable
-        return Prediction(response, record, modes) if finite else None
-    structure = with_slow_followers(structure, record.step)
-    method, substeps = method_needed(structure, record.step)
-    samples = min(len(record.time), MOST_STEPS // (substeps if method == "rk4" else OF_IMPLICIT))
-    if samples < len(modes.poles) * 8:
-        return None
-    part = record.until(samples)
-    hold = "zero_order" if record.intersample == "zero_order_hold" else "exact"
-    moved = record.ground_acceleration
-    ground = None if moved is None else between_samples(record, moved, samples)
-    force = force_between_samples(record, hold, samples)
     try:
-        response = simulate(
-            structure, force, part.time, hold, method, substeps, initial=start, ground=ground,
-            supports=support_motion(record), frame=record.frame,
-        )  # fmt: skip
-    except (OverflowsError, TooStiffError):
+        part = affordable(structure, record)
+        response = free_run(structure, part, start)
+    except NoFreeRunError:
         return None
-    return Prediction(response, part, modes)
+    found = prediction_of(structure, part, response)
+    short = found is not None and part is not record and len(part.time) < SAMPLES_PER_POLE * len(found.modes.poles)
+    return None if short else found
 
 
-def is_linear(structure: Structure) -> bool:
-    """Whether every nonlinear parameter of a structure is zero."""
-    return not any(bool(value.any()) for name, value in structure.parameters.items() if name not in LINEAR)
+def prediction_of(structure: Structure, record: Record, response: Response) -> Prediction | None:
+    """The same, where somebody has the free run already."""
+    modes = modes_of(structure)
+    # A body that nothing holds moves away, and is no less stable for it.
+    grows = is_linear(structure) and not modes.stable and not loose_dofs(structure)
+    return None if grows else Prediction(response, record, modes)
 
 
-def force_between_samples(record: Record, hold: str, samples: int | None = None) -> Force:
-    """The force at any time of the record, see :func:`between_samples`."""
-    if hold == "zero_order":
-        return lambda time: record.force[: len(time)]
-    return between_samples(record, record.force, samples)
+def felt_modes(modes: Modes, channel: Channel) -> tuple[int, ...]:
+    """Numbers of the modes, one of every pair, that move where a channel's sensor is."""
+    upper = np.flatnonzero(modes.poles.imag >= 0)
+    shape = modes.shapes[channel.dof, upper]
+    return tuple(upper[np.abs(shape) > 1e-9 * np.max(np.abs(modes.shapes))].tolist())
 
 
-def between_samples(record: Record, values: np.ndarray, samples: int | None = None) -> Force:
-    """A band-limited history at any time of the record, from its samples (N,) or (N, n).
+def decays(modes: Modes, felt: Sequence[int], record: Record) -> np.ndarray:
+    """Orthonormal histories (N, p), p <= 2n: all that a free motion can put into a channel that feels some modes.
 
-    Between samples taken barely fast enough a spline loses a good part of it, so it goes through the samples of
-    the same sinusoids taken `DENSER` times as often. The record is mirrored at its end to make it periodic.
-
-    Args:
-        record: For its times.
-        values: Of a force most columns are zero as a rule, and stay so.
-        samples: The first ones, up to which alone the history is asked for; None: all.
+    Whatever the structure did before the record began lies in their span.
     """
-    columns = values.reshape(len(values), -1)
-    acting = np.flatnonzero(columns.any(axis=0))
-    last = len(record.time) - 1
-    end = DENSER * last if samples is None else min(DENSER * last, DENSER * (samples - 1) + BEYOND_PART)
-    times = np.linspace(record.time[0], record.time[-1], DENSER * last + 1)[: end + 1]
-    splines = [make_interp_spline(times, _denser(columns[:, i])[: end + 1], k=SPLINE_DEGREE) for i in acting]
-
-    def history(time: np.ndarray) -> np.ndarray:
-        out = np.zeros((*np.shape(time), columns.shape[1]))
-        for column, spline in zip(acting, splines, strict=True):
-            out[..., column] = spline(time)
-        return out.reshape(*np.shape(time), *values.shape[1:])
-
-    return history
-
-
-def _denser(values: np.ndarray) -> np.ndarray:
-    """The sinusoids of samples (N,), mirrored at their end, taken `DENSER` times as often."""
-    mirrored = np.concatenate((values, values[-2:0:-1]))
-    spectrum = rfft(mirrored)
-    spectrum[-1] *= 0.5  # the Nyquist line of an even number of samples stands for two once there are more samples
-    dense: np.ndarray = DENSER * irfft(spectrum, DENSER * len(mirrored))
-    return dense
+    poles = modes.poles[list(felt)]
+    time = record.time - record.time[0]
+    waves = np.exp(np.minimum(poles.real, 0.0) * time[:, None] + 1j * poles.imag * time[:, None])
+    basis, triangle = np.linalg.qr(np.hstack([waves.real, waves.imag]))
+    size = np.abs(np.diag(triangle))
+    return basis[:, size > 1e-8 * np.max(size, initial=1e-300)]

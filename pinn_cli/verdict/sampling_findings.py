@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pinn_cli.record.between_samples import FIRST_ORDER_HOLD, held_by_lines
 from pinn_cli.record.channels import channels
-from pinn_cli.record.interpolation import FIRST_ORDER_HOLD, held_by_lines
+from pinn_cli.record.free_run import is_linear
 from pinn_cli.record.spectrum import periodogram, reaches_nyquist
 from pinn_cli.system.quantities import FORCE, GROUND
 from pinn_cli.verdict.finding import Finding
 from pinn_cli.verdict.noise_findings import noise_found
-from pinn_cli.verdict.prediction import is_linear, predicted
+from pinn_cli.verdict.prediction import predicted
 
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record

@@ -8,8 +8,8 @@ from small_problems import accelerations, measured, small_chain, sped_up
 
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline, SplineNetwork
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import InputError
 
 DESIGNS = {"spline": Spline, "fourier": Fourier}

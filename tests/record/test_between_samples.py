@@ -1,19 +1,30 @@
-"""Histories between their samples: what is told in the middle, and what is left open at the ends."""
+"""Histories between their samples: what is told in the middle, what is left open at the ends, holds, straight lines."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from pinn_cli.record.between_samples import LEAST_NOISE, refined_history, refined_times
+from pinn_cli.record.between_samples import (
+    LEAST_NOISE,
+    BandLimited,
+    Held,
+    between_samples,
+    held_by_lines,
+    refined,
+    refined_times,
+    samples_per_line,
+)
 
 SAMPLES = 400
 
 
-def band_limited(highest: float, seed: int = 0, tones: int = 200):
+def band_limited(highest: float, seed: int = 0, tones: int = 200, gap: tuple[float, float] = (0.0, 0.0)):
     """A function of time in samples, with its power spread evenly up to ``highest`` cycles a sample; rms 1."""
     rng = np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.0, highest, tones), rng.uniform(0.0, 2.0 * np.pi, tones)
+    frequency = frequency[(frequency < gap[0]) | (frequency > gap[1])]
+    phase, tones = phase[: len(frequency)], len(frequency)
     return lambda t: np.sqrt(2.0 / tones) * np.cos(2.0 * np.pi * frequency * t[:, None] + phase).sum(1)
 
 
@@ -21,7 +32,7 @@ def band_limited(highest: float, seed: int = 0, tones: int = 200):
 @pytest.mark.parametrize("highest", [0.1, 0.3, 0.39])
 def test_the_middle_of_a_band_limited_history_is_told(highest, refinement):
     history = band_limited(highest)
-    found, _ = refined_history(history(np.arange(SAMPLES))[:, None], refinement)
+    found, _ = refined(history(np.arange(SAMPLES))[:, None], refinement)
     truth = history(np.arange(len(found)) / refinement)
     middle = slice(40 * refinement, -40 * refinement)
     assert np.std((found[:, 0] - truth)[middle]) < 1e-4
@@ -30,7 +41,7 @@ def test_the_middle_of_a_band_limited_history_is_told(highest, refinement):
 @pytest.mark.parametrize("refinement", [2, 4])
 def test_samples_stay_what_they_are(refinement):
     values = np.random.default_rng(0).normal(size=(50, 3))
-    found, std = refined_history(values, refinement)
+    found, std = refined(values, refinement)
     assert found.shape == (49 * refinement + 1, 3)
     np.testing.assert_array_equal(found[::refinement], values)
     np.testing.assert_array_equal(std[::refinement], 0.0)
@@ -38,7 +49,7 @@ def test_samples_stay_what_they_are(refinement):
 
 def test_one_point_a_sample_is_the_history_itself():
     values = np.random.default_rng(0).normal(size=(50, 2))
-    found, std = refined_history(values, 1)
+    found, std = refined(values, 1)
     np.testing.assert_array_equal(found, values)
     assert not std.any()
 
@@ -46,10 +57,12 @@ def test_one_point_a_sample_is_the_history_itself():
 @pytest.mark.parametrize("refinement", [2, 3])
 def test_the_standard_deviation_is_the_error_at_the_ends(refinement):
     """Over many histories that fill the band that the interpolation expects."""
-    histories, count = [band_limited(0.45, seed, tones=100) for seed in range(300)], 100
+    # A gap in the band shows that there is no noise.
+    histories, count = [band_limited(0.47, seed, gap=(0.19, 0.236)) for seed in range(300)], SAMPLES
     samples, fine = np.arange(count), np.arange((count - 1) * refinement + 1) / refinement
-    found, std = refined_history(np.stack([h(samples) for h in histories], 1), refinement)
+    found, std = refined(np.stack([h(samples) for h in histories], 1), refinement)
     error = np.sqrt(np.mean((found - np.stack([h(fine) for h in histories], 1)) ** 2, axis=1))
+    std = np.sqrt(np.mean(std**2, axis=1))
     between = np.arange(len(fine)) % refinement > 0
     ends = between & ((fine < 3.0) | (fine > count - 4.0))
     np.testing.assert_allclose(std[ends], error[ends], rtol=0.2)
@@ -60,18 +73,16 @@ def test_the_standard_deviation_is_the_error_at_the_ends(refinement):
 def test_noisy_samples_are_not_blown_up():
     """Between white samples that a band fills, interpolation adds no more noise than a sample has."""
     noise = np.random.default_rng(0).normal(size=(SAMPLES, 100))
-    for level in (0.0, 0.1):
-        found, _ = refined_history(0.1 * noise, 3, level)
-        middle = found[60:-60]
-        assert middle[1::3].std() < 1.05 * 0.1
+    found, _ = refined(0.1 * noise, 3)
+    assert found[60:-60][1::3].std() < 1.05 * 0.1
     assert LEAST_NOISE < 1e-6
 
 
 def test_a_record_shorter_than_the_reach_is_interpolated_from_all_of_it():
     samples, rms = np.arange(40), 0.5**0.5
-    found, std = refined_history(np.cos(samples)[:, None], 2)
+    found, std = refined(np.cos(samples)[:, None], 2)
     error = np.abs(found[:, 0] - np.cos(np.arange(79) / 2)) / rms
-    assert np.all(error <= 3.0 * std + 1e-3)
+    assert np.all(error <= 3.0 * std[:, 0] / rms + 1e-3)
     assert error[20:60].max() < 3e-3
 
 
@@ -88,6 +99,108 @@ def test_a_noisy_history_keeps_its_size_up_to_nine_tenths_of_the_nyquist_frequen
     """What is most probable of it is smaller, by a hundredth at 20 dB."""
     history, rng = band_limited(0.45), np.random.default_rng(1)
     samples = history(np.arange(4000.0))
-    found, _ = refined_history((samples + noise * rng.normal(size=4000))[:, None], 3, noise)
+    found, _ = refined((samples + noise * rng.normal(size=4000))[:, None], 3)
     truth, between = history(np.arange(len(found)) / 3), np.arange(len(found)) % 3 > 0
     assert found[between, 0] @ truth[between] / (truth[between] @ truth[between]) == pytest.approx(1.0, abs=0.003)
+
+
+@pytest.mark.parametrize("part", [0.05, 0.25, 0.5, 0.9])
+def test_a_force_up_to_a_part_of_the_nyquist_frequency_is_followed_between_its_samples(part):
+    rng, time = np.random.default_rng(0), np.arange(1000.0)
+    omega, phase = rng.uniform(0.0, np.pi * part, 60), rng.uniform(0.0, 2.0 * np.pi, 60)
+
+    def exact(at: np.ndarray) -> np.ndarray:
+        return np.cos(at[:, None] * omega + phase).sum(axis=1)
+
+    between = time[:-1] + 0.4
+    off = np.abs(BandLimited(time, exact(time))(between) - exact(between)) / np.std(exact(time))
+    assert off[50:-50].max() < 1e-4
+    assert off.max() < 0.15
+
+
+def test_a_history_may_be_asked_for_at_times_of_any_shape():
+    time, times = np.linspace(0.0, 1.0, 21), np.linspace(0.0, 1.0, 12).reshape(3, 4)
+    force = np.stack((np.sin(3.0 * time), np.zeros(21)), axis=1)
+    found = BandLimited(time, force)(times)
+    assert found.shape == (3, 4, 2)
+    np.testing.assert_array_equal(found.reshape(-1, 2), BandLimited(time, force)(times.reshape(-1)))
+    assert not found[..., 1].any()
+    assert BandLimited(time, force[:, 0])(times).shape == (3, 4)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_a_slow_history_is_told_at_its_ends_as_well_as_its_noise_allows(noise):
+    """And by no more than it is in error: a slow one is no history that fills the band."""
+    rng, samples = np.random.default_rng(0), np.arange(float(SAMPLES))
+    histories = [band_limited(0.1, seed) for seed in range(40)]
+    clean = np.stack([h(samples) for h in histories], 1)
+    found, std = refined(clean + noise * rng.normal(size=clean.shape), 2)
+    error = found - np.stack([h(np.arange(len(found)) / 2) for h in histories], 1)
+    ends = [1, 3, 5, -6, -4, -2]
+    assert np.sqrt(np.mean(error[ends] ** 2)) < 1.6 * noise + 1e-3
+    assert np.sqrt(np.mean(std[ends] ** 2)) < 1.6 * noise + 1e-3
+
+
+@pytest.mark.parametrize("values", [np.zeros(30), np.zeros((30, 2))])
+def test_nothing_stays_nothing(values):
+    assert not BandLimited(np.arange(30.0), values)(np.linspace(0.0, 29.0, 100)).any()
+
+
+def test_a_held_history_keeps_its_samples():
+    time, values = 0.1 * np.arange(30), np.random.default_rng(0).normal(size=(30, 2))
+    history = between_samples(time, values, "zero_order_hold")
+    assert isinstance(history, Held)
+    np.testing.assert_array_equal(history(time), values)
+    np.testing.assert_array_equal(history(time[:-1] + 0.09), values[:-1])
+    np.testing.assert_array_equal(history.within(np.array([0.0, 0.5, 1.0])), np.stack([values[:-1]] * 3))
+
+
+def test_parts_of_steps_are_what_times_are():
+    time, values = 0.1 * np.arange(30), np.random.default_rng(0).normal(size=30)
+    history = between_samples(time, values, "band_limited")
+    parts = history.within(np.array([0.0, 0.25]))
+    np.testing.assert_allclose(parts[0], values[:-1], atol=1e-12)
+    np.testing.assert_allclose(parts[1], history(time[:-1] + 0.025), atol=1e-12)
+
+
+def noise(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:
+    """Band-limited, with content up to a frequency per sample."""
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
+    return np.fft.irfft(np.where(np.fft.rfftfreq(count) <= cutoff, spectrum, 0.0), count)
+
+
+def interpolated(values: np.ndarray, every: int) -> np.ndarray:
+    places = np.arange(every * (len(values) - 1) + 1) / every
+    return np.interp(places, np.arange(len(values)), values)
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_what_lines_hold_below_the_nyquist_frequency_moves_a_slow_mass_as_the_lines_do(every: int):
+    """Against the lines themselves, a hundred times as dense, behind an ideal low-pass filter."""
+    samples = interpolated(noise(0, 600), every)
+    dense = interpolated(samples, 100)
+    spectrum = np.fft.rfft(dense * np.hanning(len(dense)))
+    spectrum[np.fft.rfftfreq(len(dense), 0.01) > 0.5] = 0.0
+    expected = np.fft.irfft(spectrum, len(dense))[::100]
+    found = held_by_lines(samples) * np.hanning(len(dense))[::100]
+    inside = slice(50, -50)
+    assert np.std(found[inside] - expected[inside]) < 0.01 * np.std(expected)
+    assert np.std(samples * np.hanning(len(dense))[::100] - expected) > 0.02 * np.std(expected)
+
+
+@pytest.mark.parametrize("every", [2, 3, 5])
+@pytest.mark.parametrize("snr_db", [30.0, 60.0])
+def test_lines_over_several_samples_are_found_in_noise(every: int, snr_db: float):
+    lines = interpolated(noise(1, 400), every)
+    noisy = lines + 10 ** (-snr_db / 20) * lines.std() * np.random.default_rng(2).standard_normal(len(lines))
+    assert samples_per_line(noisy) == every
+
+
+@pytest.mark.parametrize("cutoff", [0.02, 0.1, 0.3, 0.5])
+def test_a_signal_without_lines_has_none(cutoff: float):
+    for seed in range(40):
+        signal = noise(seed, 1000, cutoff) * np.exp(-np.linspace(0.0, 6.0, 1000))
+        white = np.random.default_rng(seed).standard_normal(1000)
+        assert samples_per_line(signal + 0.01 * signal.std() * white) == 1
+    assert samples_per_line(np.zeros(1000)) == 1
+    assert samples_per_line(np.arange(5.0)) == 1

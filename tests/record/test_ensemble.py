@@ -10,8 +10,8 @@ from small_problems import small_chain
 from structures import braced, carried, hysteretic, modal
 
 from pinn_cli.record.ensemble import Members, Replay, spread_of
+from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
@@ -52,7 +52,7 @@ def test_members_are_simulations(structure, settings):
         kind: value * (1.0 + 0.1 * random.uniform(-1.0, 1.0, (3, len(value))))
         for kind, value in structure.parameters_like(np.empty(0)).items()
     }
-    about = resimulate(structure, record, None)
+    about = free_run(structure, record, None)
     members = Members(parameters, start, np.zeros((0, structure.coordinates)), 0)
     found = spread_of(members, structure, record, about)
     n = structure.coordinates
@@ -60,7 +60,7 @@ def test_members_are_simulations(structure, settings):
     for i in range(3):
         values = {p: parameters[p.kind][i, p.index] for p in structure.every_parameter()}
         parts = [start[i, :n], start[i, n : 2 * n], *([start[i, 2 * n :]] if len(structure.memory) else [])]
-        single.append(resimulate(structure.with_values(values), record, parts))
+        single.append(free_run(structure.with_values(values), record, parts))
     for quantity in RESPONSE_QUANTITIES:
         distance = [getattr(each, quantity) - getattr(about, quantity) for each in single]
         expected = np.sqrt(np.mean(np.square(distance), axis=0))
@@ -77,12 +77,12 @@ def test_white_forces_move_an_oscillator_as_the_textbook_says():
     sigma, step = 0.7, record.step
     parameters = {kind: np.tile(x, (64, 1)) for kind, x in structure.parameters_like(np.empty(0)).items()}
     members = Members(parameters, np.zeros((64, 2)), np.array([[sigma]]), 1)
-    found = spread_of(members, structure, record, resimulate(structure, record, None))
+    found = spread_of(members, structure, record, free_run(structure, record, None))
     # Of white noise with the covariance sigma^2 step delta(t): its variance over 2 c k, and over 2 c m of the velocity.
     late = time > 5.0
     variance = [float(np.mean(x[late] ** 2)) for x in (found.displacement, found.velocity)]
     np.testing.assert_allclose(variance, [sigma**2 * step / (4.0 * 25.0), sigma**2 * step / 4.0], rtol=0.1)
-    again = spread_of(members, structure, record, resimulate(structure, record, None))
+    again = spread_of(members, structure, record, free_run(structure, record, None))
     np.testing.assert_array_equal(found.displacement, again.displacement)
 
 
@@ -107,7 +107,7 @@ def test_a_replayed_resonance_moves_an_oscillator_more_than_white_noise_of_its_s
     history = np.sin(5.0 * np.arange(100_000) * record.step)[:, None]
     replay = Replay.drawn(history, 1.0, 32, 0)
     members = Members(parameters, np.zeros((32, 2)), np.zeros((0, 1)), 1, replay)
-    found = spread_of(members, structure, record, resimulate(structure, record, None)).displacement
+    found = spread_of(members, structure, record, free_run(structure, record, None)).displacement
     late = time > 30.0  # 1 / (c omega) of the textbook, root mean square
     assert np.sqrt(np.mean(found[late] ** 2)) == pytest.approx(1.0 / (0.2 * 5.0) / np.sqrt(2.0), rel=0.1)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pinn_cli.record.interpolation import held_by_lines
+from pinn_cli.record.between_samples import held_by_lines
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Record
 from pinn_cli.record.repeats import Repeats

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.system.connection import Jenkins
 from pinn_cli.system.structure import Structure
@@ -39,7 +39,7 @@ def coulomb(time: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("law", [{"law": "friction"}, {"law": "friction", "speed": 1e-5}], ids=["sticks", "creeps"])
 def test_a_free_decay_under_friction_ends_where_it_sticks(law):
-    found = resimulate(rubbing(**law), left_alone(), ([BEFORE * F_C / K], [0.0]))
+    found = free_run(rubbing(**law), left_alone(), ([BEFORE * F_C / K], [0.0]))
     expected = coulomb(TIME)
     assert np.abs(found.displacement[:, 0] - expected).max() < 2e-3 * expected.max()
     assert np.abs(found.acceleration[-20:]).max() < 1e-3 * F_C / M
@@ -48,7 +48,7 @@ def test_a_free_decay_under_friction_ends_where_it_sticks(law):
 def test_a_stiff_contact_holds_what_friction_holds():
     """It ends within a few of its own yields of where friction without any ends."""
     contact = rubbing(law="jenkins", k_t=3e5, sharpness=20.0)
-    found = resimulate(contact, left_alone(), ([BEFORE * F_C / K], [0.0]))
+    found = free_run(contact, left_alone(), ([BEFORE * F_C / K], [0.0]))
     assert np.abs(found.displacement[-1, 0] - coulomb(TIME)[-1]) < 8.0 * F_C / 3e5
     assert found.hidden is not None
     assert np.abs(found.hidden).max() < 1.01 * F_C
@@ -67,7 +67,7 @@ def test_a_held_force_above_friction_moves_and_one_below_does_not():
 
 def test_members_that_differ_in_nothing_do_what_one_alone_does():
     structure, start = rubbing(law="friction"), [BEFORE * F_C / K, 0.0]
-    one = resimulate(structure, left_alone(), (start[:1], start[1:]))
+    one = free_run(structure, left_alone(), (start[:1], start[1:]))
     own = {kind: np.tile(value.numpy(), (3, 1)) for kind, value in structure.parameters.items()}
     own["F_c"] *= np.array([[1.0], [1.0], [1.1]])
     members = Members(own, np.tile(start, (3, 1)), np.zeros((0, 1)), 0)

@@ -8,8 +8,8 @@ import torch
 from scipy.integrate import solve_ivp
 
 from pinn_cli.record.ensemble import Members, spread_of
+from pinn_cli.record.free_run import free_run
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.supports import SupportErrors
 from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.system.structure import Structure
@@ -69,7 +69,7 @@ def record_of(order: int, duration: float = 6.0) -> Record:
 @pytest.mark.parametrize(("order", "friction"), [(0, False), (1, False), (2, False), (0, True)])
 def test_it_moves_as_the_equations_written_out_say(order, friction):
     record = record_of(order)
-    found = resimulate(frame(friction), record, None)
+    found = free_run(frame(friction), record, None)
     inside = slice(None) if friction else slice(20, -20)  # what ends a record is interpolated less well
     expected = by_hand(record.time, friction)
     for given, true in zip((found.displacement, found.velocity, found.acceleration), expected, strict=True):
@@ -98,7 +98,7 @@ def test_errors_of_a_displacement_and_of_an_acceleration():
 def test_members_share_the_supports_and_not_their_errors():
     structure, record = frame().with_parameters(kappa=torch.zeros(1, dtype=torch.float64)), record_of(0)
     parameters = {kind: np.tile(x, (200, 1)) for kind, x in structure.parameters_like(np.empty(0)).items()}
-    about = resimulate(structure, record, None)
+    about = free_run(structure, record, None)
     none = np.zeros((0, 2))
     still = spread_of(Members(parameters, np.zeros((200, 4)), none, 0), structure, record, about)
     assert still.displacement.max() < 1e-5 * np.abs(about.displacement).max()

@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pinn_cli.record.excitation import GroundMotion
+from pinn_cli.record.free_run import free_run
 from pinn_cli.record.noise import Noise
-from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation, simulate
@@ -119,12 +119,12 @@ def test_a_free_run_goes_on_under_the_measured_ground(frame, first):
     it = simulated(frame, snr_db=None).measure(FRAME)
     record, truth = it.record, it.truth.response
     assert record.frame == frame
-    found = resimulate(FRAME, record, (truth.displacement[first], truth.velocity[first]), first=first)
+    found = free_run(FRAME, record, (truth.displacement[first], truth.velocity[first]), first=first)
     for quantity in ("displacement", "acceleration"):
         expected = getattr(truth, quantity)[first:]
         assert np.max(np.abs(getattr(found, quantity) - expected)) < 1e-4 * np.max(np.abs(expected))
     np.testing.assert_allclose(found.ground_acceleration, record.ground_acceleration[first:], atol=1e-9)
-    still = resimulate(FRAME, record, np.zeros((2, 3)), 0.0 * record.force, ground=0.0 * record.time)
+    still = free_run(FRAME, replace(record, force=0.0 * record.force, ground_acceleration=0.0 * record.time))
     assert not still.displacement.any()
 
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from small_problems import accelerations, measured, small_chain, sped_up
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.spectrum import (
     band_share,
     lowest_level,
     occupied_band,
     periodogram,
-    record_band,
+    reaches_nyquist,
     signal_band,
     signal_edges,
     visible_floor,
@@ -206,3 +207,29 @@ def test_floors_go_with_the_unit():
 def test_a_handful_of_samples_has_no_band():
     """As the residuals of a spline with a handful of intervals."""
     assert occupied_band(white(1.0)[:5], STEP, 10.0) == 1.0
+
+
+def low_passed(seed: int, count: int, cutoff: float = 0.5) -> np.ndarray:
+    """Band-limited, with content up to a frequency per sample."""
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
+    return np.fft.irfft(np.where(np.fft.rfftfreq(count) <= cutoff, spectrum, 0.0), count)
+
+
+def test_content_at_the_nyquist_frequency_falls_off_and_noise_does_not():
+    rng = np.random.default_rng(3)
+    falling = np.convolve(rng.standard_normal(3000), [0.5, 0.5], "valid")
+    assert reaches_nyquist(falling, 0.01)
+    smooth = low_passed(4, 3000, 0.2)
+    assert not any(reaches_nyquist(smooth + 0.05 * rng.standard_normal(3000), 0.01) for _ in range(20))
+
+
+@pytest.mark.parametrize("end", [0.63, 0.7, 0.76])
+def test_content_that_ends_below_the_nyquist_frequency_leaves_noise_in_the_uppermost_tenth(end: float):
+    """A cutoff is a share of the sampling rate."""
+    rng = np.random.default_rng(5)
+    for seed in range(10):
+        ended = low_passed(seed, 3000, 0.5 * end)
+        level = 0.01 * ended.std()
+        assert not reaches_nyquist(ended + level * rng.standard_normal(3000), 0.01, level)
+    falling = np.convolve(rng.standard_normal(3000), [0.5, 0.5], "valid")
+    assert reaches_nyquist(falling + 0.01 * rng.standard_normal(2999), 0.01, 0.01)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_problems import accelerations, measured, small_chain, sped_up
 
-from pinn_cli.record.spectrum import record_band
+from pinn_cli.record.channels import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.record_scales import force_and_velocity_scale
 

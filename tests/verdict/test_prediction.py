@@ -1,37 +1,23 @@
-"""Predictions from the force alone: histories between samples, and what channels share."""
+"""Predictions from the force alone: what is left of a channel once free decays are out, and what channels share."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from frame_records import measure
 from small_problems import measured, small_chain
 
 from pinn_cli.record.channels import channels
-from pinn_cli.verdict.linear_response import decays, felt_modes
-from pinn_cli.verdict.prediction import between_samples, predicted
+from pinn_cli.record.free_run import free_run
+from pinn_cli.system.modes import Modes
+from pinn_cli.verdict.prediction import decays, felt_modes, predicted
 
 
 @pytest.fixture(scope="module")
 def record():
     return measured(small_chain(ndof=3), snr_db=30.0, duration=8.0, samples=161).record
-
-
-def test_a_part_of_a_history_is_that_of_the_whole(record) -> None:
-    times = np.linspace(record.time[0], record.time[99], 777)
-    whole, part = between_samples(record, record.force), between_samples(record, record.force, 100)
-    np.testing.assert_allclose(part(times), whole(times), rtol=0.0, atol=1e-12 * np.abs(record.force).max())
-
-
-def test_unforced_dofs_stay_unforced_and_one_column_is_as_all(record) -> None:
-    times = record.time[:-1] + 0.3 * record.step
-    force = between_samples(record, record.force)(times)
-    assert not force[:, 1:].any()
-    np.testing.assert_array_equal(force[:, 0], between_samples(record, record.force[:, 0])(times))
-
-
-def test_samples_are_met(record) -> None:
-    found = between_samples(record, record.force)(record.time)
-    np.testing.assert_allclose(found, record.force, atol=1e-9 * np.abs(record.force).max())
 
 
 def test_channels_that_feel_the_same_modes_share_their_decays(record) -> None:
@@ -41,3 +27,37 @@ def test_channels_that_feel_the_same_modes_share_their_decays(record) -> None:
     felt = felt_modes(prediction.modes, one)
     np.testing.assert_array_equal(prediction.decays(one), decays(prediction.modes, felt, record))
     assert prediction.decays(one) is prediction.decays(other)
+
+
+def left_over(prediction, channel):
+    """Of the channel, once the response and free decays are taken out, relative."""
+    basis = prediction.decays(channel)
+    residual = channel.measured - channel.of(prediction.response)
+    residual = residual - basis @ (basis.T @ residual)
+    return np.linalg.norm(residual) / np.linalg.norm(channel.measured)
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "velocity", "acceleration"])
+@pytest.mark.parametrize("start", [None, ([0.1, 0.2, -0.1], [0.0, 0.3, 0.0])], ids=["rest", "elsewhere"])
+def test_the_response_is_that_of_a_simulation_up_to_free_decays(frame, quantity, start):
+    record = measure(frame, None, quantity=quantity)
+    prediction = predicted(frame, record, start)
+    assert all(left_over(prediction, channel) < 1e-5 for channel in channels(record))
+
+
+def test_a_held_force(frame):
+    record = replace(measure(frame, None), intersample="zero_order_hold")
+    record = replace(record, acceleration=free_run(frame, record).acceleration)
+    assert all(left_over(predicted(frame, record), c) < 1e-9 for c in channels(record))
+
+
+def test_a_structure_whose_free_motion_grows_has_no_prediction(frame):
+    growing = frame.with_parameters(c=-0.1 * frame.parameters["c"])
+    assert predicted(growing, measure(frame, None)) is None
+
+
+def test_natural_frequencies(frame):
+    modes = Modes.of(frame)
+    exact = 2 * np.sqrt(1.5) * np.sin(np.pi * np.array([1, 3, 5]) / 14) / (2 * np.pi)
+    assert modes.natural_frequencies == pytest.approx(exact)
+    assert modes.stable

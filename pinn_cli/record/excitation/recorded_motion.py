@@ -14,7 +14,8 @@ from pinn_cli.settings.legal_values import LARGEST, positive_number
 
 # Between the samples the motion is that of its own sinusoids, up to the Nyquist frequency: by FFT at times so many
 # times as dense, and by a spline of this degree between those (error below 1e-6 of the highest sinusoid). Zeros on
-# either side keep the end of the record from its beginning.
+# either side keep the end of the record from its beginning. Of a measured history nobody knows that it is zero beyond
+# its ends: `pinn_cli.record.between_samples` takes nothing of the kind for granted, and tells less (1e-5).
 DENSER, SPLINE_DEGREE, ZEROS = 16, 5, 256
 # Times are printed with few digits: let each be off the regular axis by this part of a step.
 TIME_TOLERANCE = 0.1

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from pinn_cli.network.spline import SplineNetwork
-from pinn_cli.record.spectrum import periodogram, record_band
+from pinn_cli.record.channels import record_band
+from pinn_cli.record.spectrum import periodogram
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point

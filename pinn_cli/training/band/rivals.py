@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from pinn_cli.record.resimulation import TooStiffError, resimulate
-from pinn_cli.record.simulation import OverflowsError
+from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
@@ -19,12 +18,11 @@ def simulated_start(equations: NormalEquations) -> Point | None:
     output of its own.
     """
     problem = equations.problem
-    if problem.identifies or equations.network.channels > 1 or not np.isfinite(problem.record.force).all():
+    if problem.identifies or equations.network.channels > 1:
         return None
-    rest = np.zeros(problem.structure.coordinates)
     try:
-        motion = resimulate(problem.structure, problem.record, (rest, rest))
-    except (OverflowsError, TooStiffError):
+        motion = free_run(problem.structure, problem.record)
+    except NoFreeRunError:
         return None
     coordinates = motion.displacement if motion.coordinates is None else motion.coordinates[:, 0]
     supports = None if motion.supports is None else motion.supports[:, 0]

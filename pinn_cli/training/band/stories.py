@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.record.channels import channels
+from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import Record
-from pinn_cli.record.resimulation import TooStiffError, resimulate
 from pinn_cli.record.response import Response
-from pinn_cli.record.simulation import OverflowsError
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.band.free_running import FreeRunning
 from pinn_cli.training.band.inferred import Inferred
@@ -100,12 +99,9 @@ def _missed_of(problem: Problem, estimate: Estimate) -> tuple[float, float]:
     def left(parts: Sequence[tuple[int, int]]) -> float:
         total = []
         for first, last in parts:
-            own = record.until(last)
-            carried = motion.supports
-            own = own if carried is None else replace(own, supports_begin=carried[first, :2])
             try:
-                response = resimulate(structure, own, motion.state(first), first=first)
-            except (TooStiffError, OverflowsError):
+                response = free_run_of(structure, record.until(last), motion, first, first)
+            except NoFreeRunError:
                 return np.inf
             total.append(_squares(record, response, slice(first, last)))
         return 100.0 * float(np.mean(np.sum(total, axis=0) / _powers(record)))

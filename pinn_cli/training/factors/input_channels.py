@@ -27,8 +27,9 @@ from torch import Tensor
 
 from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.record.between_samples import interpolated, refined_times
+from pinn_cli.record.between_samples import refined, refined_times
 from pinn_cli.record.channels import channel_name
+from pinn_cli.record.spectrum import noise_level
 from pinn_cli.system.functions import FLAT
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
@@ -71,11 +72,12 @@ class InputChannels(ConstantChannels):
         weights = [csr_matrix(factor / self.gain * felt) for factor in factors]
         self._weights = [torch.as_tensor(w.toarray().T).to(like) for w in weights]
         history = np.where(self.there, np.nan_to_num(record.histories(quantity)), 0.0)
-        values, spread, noise = interpolated(history, record.step, refinement)
+        values, left_open = refined(history, refinement)
+        noise = np.array([noise_level(column, record.step) for column in history.T])
         # At the ends of a record, where half of the neighbours are missing, they tell less than a sample does. There
         # the samples stand alone.
         near = 2 * FROM_THE_END * refinement + 1
-        told = minimum_filter1d(spread <= min(noise, default=0.0), near, mode="constant", cval=False)
+        told = minimum_filter1d((left_open <= noise).all(axis=1), near, mode="constant", cval=False)
         target = self._filtered(network, torch.as_tensor(values).to(like), factors)
         alone = self.gain * refinement**0.5 * (np.arange(len(told)) % refinement == 0)
         of_value, of_rates = (torch.as_tensor(x).to(like) for x in (np.where(told, 1.0, alone), told.astype(float)))

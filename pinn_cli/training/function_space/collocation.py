@@ -17,9 +17,9 @@ from torch import Tensor
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.physics import Targets
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import record_band
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.band.inference import inferred_sensor_noise

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import group_starts, record_band, signal_edges
+from pinn_cli.record.spectrum import group_starts, signal_edges
 
 # Part of the record that the taper takes at both ends together: what resonances leak falls off steeply then.
 TAPERED = 0.1

@@ -13,11 +13,11 @@ from small_problems import QUANTITIES, measured, small_chain
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.excitation.banded_noise import BandedNoise
+from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Measurements, Record
-from pinn_cli.record.resimulation import resimulate
 from pinn_cli.record.simulated import Simulated
-from pinn_cli.record.simulation import OverflowsError, Simulation
+from pinn_cli.record.simulation import Simulation
 from pinn_cli.report.fitness import fitness_percent
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
@@ -81,8 +81,8 @@ def test_there_is_none_where_the_motion_does_not_stay_finite():
     structure = small_chain("linear")
     unstable = structure.with_parameters(k=-5e3 * structure.parameters["k"])
     record = measured(structure).record
-    with pytest.raises(OverflowsError):
-        resimulate(unstable, record, (np.zeros(3), np.zeros(3)))
+    with pytest.raises(NoFreeRunError, match="unstable"):
+        free_run(unstable, record)
     assert simulated_start(equations(record, unstable)) is None
 
 
