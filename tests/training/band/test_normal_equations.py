@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import random_problems
 import torch
 from one_record import factored, levels_of, problem_of, residuals_of, shared, weights_of
+from random_problems import noise_of, somewhere
 from small_problems import small_chain
 from structures import braced, hysteretic, shuffled
 
@@ -19,9 +19,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.training.band.dissection import Dissection, Grid
 from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.posterior import ReadoutPosterior
-from pinn_cli.training.noise_model import NoiseModel
 
 SAMPLES = 21
 
@@ -46,14 +44,6 @@ def of_structure(structure, design, through="derivative", kinds=None, record=Non
     moving = [p for p in structure.every_parameter() if kinds is None or p.kind in kinds]
     uncertain = tuple(replace(p, prior_std=0.05 * p.prescribed) for p in moving)
     return NormalEquations(design.build(record), Problem(structure, record, uncertain, through))
-
-
-def noise_of(equations: NormalEquations) -> NoiseModel:
-    return random_problems.noise_of(equations, np.random.default_rng(0))
-
-
-def somewhere(equations: NormalEquations) -> Point:
-    return random_problems.somewhere(equations, np.random.default_rng(5))
 
 
 def prior_of(equations: NormalEquations, spread: float = 1.7) -> np.ndarray:
