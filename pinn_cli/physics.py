@@ -202,6 +202,7 @@ def estimated_response(
         hidden if hidden.size else None,
         _coordinates(dynamics, seen),
         supports if dynamics.inputs.supports else None,
+        dynamics.connection_force(seen, parameters).detach().cpu().double().numpy(),
     )
 
 

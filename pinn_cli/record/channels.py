@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.response import GROUND, QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, signal_band, visible_floor
 from pinn_cli.system.quantities import SUPPORT
 
 if TYPE_CHECKING:
+    from pinn_cli.record.gauge import Gauge
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
 
@@ -33,6 +34,7 @@ class Channel:
         measured: (N,), in the quantity's unit.
         label: What the user calls the DOF; "": its number.
         there: (N,) bool, where a sample was measured; None: everywhere.
+        gauge: Where it is no column: what it feels; its number among the record's gauges is then the DOF.
     """
 
     quantity: str
@@ -40,20 +42,23 @@ class Channel:
     measured: np.ndarray
     label: str = ""
     there: np.ndarray | None = None
+    gauge: Gauge | None = None
 
     @property
     def name(self) -> str:
         """See :func:`named`."""
-        return named(self.quantity, self.where)
+        return named(self.quantity, self.where) if self.gauge is None else f"{self.quantity} of sensor {self.where}"
 
     @property
     def where(self) -> str:
-        """Name of the DOF, or its number, counted from 1."""
+        """Name of the DOF or of the sensor, or the DOF's number, counted from 1."""
         return self.label or str(self.dof + 1)
 
     @property
     def setting(self) -> str:
         """Where a user gave it: ``data.acceleration, DOF 3``."""
+        if self.gauge is not None:
+            return f"data.channels.{self.where}"
         if self.quantity in SUPPORT:
             return f"data.channels, {self.name}"
         return f"data.{GROUND}" if self.quantity == GROUND else f"data.{self.quantity}, DOF {self.where}"
@@ -70,6 +75,8 @@ class Channel:
 
     def of(self, response: Response) -> np.ndarray:
         """The same quantity of the same DOF in a response, (N,); NaN where it has none of ground or support."""
+        if self.gauge is not None:
+            return self.gauge.felt_in(response)
         if self.quantity in SUPPORT:
             moved = response.supports
             return np.full(len(response.time), np.nan) if moved is None else moved[:, self.order, self.dof]
@@ -123,6 +130,16 @@ def channels(
     if GROUND in quantities and record.ground_acceleration is not None:
         every.append(Channel(GROUND, GROUND_DOF, record.ground_acceleration, there=record.there(GROUND, 0)))
     return [channel for channel in every if channel.name not in excused]
+
+
+def every_channel(record: Record, quantities: Sequence[str] = MEASURED_QUANTITIES) -> list[Channel]:
+    """The same, and behind them sensors that fill no column: of sums, of connections, a second one of a kind."""
+    return channels(record, quantities) + [
+        Channel(gauge.quantity, number, column, gauge.name, there, gauge)
+        for number, gauge in enumerate(record.gauges)
+        if gauge.name in record.beside and np.isfinite(column := record.beside[gauge.name][0]).all()
+        for there in [record.beside[gauge.name][1]]
+    ]
 
 
 def clipped_percent(signal: np.ndarray) -> float:

@@ -13,11 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.record.between_samples import SPLINE_DEGREE, BandLimited
 from pinn_cli.system.quantities import CALIBRATION_UNITS, CONNECTION_FORCE, GROUND, HIGH_PASS, TILT
+
+if TYPE_CHECKING:
+    from pinn_cli.record.response import Response
 
 # Part of a step by which even samples may come early or late.
 EVEN = 0.02
@@ -101,6 +105,22 @@ class Gauge:
             return None
         (dof, weight), *_ = self.weights.items()
         return dof if weight == 1.0 else None
+
+    def felt_in(self, response: Response, found: Mapping[str, float] | None = None) -> np.ndarray:
+        """(N,), what it feels of a response, a tilt included and a filter not; NaN of what nobody worked out there.
+
+        Args:
+            response: Of the structure.
+            found: See :meth:`calibrated`.
+        """
+        if self.quantity in (GROUND, CONNECTION_FORCE):
+            values: np.ndarray | None = getattr(response, self.quantity)
+            if values is None:
+                return np.full(len(response.time), np.nan)
+            return values if self.quantity == GROUND else values[:, self.connection]
+        tilt = {TILT: self.of(TILT).value, **(found or {})}[TILT]
+        felt = getattr(response, self.quantity) + (tilt * response.displacement if tilt else 0.0)
+        return np.asarray(felt[:, list(self.weights)] @ np.array(list(self.weights.values())))
 
     @property
     def feels_one(self) -> bool:

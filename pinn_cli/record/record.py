@@ -58,6 +58,8 @@ class Record:
             structure's S supports; a column of NaN where it was not.
         support_names: What the user calls them.
         band: The filter that all channels went through; None: they are as measured.
+        beside: Name of a gauge that fills no column to what it felt at the record's times (N,), and to where it has a
+            sample there (N,) bool, once that is known.
         supports_begin: (2, S), displacement and velocity of the supports at the first sample, which no accelerometer
             tells; None: rest.
 
@@ -86,6 +88,7 @@ class Record:
     support_names: tuple[str, ...] = ()
     supports_begin: np.ndarray | None = None
     band: BandPass | None = None
+    beside: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("time", *QUANTITIES):

@@ -35,6 +35,7 @@ class Response:
         coordinates: (N, 2, c), displacement and velocity of a structure's coordinates, where these are modes and not
             the DOFs; None where they are the DOFs.
         supports: (N, 3, S), displacement, velocity and acceleration of supports that move; None where none does.
+        connection_force: (N, C), N, of every connection of the structure; None where nobody worked it out.
     """
 
     time: np.ndarray
@@ -46,6 +47,7 @@ class Response:
     hidden: np.ndarray | None = None
     coordinates: np.ndarray | None = None
     supports: np.ndarray | None = None
+    connection_force: np.ndarray | None = None
 
     @property
     def measurable(self) -> dict[str, Any]:

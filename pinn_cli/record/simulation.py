@@ -206,7 +206,9 @@ def response_of(structure: Structure, motion: Response, frame: Frame) -> Respons
     acceleration = structure.acceleration(*motion.stretching, force, structure.parameters_like(u), motion.hidden)
     if moved is not None and (shapes is not None or frame == "relative"):
         acceleration = acceleration - moved[:, None] * structure.with_ground
-    motion = replace(motion, acceleration=acceleration)
+    e, de = (structure.elongation(x) for x in motion.stretching)
+    pulled = structure.connection_force(e, de, None, motion.hidden)
+    motion = replace(motion, acceleration=acceleration, connection_force=pulled)
     return motion if shapes is None else _of_dofs(shapes, motion, frame)
 
 

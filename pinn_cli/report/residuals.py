@@ -16,10 +16,11 @@ import numpy as np
 import pandas as pd
 from scipy.special import kolmogorov
 
-from pinn_cli.record.channels import channels, clipped_percent, constant_percent
-from pinn_cli.record.response import MEASURED_QUANTITIES, RESPONSE_QUANTITIES
+from pinn_cli.record.channels import clipped_percent, constant_percent, every_channel
+from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import band_share, signal_edges
 from pinn_cli.report.results import with_labels
+from pinn_cli.system.quantities import FORCE, SUPPORT
 from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
@@ -33,8 +34,9 @@ if TYPE_CHECKING:
 COLUMNS = (
     "quantity", "dof", "samples", "signal_rms", "residual_rms", "nmse_percent", "sigma", "residual_over_sigma",
     "mean_residual", "whiteness", "largest_autocorrelation", "spectrum_deviation", "band_low_hz", "band_high_hz",
-    "band_share_percent", "free_run_nmse_percent", "clipped_percent", "constant_percent",
+    "band_share_percent", "free_run_nmse_percent", "clipped_percent", "constant_percent", "channel",
 )  # fmt: skip
+INPUTS = (FORCE, GROUND, *SUPPORT)  # what acts on a structure, which its free run is given
 LAGS = 20  # of the autocorrelation
 MANY = 2000  # independent shares, from which on the limit of their distribution is right to a hundredth
 
@@ -62,7 +64,8 @@ def residual_table(
         labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
-        Columns: the labels and `COLUMNS`. ``dof`` is counted from 1, and 0 is the ground. In the unit of the quantity:
+        Columns: the labels and `COLUMNS`. ``dof`` is counted from 1, 0 is the ground, and a sensor that feels something
+        else has none; ``channel`` is what messages call it. In the unit of the quantity:
         ``signal_rms`` (about the mean), ``residual_rms`` and ``mean_residual`` of r = measured - estimated, ``sigma``
         (noise found). In per cent: ``nmse_percent`` (see `nmse_percent`), ``free_run_nmse_percent`` (the same of the
         free run; force and ground have none, being given), ``band_share_percent`` (of the signal's power, between
@@ -72,8 +75,8 @@ def residual_table(
         ``largest_autocorrelation`` (with its sign, within `LAGS` lags; white noise stays within about 3 /
         sqrt(samples)). What is not known is empty (NaN).
     """
-    rows = [_row(estimate, record, free_run, channel) for channel in channels(record, MEASURED_QUANTITIES)]
-    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
+    rows = [_row(estimate, record, free_run, channel) for channel in every_channel(record)]
+    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)).astype({"dof": "Int64"}), labels)
 
 
 def _row(estimate: Estimate, record: Record, free_run: Response | None, channel: Channel) -> dict[str, object]:
@@ -84,7 +87,7 @@ def _row(estimate: Estimate, record: Record, free_run: Response | None, channel:
     low, high = signal_edges(signal, record.step)
     return {
         "quantity": channel.quantity,
-        "dof": channel.dof + 1,
+        "dof": channel.dof + 1 if channel.gauge is None else None,
         "samples": len(own),
         "signal_rms": float(np.std(signal)),
         "residual_rms": rms,
@@ -99,10 +102,11 @@ def _row(estimate: Estimate, record: Record, free_run: Response | None, channel:
         "band_high_hz": high,
         "band_share_percent": 100.0 * band_share(signal, record.step, low, high),
         "free_run_nmse_percent": np.nan
-        if free_run is None or channel.quantity not in RESPONSE_QUANTITIES
+        if free_run is None or channel.quantity in INPUTS
         else nmse_percent(signal - channel.of(free_run), signal),
         "clipped_percent": clipped_percent(signal),
         "constant_percent": constant_percent(signal),
+        "channel": channel.name,
     }
 
 

@@ -111,6 +111,12 @@ class Dynamics(Functions):
         force[..., self.loaded] = jet.value[..., self.acting]
         return force
 
+    def connection_force(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+        """(..., C), N, of every connection."""
+        e, de = (self.structure.elongation(self.stretching(x)) for x in (jet.value, jet.rate))
+        z = jet.value[..., self.hidden] if len(self.structure.memory) else None
+        return self.structure.connection_force(e, de, parameters, z)
+
     def linearise(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Linearisation:
         """The equations linearised: stiffness and damping of the terms of :attr:`coupling`, each (..., T)."""
         structure = self.structure

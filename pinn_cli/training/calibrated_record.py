@@ -13,7 +13,7 @@ from pinn_cli.record.between_samples import BandLimited
 from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, QUANTITIES, Response
-from pinn_cli.system.quantities import CALIBRATION_UNITS, TILT
+from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
 
 
@@ -40,13 +40,16 @@ def with_gauges(record: Record, shown: Callable[[Gauge], tuple[np.ndarray, np.nd
     columns: dict[str, Any] = {quantity: getattr(record, quantity).copy() for quantity in QUANTITIES}
     columns[GROUND] = None if record.ground_acceleration is None else record.ground_acceleration[:, None].copy()
     missing = {quantity: np.zeros(values.shape, bool) for quantity, values in columns.items() if values is not None}
+    beside = {}
     for gauge in record.gauges:
-        if gauge.dof is not None:
-            column, there = shown(gauge)
+        column, there = shown(gauge)
+        if gauge.dof is None:
+            beside[gauge.name] = column, there
+        else:
             columns[gauge.quantity][:, gauge.dof], missing[gauge.quantity][:, gauge.dof] = column, ~there
     if columns[GROUND] is not None:
         columns[GROUND] = columns[GROUND][:, 0]
-    return replace(record, **columns, missing=missing)
+    return replace(record, **columns, missing=missing, beside=beside)
 
 
 def _by_gauge(record: Record, parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
@@ -56,16 +59,6 @@ def _by_gauge(record: Record, parameters: Iterable[ParameterEstimate]) -> defaul
         if one.kind in CALIBRATION_UNITS:
             found[record.gauges[one.parameter.index].name][one.kind] = one.estimate
     return found
-
-
-def _estimated(response: Response, gauge: Gauge, found: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) each, its quantity by the estimate, at the record's times, and the same with what a tilt adds."""
-    values: np.ndarray = getattr(response, gauge.quantity)
-    if gauge.quantity == GROUND:
-        return values, values
-    tilt = {TILT: gauge.of(TILT).value, **found}[TILT]
-    own = values[:, gauge.dof]
-    return own, own + tilt * response.displacement[:, gauge.dof] if tilt else own
 
 
 def sample_places(gauge: Gauge, found: Mapping[str, float], time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +77,8 @@ def _shown(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,), the estimate with the gauge's residuals on it, and (N,) bool, where it has one."""
     (felt_at, felt), (place, inside) = gauge.calibrated(found), sample_places(gauge, found, time)
-    estimated, felt_by_it = _estimated(response, gauge, found)
-    shown, there = estimated.copy(), np.zeros(len(time), dtype=bool)
-    expected = gauge.passed(time, felt_by_it, found)
+    shown, there = gauge.felt_in(response).copy(), np.zeros(len(time), dtype=bool)
+    expected = gauge.passed(time, gauge.felt_in(response, found), found)
     left = felt[inside] - BandLimited(time, expected)(felt_at[inside])
     if gauge.filter_order:
         decays = gauge.decays(time, found)[place[inside]]

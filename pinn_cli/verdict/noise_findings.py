@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.channels import Channel, every_channel
+from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.input_force import input_force
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
@@ -38,7 +39,7 @@ NOT_CONVERGED = "iteration limit"
 
 def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
     """Every finding of this page, in the order of the channels."""
-    seen = channels(problem.record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
+    seen = every_channel(problem.record, (*RESPONSE_QUANTITIES, GROUND, *SUPPORT))
     found = [f for c in seen for f in (_level(c, estimate), _colour(c, problem.record, estimate)) if f is not None]
     # Where a force that nobody measured acts on every DOF, or as many act as there are sensors, any motion is rightly
     # followed.
@@ -49,8 +50,8 @@ def noise_findings(problem: Problem, estimate: Estimate) -> list[Finding]:
 
 def noise_found(estimate: Estimate, channel: Channel) -> float:
     """Standard deviation of a sensor's noise that the training found, in its unit; NaN where it gives none."""
-    levels = estimate.summary.get(f"sigma_{channel.quantity}")
-    place = 0 if channel.quantity == GROUND else channel.dof
+    levels = estimate.summary.get(f"sigma_{channel.quantity if channel.gauge is None else GAUGE}")
+    place = 0 if channel.quantity == GROUND and channel.gauge is None else channel.dof
     value = levels[place] if isinstance(levels, list | tuple | np.ndarray) and place < len(levels) else None
     if channel.quantity == GROUND and isinstance(levels, float):
         value = levels

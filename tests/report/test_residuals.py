@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from pinn_cli.record.channels import clipped_percent, constant_percent
+from pinn_cli.record.gauge import Gauge
 from pinn_cli.report.residuals import COLUMNS, residual_table
 from pinn_cli.report.results import LABELS
+from pinn_cli.report.terminal.run import sensors_text
+from pinn_cli.system.quantities import CONNECTION_FORCE
 
 NOISE = 0.05
 
@@ -34,6 +37,33 @@ def test_a_row_for_every_sensor_and_none_for_a_force_that_is_known_to_be_zero(ma
     expected = [("acceleration", 1), ("acceleration", 2), ("force", 1)]
     assert list(table[["quantity", "dof"]].itertuples(index=False, name=None)) == expected
     assert set(table["estimator"]) == {"pinn"}
+
+
+def test_a_row_for_sensors_that_fill_no_column(make_case):
+    """A strain, and the force of a connection: the estimate says what they would have felt."""
+    case = make_case(ndof=2, observed=2, samples=2000)
+    rng, truth = np.random.default_rng(4), case.truth.response
+    truth = replace(truth, connection_force=np.stack((truth.displacement[:, 0], truth.displacement[:, 1]), axis=1))
+    own, empty = case.record.time, np.zeros(0)
+    gauges = (
+        Gauge("strain", "displacement", {0: 0.4, 1: -0.2}, own, empty),
+        Gauge("link", CONNECTION_FORCE, {}, own, empty, connection=1),
+    )
+    felt = 0.4 * truth.displacement[:, 0] - 0.2 * truth.displacement[:, 1], truth.displacement[:, 1]
+    size = [0.01 * np.std(x) for x in felt]
+    shown = {
+        gauge.name: (x + sigma * rng.normal(size=len(own)), np.ones(len(own), bool))
+        for gauge, x, sigma in zip(gauges, felt, size, strict=True)
+    }
+    record = replace(case.record, gauges=gauges, beside=shown)
+    estimate = replace(case.estimate, response=truth, summary={"sigma_gauge": size})
+    table = residual_table(estimate, record, truth, case.labels).iloc[-2:]
+    assert table["dof"].isna().all()
+    assert list(table["channel"]) == ["displacement of sensor strain", "connection_force of sensor link"]
+    np.testing.assert_allclose(table["residual_rms"], size, rtol=0.06)
+    np.testing.assert_allclose(table["residual_over_sigma"].astype(float), 1.0, atol=0.06)
+    np.testing.assert_allclose(table["free_run_nmse_percent"], table["nmse_percent"])
+    assert "link" in sensors_text(residual_table(estimate, record, truth, case.labels))
 
 
 def test_what_a_perfect_estimate_leaves_is_the_noise(make_case):

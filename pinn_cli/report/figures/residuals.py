@@ -9,8 +9,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from pinn_cli.record.channels import Channel, channels
-from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES
+from pinn_cli.record.channels import Channel, every_channel
+from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import periodogram
 from pinn_cli.report.figures import style
 from pinn_cli.report.figures.decimate import line_indices
@@ -47,7 +47,7 @@ def residuals_figure(estimate: Estimate, record: Record) -> Figure:
         estimate: Its response, and in its summary the noise found.
         record: The sensors, at least one. The ground's is left out where its motion was not estimated.
     """
-    every = [c for c in channels(record, MEASURED_QUANTITIES) if np.isfinite(c.of(estimate.response)).all()]
+    every = [c for c in every_channel(record) if np.isfinite(c.of(estimate.response)).all()]
     shown = _worst(estimate, every)
     with style.look():
         figure, panels = style.panels(
@@ -82,7 +82,9 @@ def _draw_row(panels: np.ndarray, estimate: Estimate, record: Record, channel: C
     _draw_spectrum(spectrum, left, signal, sigma, record.step)
     spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
     _draw_correlation(correlation, left)
-    place = "ground" if channel.quantity == GROUND else channel.label if record.dofs else f"DOF {channel.where}"
+    named = bool(record.dofs) or channel.gauge is not None
+    place = channel.label if named else f"DOF {channel.where}"
+    place = "ground" if channel.quantity == GROUND and channel.gauge is None else place
     history.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {place}")
     error = nmse_percent(left, signal)
     if np.isfinite(error):

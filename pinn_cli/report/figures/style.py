@@ -36,6 +36,7 @@ SYMBOLS = {
     "acceleration": r"$\ddot{u}$",
     "force": r"$f$",
     "ground_acceleration": r"$\ddot{u}_g$",
+    "connection_force": r"$r$",
     "support_displacement": r"$s$",
     "support_velocity": r"$\dot{s}$",
     "support_acceleration": r"$\ddot{s}$",

@@ -137,10 +137,11 @@ def sensors_text(table: pd.DataFrame, baseline: tuple[str, pd.DataFrame] | None 
 
 
 def _sensors(table: pd.DataFrame) -> pd.Series:
-    """``acceleration 3``, ``ground`` or ``support 1``, by row."""
+    """``acceleration 3``, ``ground``, ``support 1`` or the name of a sensor that feels something else, by row."""
     quantity = table["quantity"].where(~table["quantity"].isin(list(SUPPORT)), "support")
-    named = quantity + " " + table["dof"].astype(str)
-    return named.where(table["quantity"] != GROUND, "ground")
+    own = table["channel"].str.rsplit(" ", n=1).str[-1]
+    named = (quantity + " " + table["dof"].astype(str)).where(table["dof"].notna(), own)
+    return named.where((table["quantity"] != GROUND) | table["dof"].isna(), "ground")
 
 
 def score_text(name: str, score: Score | None) -> str:

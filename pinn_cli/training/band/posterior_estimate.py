@@ -105,15 +105,16 @@ def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estim
 
 
 def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[str, np.ndarray]:
-    """Quantity to the noise of its sensors; of a gauge over its gain, and as it shows it under a name of their own."""
+    """Quantity to the noise of its sensors in what they feel; of gauges under a name of their own as well."""
     record = equations.problem.record
     levels = {quantity: sigma.copy() for quantity, sigma in solution.noise.response.items()}
     if GAUGE not in levels:
         return levels
     gain = equations.parameters(solution.point)["gain"].cpu().numpy()
-    for gauge, sigma, factor in zip(record.gauges, levels[GAUGE], gain, strict=True):
+    levels[GAUGE] /= np.abs(gain)
+    for gauge, sigma in zip(record.gauges, levels[GAUGE], strict=True):
         if gauge.dof is not None:
-            levels[gauge.quantity][gauge.dof] = sigma / abs(factor)
+            levels[gauge.quantity][gauge.dof] = sigma
     return levels
 
 

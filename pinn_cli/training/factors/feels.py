@@ -97,11 +97,7 @@ class ConnectionForce(Feels):
 
     def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         """See :meth:`Feels.value`."""
-        dynamics, structure = self.frame.dynamics, self.frame.dynamics.structure
-        e, de = (structure.elongation(dynamics.stretching(x)) for x in (jet.value, jet.rate))
-        z = jet.value[..., dynamics.hidden] if len(structure.memory) else None
-        force: Tensor = structure.connection_force(e, de, parameters, z)[..., self.connection]
-        return force
+        return self.frame.dynamics.connection_force(jet, parameters)[..., self.connection]
 
     def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
         """See :meth:`Feels.parts`."""
