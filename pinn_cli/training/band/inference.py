@@ -231,13 +231,13 @@ def _searched(evidence: Evidence, noise: NoiseLevels) -> Trained:
         DivergenceError: Even the softest physics cannot be solved.
     """
     second = partial(_simulated_start, evidence)
-    best = searched(evidence, noise, noise.discrepancy, second, refined=False)
+    best = searched(evidence, noise, noise.discrepancy, second)
     for factor in NOISIER:
         if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
             break
         try:
             noisier = noise.each(NoiseModel.noisier, factor)
-            again = searched(evidence, noisier, noise.discrepancy, second, refined=False)
+            again = searched(evidence, noisier, noise.discrepancy, second)
         except DivergenceError:
             break
         best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))

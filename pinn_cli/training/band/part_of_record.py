@@ -107,7 +107,7 @@ def whole_from(
     begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
     point = Point(equations.start().unknowns, part.solution.point.parameters)
     point = followed(equations, point, begin)
-    found = scanned(evidence, noise, begin.discrepancy, point, refined=False)
+    found = scanned(evidence, noise, begin.discrepancy, point)
     return found if found.solution.converged and _are_near(begin, found.noise) else None
 
 

@@ -17,7 +17,8 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.band.discrepancy_search import scanned, widened_for_colour
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.band.evidence import Evidence, Trained
+from pinn_cli.training.band.noise_levels import settled
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
@@ -48,11 +49,16 @@ def disturbed(
     return evidence_of(equations), levels_of(noise), put_in
 
 
+def found_by(evidence: Evidence, noise: NoiseLevels) -> Trained:
+    """The scan's discrepancy, and all levels from there."""
+    return settled(evidence, scanned(evidence, noise, 1.0, evidence.equations.start()))
+
+
 @pytest.mark.parametrize("nonlinearity", ["linear", "duffing"])
 @pytest.mark.parametrize("level", [0.03, 0.05, 0.1, 0.2])
 def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
     evidence, noise, put_in = disturbed(level, 1, nonlinearity)
-    best = scanned(evidence, noise, 1.0, evidence.equations.start())
+    best = found_by(evidence, noise)
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
 
@@ -62,7 +68,7 @@ def test_the_scan_finds_the_discrepancy_that_was_put_in(level, nonlinearity):
 def test_the_scan_finds_the_discrepancy_through_the_observer_equation(level, through):
     """Its residual has the discrepancy in its variance too: without that variance's logarithm none is too large."""
     evidence, noise, put_in = disturbed(level, 1, "duffing", through=through)
-    best = scanned(evidence, noise, 1.0, evidence.equations.start())
+    best = found_by(evidence, noise)
     assert best.solution.converged
     assert 1 / 1.2 < best.noise.discrepancy / put_in < 1.2
 
@@ -128,7 +134,7 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
     growth = {}
     for share in (0.1, 1.0):
         evidence, noise, _ = disturbed(0.1, 1, share=share)
-        best = scanned(evidence, noise, 1.0, evidence.equations.start())
+        best = found_by(evidence, noise)
         growth[share] = widened_for_colour(evidence, best).noise.discrepancy / best.noise.discrepancy
     assert growth[1.0] < 1.4
     assert growth[0.1] > 1.5 * growth[1.0]
@@ -136,7 +142,7 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
 
 def test_without_parameters_the_spread_stays():
     evidence, noise, _ = disturbed(0.1, 1)
-    trained = scanned(evidence, replace(noise, spread=0.7), 1.0, evidence.equations.start())
+    trained = found_by(evidence, replace(noise, spread=0.7))
     assert evidence.learned_spread(trained) == trained.noise.spread == 0.7
     assert isinstance(trained.solution.point.parameters, torch.Tensor)
 
@@ -177,7 +183,7 @@ def test_an_unknown_parameter_that_starts_ten_times_off_leaves_the_spread_alone(
     spreads = {}
     for start in (100.0, 10.0, 1000.0):
         evidence, noise = believed_and_unknown(start)
-        spreads[start] = scanned(evidence, noise, 1.0, evidence.equations.start()).noise.spread
+        spreads[start] = found_by(evidence, noise).noise.spread
     assert spreads[100.0] == pytest.approx((1.0 / (1.0 + 3.0)) ** 0.5, rel=0.01)  # three that are right, and the user
     for start in (10.0, 1000.0):
         assert spreads[start] == pytest.approx(spreads[100.0], rel=1e-3)
