@@ -16,7 +16,6 @@ from pinn_cli.training.band.bordered import BorderedFactor
 from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.row_variance import is_alike, row_variance
-from pinn_cli.training.band.subdomains import Subdomains
 
 # Intervals whose covariances of all functions are held at once.
 CHUNK = 64
@@ -137,19 +136,18 @@ class ReadoutPosterior:
 
     def force(self, segments: Segments) -> Tensor:
         """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
-        result = self._forces(segments, self.equations.dynamics.ndof)
-        return segments.scatter(result.to(segments.mask.device)).cpu()
-
-    def force_residual(self) -> Tensor:
-        """Standard deviation of the physics residual as it is enforced: (I, 1, n) of averages, or (I, S, n)."""
-        e = self.equations
-        return self._forces(e.physics, e.layout.ndof, e.averages).cpu()
+        every = []
+        for part in self._windows(segments):
+            rows = LocalRows(self.equations, segments, self.point, part)
+            each = [self.deviation(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
+            every.append(torch.stack(each, -1))
+        return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
 
     def force_by_parameter(self, segments: Segments) -> Tensor:
         """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
         every = []
         for part in self.equations.windows(segments):
-            rows = LocalRows(self.equations, segments, self.point, None, part)
+            rows = LocalRows(self.equations, segments, self.point, part)
             each = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
             every.append(torch.stack(each, 2))
         return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
@@ -158,14 +156,6 @@ class ReadoutPosterior:
         """Groups whose rows and whose covariances of all coupled functions are held at once."""
         width = len(self.equations.pattern.offsets) * segments.feature.shape[1]
         return self.equations.windows(segments, width)
-
-    def _forces(self, segments: Segments, dofs: int, averages: Subdomains | None = None) -> Tensor:
-        """Standard deviation of what the first equations ask for, (I, S, dofs), or of averages (I, 1, dofs)."""
-        every = []
-        for part in self._windows(segments):
-            rows = LocalRows(self.equations, segments, self.point, averages, part)
-            every.append(torch.stack([self.deviation(*rows.of_dof(dof)) for dof in range(dofs)], -1))
-        return torch.cat(every)
 
     def deviation(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
         """Standard deviation of linear rows, (I, S).
@@ -217,13 +207,12 @@ def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor | None = N
 
 
 class LocalRows:
-    """The linearised equation of motion at the times of segments, or its averages, DOF by DOF.
+    """The linearised equation of motion at the times of segments, DOF by DOF.
 
     Args:
         equations: Whose features and parameters the rows are by.
         segments: I groups of S times.
         point: Where it is linearised.
-        averages: Taken of the rows; None: none.
         part: Which groups.
     """
 
@@ -232,11 +221,9 @@ class LocalRows:
         equations: NormalEquations,
         segments: Segments,
         point: Point,
-        averages: Subdomains | None = None,
         part: slice = slice(None),
     ) -> None:
         self.equations, self.segments = equations, segments.part(part)
-        self.averages = None if averages is None else averages.part(part)
         self.rows = equations.motion.rows(segments, point, part=part)
         self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
         self.own = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
@@ -252,6 +239,4 @@ class LocalRows:
             self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
         )
         held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
-        if self.averages is not None:
-            jacobian, held = self.averages(jacobian), self.averages(held)
         return torch.where(inside, self.local[:, dof], own), jacobian, held
