@@ -67,7 +67,11 @@ def test_the_order_of_elimination_changes_nothing(structure):
         system = equations.assemble(point, noise, prior_of(equations))
         posterior, whole = ReadoutPosterior(equations, point, factored(system)), shared(system)
         found.append(
-            (*whole.factor().step(whole), *posterior.functions(equations.observation), posterior.force(equations.physics))
+            (
+                *whole.factor().step(whole),
+                *posterior.functions(equations.observation),
+                posterior.force(equations.physics),
+            )
         )
     assert len(system.tree.fronts) > 4
     for pair in zip(*found, strict=True):
