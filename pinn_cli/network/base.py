@@ -95,6 +95,9 @@ class NetworkDesign(ABC):
         """The design where forces are unknown: features that reach little beyond the frequencies of the record."""
         return self
 
-    def finer(self, factor: float) -> NetworkDesign | None:
-        """The same with so many times as many features; None where the user has said how many, or none are counted."""
+    def finer(self, factor: float, record: Record) -> NetworkDesign | None:
+        """A design with so many times as many features as :meth:`build` makes of a record.
+
+        None where the user has said how many, or none are counted.
+        """
         return None

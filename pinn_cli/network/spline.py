@@ -48,6 +48,8 @@ def piece_coefficients(degree: int) -> np.ndarray:
 POINTS_PER_INTERVAL = 3
 # Intervals of the shortest record.
 FEWEST_INTERVALS = 8
+# Of a number of points that would be whole but for this: counted from knots that there are.
+ROUNDING = 1e-9
 
 
 class SplineNetwork(LinearReadout):
@@ -158,11 +160,13 @@ class Spline(NetworkDesign):
         """See :meth:`NetworkDesign.within_band`."""
         return replace(self, least_knots=KNOTS_WITHIN_BAND)
 
-    def finer(self, factor: float) -> Spline | None:
+    def finer(self, factor: float, record: Record) -> Spline | None:
         """See :meth:`NetworkDesign.finer`."""
         if self.knots_per_period is not None or self.intervals is not None:
             return None
-        return replace(self, least_knots=factor * self.least_knots)
+        # There are more knots than were asked for, since an interval is a whole number of points wide.
+        start, stop, intervals = self._knots(record)
+        return replace(self, least_knots=factor * intervals / ((stop - start) * record_band(record)))
 
     def _knots(self, record: Record) -> tuple[float, float, int]:
         """First and last knot, s, and the number of intervals.
@@ -173,8 +177,8 @@ class Spline(NetworkDesign):
         held = record.intersample == "zero_order_hold"
         wanted = (self.knots_per_period or self.least_knots) * record_band(record) * record.step  # knots per sample
         wanted = max(wanted, FEWEST_INTERVALS / len(record.time))
-        refinement = 1 if held else max(1, math.ceil(POINTS_PER_INTERVAL * wanted))
-        points = max(1, math.floor(refinement / wanted))
+        refinement = 1 if held else max(1, math.ceil(POINTS_PER_INTERVAL * wanted - ROUNDING))
+        points = max(1, math.floor(refinement / wanted + ROUNDING))
         step = record.step / refinement
         spacing = points * step
         lead = 0.0 if held else 0.5 * step

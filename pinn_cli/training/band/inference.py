@@ -133,9 +133,8 @@ def _of_spectra(problem: Problem, settings: InferenceSettings) -> tuple[Problem,
 def _finer(designs: Sequence[NetworkDesign], found: Inferred) -> list[NetworkDesign] | None:
     """Designs with finer features for the records that want them; None where none does, or none can have them."""
     wanted = found.evidence.each_record(knots_wanted, found.trained)
-    finer = [
-        design.finer(factor) if factor >= WORTHWHILE else None for design, factor in zip(designs, wanted, strict=True)
-    ]
+    each = zip(designs, wanted, found.evidence.problem.by_record, strict=True)
+    finer = [design.finer(factor, own.record) if factor >= WORTHWHILE else None for design, factor, own in each]
     if not any(finer):
         return None
     return [new or old for new, old in zip(finer, designs, strict=True)]
@@ -260,7 +259,8 @@ def _in_their_band(
 ) -> Inferred:
     """The solution with unknown forces that reach as far as they do; see :func:`reaches_beyond`."""
     factors = found.evidence.each_record(reaches_beyond, found.trained)
-    wider = [design.finer(factor) for design, factor in zip(designs, factors, strict=True)]
+    each = zip(designs, factors, problem.by_record, strict=True)
+    wider = [design.finer(factor, own.record) for design, factor, own in each]
     if max(factors) <= 1.0 or not all(wider):
         return found
 

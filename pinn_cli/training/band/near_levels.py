@@ -123,7 +123,7 @@ def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearRe
     """
     assert problem.prior is not None
     factor = problem.prior.levels.features * problem.record.duration / network.count
-    finer = design.finer(factor) if factor >= WORTHWHILE else None
+    finer = design.finer(factor, problem.record) if factor >= WORTHWHILE else None
     return design if finer is None else finer
 
 
