@@ -105,12 +105,15 @@ class NoiseModel:
         """(functions,), of the force sensors among the collocation points, 0 where there is none."""
         return self.points_per_sample * np.nan_to_num(self.force) ** 2
 
+    def sensor_weight(self, name: str) -> np.ndarray:
+        """(channels,) of what sensors leave, 0 where there is none."""
+        return np.nan_to_num(1.0 / self.response[name] ** 2)
+
     def observation_weight(self, name: str, mass: np.ndarray) -> np.ndarray:
         """(n,) weight of a residual of :func:`pinn_cli.physics.observation_residuals`, 0 where there is no sensor."""
-        if name == "observer":
-            variance = self.response["acceleration"] ** 2 + self.physics_variance / (self.points_per_sample * mass**2)
-        else:
-            variance = self.response[name] ** 2
+        if name != "observer":
+            return self.sensor_weight(name)
+        variance = self.response["acceleration"] ** 2 + self.physics_variance / (self.points_per_sample * mass**2)
         return np.nan_to_num(1.0 / variance)
 
 

@@ -49,15 +49,20 @@ class SensorSamples:
         """Of a channel with samples of its own."""
         return cls(gauge.quantity, gauge.dof, gauge.values, gauge.even_run)
 
-    @property
+    @cached_property
     def rms(self) -> float:
         """Root mean square."""
         return float(np.sqrt(np.mean(self.values**2)))
 
+    @cached_property
+    def spread(self) -> float:
+        """Standard deviation; of one value throughout, its size."""
+        return float(np.std(self.values)) or self.rms
+
     @property
     def finest(self) -> float:
         """The least noise that any sensor of such a signal has."""
-        return FINEST_SENSOR * (float(np.std(self.values)) or self.rms)
+        return FINEST_SENSOR * self.spread
 
     @cached_property
     def shown(self) -> float:
@@ -72,7 +77,7 @@ class SensorSamples:
     @property
     def first(self) -> float:
         """Where its noise starts: what shows above its band, if anything does; the scatter of repeats tells it."""
-        level = self.shown or min(FIRST_SENSOR / FINEST_SENSOR * self.finest, self.most)
+        level = self.shown or min(FIRST_SENSOR * self.spread, self.most)
         return max(level if self.scatter is None else self.scatter, self.finest)
 
 

@@ -210,7 +210,7 @@ def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         np.add.at(information, place, (rows.mT @ rows).cpu().numpy())
 
     # What acts on the structure is as it was measured: what its sensors leave says nothing of the model.
-    for own in equations.channels:
+    for own in (own for own in equations.channels if not own.acting.all()):
         root = torch.as_tensor(np.nan_to_num(~own.acting / noise.response[own.name])).to(point.unknowns)
         for piece, (at, moved) in zip(own.residuals(point), own.moved(point, steps), strict=True):
             add(piece.residual * root[at], [change * root[at] for change in moved], piece.first, piece.groups)

@@ -8,6 +8,7 @@ share of the variance gives it. A level that is right already stays where it is.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -161,21 +162,23 @@ def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.n
     whose spectrum shows nothing: what its emptiest part has at most, or see `BESIDE_LOAD_CELL`.
     """
     equations = evidence.equations
-    levels = {
-        (channels.name, i): (sensor, noise.response[channels.name][i])
+    sensors = {
+        (channels.name, i): sensor
         for channels in equations.channels
         for i, sensor in enumerate(channels.sensors)
         if sensor is not None
     }
+    relative: defaultdict[str, dict[tuple[str, int], float]] = defaultdict(dict)
+    for (name, i), sensor in sensors.items():
+        if sensor.rms > 0:
+            relative[sensor.quantity][name, i] = noise.response[name][i] / sensor.rms
     out = {channels.name: np.zeros(len(channels.there)) for channels in equations.channels}
-    for (name, i), (sensor, _) in levels.items():
-        others = [
-            level / other.rms
-            for key, (other, level) in levels.items()
-            if key != (name, i) and other.quantity == sensor.quantity and other.rms > 0
-        ]
-        if sensor.shown or others:
-            out[name][i] = sensor.shown or sensor.rms * np.median(others)
+    for (name, i), sensor in sensors.items():
+        kin = relative[sensor.quantity]
+        if sensor.shown:
+            out[name][i] = sensor.shown
+        elif kin.keys() - {(name, i)}:
+            out[name][i] = sensor.rms * np.median([level for key, level in kin.items() if key != (name, i)])
         elif sensor.quantity == "acceleration" and sensor.dof in evidence.load_cells:
             mass, force = float(equations.prescribed["m"][sensor.dof]), evidence.load_cells[sensor.dof].most
             if noise.force[sensor.dof] > 0 and mass > 0:

@@ -148,8 +148,8 @@ class CalibratedChannel:
         frame, parameters = self.frame, self.frame.parameters(point)
         moment = self.moment(float(self.value("delay", parameters)))
         jet, gain, shows = frame.jet(moment.segments, point), self.value("gain", parameters), self.shows
-        felt, parts = shows.value(jet, parameters), shows.parts(jet, parameters)
-        by = {place: gain * column for place, column in shows.by_parameter(jet, parameters).items()}
+        felt, (parts, by) = shows.value(jet, parameters), shows.linearised(jet, parameters)
+        by = {place: gain * column for place, column in by.items()}
         by |= {self.places[kind]: column for kind, column in self._by_number(moment, felt, gain).items()}
         if "delay" in self.places:
             by[self.places["delay"]] = -gain * self._changed(moment, parts, point, more=1)
@@ -191,7 +191,7 @@ class CalibratedChannel:
         number = {int(place): i for i, place in enumerate(self.frame.vector.column)}
         displacement = None
         if gauge.quantity == "acceleration":
-            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", gauge))
+            turning = WeightedSum(weighted(self.frame.dynamics, "displacement", gauge.weights))
             displacement = flat(turning.value(self.frame.jet(segments, point), {}))
         return ChannelAtPoint(
             f"sensor {gauge.name}" if gauge.dof is None else channel_name(record, gauge.quantity, gauge.dof),

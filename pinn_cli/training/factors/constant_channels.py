@@ -14,9 +14,10 @@ from pinn_cli.record.channels import channel_name
 from pinn_cli.system.functions import Jet
 from pinn_cli.training.band.point import Point
 from pinn_cli.training.band.row_sums import RowSums
-from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.factors.constant_rows import ConstantRows
 from pinn_cli.training.factors.factor import Channels, Piece
+from pinn_cli.training.factors.feels import weighted
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.sensor_samples import SensorSamples
@@ -58,8 +59,7 @@ class ConstantChannels(Channels):
 
     def weight(self, noise: NoiseModel) -> Tensor:
         """(K,), one over the variances of points that count for their share of a sample."""
-        variance = self.per_sample * noise.response[self.name] ** 2
-        return torch.as_tensor(np.nan_to_num(1.0 / variance)).to(self.target) * self.mask
+        return torch.as_tensor(noise.sensor_weight(self.name) / self.per_sample).to(self.target) * self.mask
 
     def residual(self, point: Point, part: slice = EVERY) -> Tensor:
         """(I, S, K), of some groups."""
@@ -107,21 +107,16 @@ class ResponseChannels(ConstantChannels):
         frame, segments = self.frame, self.segments
         states = frame.flat_states(segments, point)
         displacement = frame.dynamics.sensed("displacement", Jet(*states[:3])).cpu().numpy()
-        felt, sensing = self.felt(states).cpu().numpy(), frame.dynamics.sensing(self.name)
+        felt = self.felt(states).cpu().numpy()
         residual = felt - frame.target.response[self.name].cpu().numpy()
         features = dict(enumerate((segments.displacement, segments.velocity, segments.acceleration)))
         for dof in np.flatnonzero(self.there).tolist():
-            parts = [
-                Part(int(function), order, float(weight))
-                for order, weights in sensing
-                for function, weight in zip(weights[dof].indices, weights[dof].data, strict=True)
-            ]
             yield ChannelAtPoint(
                 channel_name(frame.problem.record, self.name, dof),
                 self.name,
                 segments,
                 features,
-                parts,
+                weighted(frame.dynamics, self.name, {dof: 1.0}),
                 felt[:, dof],
                 displacement[:, dof],
                 residual[:, dof],

@@ -16,7 +16,6 @@ from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.response import GROUND
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.quantities import CONNECTION_FORCE, TILT
 from pinn_cli.training.factors.channel_at_point import Part
 from pinn_cli.training.factors.frame import Frame
@@ -30,12 +29,8 @@ class Feels(ABC):
         """(I, S), of functions (I, S, N)."""
 
     @abstractmethod
-    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
-        """The derivative of that by the functions, and by their derivatives."""
-
-    def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
-        """Place of an uncertain parameter to the derivative (I, S) by it."""
-        return {}
+    def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
+        """The derivative of that by the functions and theirs; place of an uncertain parameter to that by it (I, S)."""
 
 
 class WeightedSum(Feels):
@@ -51,13 +46,17 @@ class WeightedSum(Feels):
     def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         """See :meth:`Feels.value`."""
         out = jet.value.new_zeros(jet.value.shape[:-1])
-        for function, order, weight in self.parts(jet, parameters):
+        for function, order, weight in self.parts(parameters):
             out = out + weight * jet[order][..., function]
         return out
 
-    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
-        """See :meth:`Feels.parts`."""
+    def parts(self, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """What it is made of, wherever the functions are."""
         return self.own
+
+    def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
+        """See :meth:`Feels.linearised`."""
+        return self.parts(parameters), {}
 
 
 class Tilting(WeightedSum):
@@ -74,14 +73,15 @@ class Tilting(WeightedSum):
         super().__init__(parts)
         self.turning, self.number, self.place = WeightedSum(turning), number, place
 
-    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
-        """See :meth:`Feels.parts`."""
+    def parts(self, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """See :meth:`WeightedSum.parts`."""
         tilt = parameters[TILT][self.number]
         return [*self.own, *(Part(function, order, tilt * w) for function, order, w in self.turning.own)]
 
-    def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
-        """See :meth:`Feels.by_parameter`."""
-        return {} if self.place is None else {self.place: self.turning.value(jet, parameters)}
+    def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
+        """See :meth:`Feels.linearised`."""
+        by = {} if self.place is None else {self.place: self.turning.value(jet, parameters)}
+        return self.parts(parameters), by
 
 
 class ConnectionForce(Feels):
@@ -99,32 +99,24 @@ class ConnectionForce(Feels):
         """See :meth:`Feels.value`."""
         return self.frame.dynamics.connection_force(jet, parameters)[..., self.connection]
 
-    def parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
-        """See :meth:`Feels.parts`."""
-        dynamics, c = self.frame.dynamics, self.connection
-        slope = self._linearised(jet, parameters)
-        stretch, memory, parts = dynamics.stretched[c], dynamics.structure.memory, []
+    def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
+        """See :meth:`Feels.linearised`."""
+        dynamics, vector, c = self.frame.dynamics, self.frame.vector, self.connection
+        structure, carriers = dynamics.structure, dynamics.structure.carriers
+        slope = structure.linearise(dynamics.stretching(jet.value), dynamics.stretching(jet.rate), parameters)
+        stretch, parts = dynamics.stretched[c], []
         for function, weight in zip(stretch.indices.tolist(), stretch.data.tolist(), strict=True):
             parts.append(Part(function, 0, weight * slope.stiffness[..., c]))
             parts.append(Part(function, 1, weight * slope.damping[..., c]))
-        if c in memory:
-            parts.append(Part(dynamics.hidden.start + int(np.searchsorted(memory, c)), 0, 1.0))
-        return parts
-
-    def by_parameter(self, jet: Jet, parameters: Mapping[str, Tensor]) -> dict[int, Tensor]:
-        """See :meth:`Feels.by_parameter`."""
-        slope, vector, dynamics = self._linearised(jet, parameters), self.frame.vector, self.frame.dynamics
-        carriers = dynamics.structure.carriers
-        return {
+        if c in structure.memory:
+            parts.append(Part(dynamics.hidden.start + int(np.searchsorted(structure.memory, c)), 0, 1.0))
+        by = {
             vector.first[p.kind] + p.index: slope.by_parameter[p.kind][..., own].sum(-1)
             for p in vector.moving
             if p.kind in slope.by_parameter
-            and (own := (dynamics.branch(p.kind) == self.connection) & (carriers[p.kind][1] == p.index)).any()
+            and (own := (dynamics.branch(p.kind) == c) & (carriers[p.kind][1] == p.index)).any()
         }
-
-    def _linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Linearisation:
-        u, v = (self.frame.dynamics.stretching(x) for x in (jet.value, jet.rate))
-        return self.frame.dynamics.structure.linearise(u, v, parameters)
+        return parts, by
 
 
 def felt_by(gauge: Gauge, number: int, frame: Frame) -> Feels:
@@ -137,18 +129,18 @@ def felt_by(gauge: Gauge, number: int, frame: Frame) -> Feels:
     """
     if gauge.quantity == CONNECTION_FORCE:
         return ConnectionForce(frame, gauge.connection)
-    parts = weighted(frame.dynamics, gauge.quantity, gauge)
+    parts = weighted(frame.dynamics, gauge.quantity, gauge.weights)
     if TILT not in gauge.calibration:
         return WeightedSum(parts)
-    turning, first = weighted(frame.dynamics, "displacement", gauge), frame.vector.first
+    turning, first = weighted(frame.dynamics, "displacement", gauge.weights), frame.vector.first
     moves = any(p.kind == TILT and p.index == number for p in frame.vector.moving)
     return Tilting(parts, turning, number, first[TILT] + number if moves else None)
 
 
-def weighted(dynamics: Dynamics, quantity: str, gauge: Gauge) -> list[Part]:
-    """Of sensors of a quantity that feel the same weighted sum of DOFs as a gauge."""
+def weighted(dynamics: Dynamics, quantity: str, felt: Mapping[int, float]) -> list[Part]:
+    """Of a sensor of a quantity that feels a weighted sum of DOFs, counted from 0; the ground is felt as it is."""
     weights: defaultdict[tuple[int, int], float] = defaultdict(float)
-    channels = {0: 1.0} if quantity == GROUND else gauge.weights
+    channels = {0: 1.0} if quantity == GROUND else felt
     for order, matrix in dynamics.sensing(quantity):
         for channel, weight in channels.items():
             row = matrix[channel]

@@ -48,11 +48,8 @@ class Observer(Residuals):
         # The rows of the restoring force over -m.
         frame, weight, mass = self.frame, self.weight(noise), -self.frame.parameters(point)["m"]
         for part, residual in self.residuals(point):
-            jet = frame.jet(self.segments, point, part)
-            slope, acceleration = (
-                frame.dynamics.linearise(jet, frame.parameters(point)),
-                self._acceleration(point, part),
-            )
+            slope = frame.dynamics.linearise(frame.jet(self.segments, point, part), frame.parameters(point))
+            acceleration = self._acceleration(point, part)
             rows = EquationRows.of(frame.pattern, slope, None, acceleration, frame.spread)
             for each in rows.weighted(self.segments.part(part), residual * mass, weight / mass**2):
                 sums.add(each)

@@ -7,7 +7,7 @@ over every knot interval, as the equation of motion does.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from torch import Tensor
@@ -48,9 +48,6 @@ class SensorFilter(Factor):
         values = channel.gauge.values
         self.weight = (EXACT * (float(np.std(values)) or 1.0)) ** -2
 
-    def _polynomial(self, parameters: Mapping[str, Tensor]) -> Sequence[float]:
-        return filter_polynomial(self._corner(parameters), self.order)
-
     def _corner(self, parameters: Mapping[str, Tensor]) -> float:
         return 2.0 * math.pi * float(self.channel.value(HIGH_PASS, parameters))
 
@@ -59,14 +56,18 @@ class SensorFilter(Factor):
         local = self.frame.layout.weights(point.unknowns)[self.segments.feature]
         return Jet(*(phi @ local for phi in self.features))
 
-    def _parts(self, jet: Jet, parameters: Mapping[str, Tensor]) -> list[Part]:
-        own = [Part(self.state, order, a) for order, a in enumerate(self._polynomial(parameters))]
-        return own + [Part(f, order, -w) for f, order, w in self.channel.feels.parts(jet, parameters)]
+    def _state(self, parameters: Mapping[str, Tensor]) -> list[Part]:
+        """What the state asks for."""
+        polynomial = filter_polynomial(self._corner(parameters), self.order)
+        return [Part(self.state, order, a) for order, a in enumerate(polynomial)]
 
     def residual(self, point: Point) -> Tensor:
         """(I, 1), or (I, S) at points, what the state asks for less what is felt."""
-        jet, parameters = self._jet(point), self.frame.parameters(point)
-        return WeightedSum(self._parts(jet, parameters)).value(jet, parameters)
+        return self._left(self._jet(point), self.frame.parameters(point))
+
+    def _left(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
+        asked = WeightedSum(self._state(parameters)).value(jet, parameters)
+        return asked - self.channel.feels.value(jet, parameters)
 
     def loss(self, point: Point, noise: NoiseModel) -> float:
         """See :meth:`Factor.loss`."""
@@ -75,13 +76,13 @@ class SensorFilter(Factor):
     def add_to(self, sums: RowSums, point: Point, noise: NoiseModel) -> None:
         """See :meth:`Factor.add_to`."""
         jet, parameters, spread = self._jet(point), self.frame.parameters(point), self.frame.spread_by_place
-        parts, corner = self._parts(jet, parameters), self._corner(parameters)
-        by = {place: -column for place, column in self.channel.feels.by_parameter(jet, parameters).items()}
+        felt, by = self.channel.feels.linearised(jet, parameters)
+        parts = self._state(parameters) + [Part(f, order, -w) for f, order, w in felt]
+        by, corner = {place: -column for place, column in by.items()}, self._corner(parameters)
         if HIGH_PASS in self.channel.places:
             slope = (1.0,) if self.order == 1 else (2.0 * corner, math.sqrt(2.0))
             of_state = WeightedSum([Part(self.state, order, 2.0 * math.pi * a) for order, a in enumerate(slope)])
             by[self.channel.places[HIGH_PASS]] = of_state.value(jet, parameters)
         columns = {place: spread[place] * column for place, column in by.items()}
         features = summed_features(parts, self.features.__getitem__)
-        residual = WeightedSum(parts).value(jet, parameters)
-        add_products(sums, self.segments, features, residual, columns, self.weight)
+        add_products(sums, self.segments, features, self._left(jet, parameters), columns, self.weight)
