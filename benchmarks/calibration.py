@@ -27,8 +27,8 @@ from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
 from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 CASES = ("pe_2dof_duffing", "pe_2dof_van_der_pol")
 FORCED = ("[1]", "[1,2]")

@@ -29,7 +29,7 @@ class Counted:
 
     def watch(self) -> None:
         """Have every factorisation and every stage counted."""
-        from pinn_cli.training.band.bordered import BorderedSystem
+        from pinn_cli.training.normal_matrix.bordered import BorderedSystem
 
         eliminated, stage = BorderedSystem.eliminated, Stages.__call__
 

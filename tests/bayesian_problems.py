@@ -15,11 +15,11 @@ from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.discrepancy_search import searched, widened_for_colour
-from pinn_cli.training.band.evidence import Evidence, Trained
-from pinn_cli.training.band.noise_levels import settled
-from pinn_cli.training.band.normal_equations import NormalEquations
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.levels import settled
+from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.steps.discrepancy_search import searched, widened_for_colour
 
 PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one
 

@@ -9,16 +9,16 @@ import torch
 
 from pinn_cli.record.record import Record
 from pinn_cli.runs.side_by_side import Items
-from pinn_cli.training.band.bordered import BorderedFactor, BorderedSystem
-from pinn_cli.training.band.evidence import Evidence, Trained
-from pinn_cli.training.band.least_squares import LeastSquares
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.record_evidence import RecordEvidence
-from pinn_cli.training.band.shared_border import SharedSystem
+from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.constant_channels import ConstantChannels
 from pinn_cli.training.factors.factor import Residuals
+from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.bordered import BorderedFactor, BorderedSystem
+from pinn_cli.training.normal_matrix.shared_border import SharedSystem
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence
 from pinn_cli.training.sensor_samples import starting_levels
 
 

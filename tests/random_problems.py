@@ -28,11 +28,11 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.substructures import Parts
 from pinn_cli.system.topology import build_structure, connected
 from pinn_cli.system.whole_damping import damped
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+from pinn_cli.training.starting_noise import starting_noise
 
 SAMPLES, STEP, START = 30, 0.1, 2.0
 # Settings, and parameters beside c and k, of a connection of every law; some share a kind of parameter.

@@ -16,7 +16,6 @@ from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.band.normal_equations import NormalEquations
 from pinn_cli.training.base import Training
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -24,6 +23,7 @@ from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs
 from pinn_cli.training.gradient.ssbroyden import SsBroyden
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
 
 pytestmark = [
     pytest.mark.cuda,

@@ -29,8 +29,8 @@ from pinn_cli.cli.windows import check_windows
 from pinn_cli.inspection.inspection import inspect_record
 from pinn_cli.record.growing_windows import GrowingWindows
 from pinn_cli.scheme.modal.modal_problem import modal_problem
-from pinn_cli.training.band.evidence import Evidence
 from pinn_cli.training.estimate import RunContext
+from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space import training as over_all_weights
 from pinn_cli.training.gradient import training as gradient_training
 

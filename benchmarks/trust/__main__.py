@@ -8,7 +8,7 @@ sweeps, and compared with the truth:
     make trust ARGS="--family ground --seeds 20"          one family
     make trust ARGS="--family ground --seed 7"            one case, whose files stay
     make trust ARGS="--quick --against REVISION"          the same cases on two revisions: what changed, case by case
-    make trust ARGS="--vary training/band/beginning.TIE"  the quick cases with a number halved and doubled
+    make trust ARGS="--vary training/beginning.TIE"  the quick cases with a number halved and doubled
     make trust ARGS="--vary all"                          every number of the estimator, three cases each (hours)
     make trust ARGS="--write"                             the table and the figure go to docs/trust.md
 
@@ -88,7 +88,7 @@ def vary(given: argparse.Namespace) -> pd.DataFrame:
     every, asked = given.vary == ["all"], set(given.vary)
     chosen = [one for one in constants() if every or {one.label, one.name} & asked]
     if not chosen:
-        sys.exit(f"--vary: no {', '.join(given.vary)}; they are called training/band/beginning.TIE and the like")
+        sys.exit(f"--vary: no {', '.join(given.vary)}; they are called training/beginning.TIE and the like")
     given.quick = True
     known = judged(HERE, given).rows.dropna(subset="seconds").sort_values("seconds")
     path = referee(HERE, given).folder / CONSTANTS

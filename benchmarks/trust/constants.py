@@ -53,7 +53,7 @@ class Constant:
 
     @property
     def label(self) -> str:
-        """How it is asked for: `training/band/beginning.TIE`."""
+        """How it is asked for: `training/beginning.TIE`."""
         return f"{self.path.removesuffix('.py')}.{self.name}"
 
     @property

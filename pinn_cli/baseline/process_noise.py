@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.state_space import NoiseLevels
 from pinn_cli.record.spectrum import occupied_band
-from pinn_cli.training.band.discrepancy_search import NEGLIGIBLE_GAIN
+from pinn_cli.training.steps.discrepancy_search import NEGLIGIBLE_GAIN
 
 # The scan goes down by decades, from the force that acts to this part of it.
 DECADE, FINEST = 10.0, 1e-8
@@ -38,7 +38,7 @@ def stiffened(smoother: IteratedSmoother, levels: NoiseLevels, wanted: float) ->
 def most_probable(smoother: IteratedSmoother, levels: NoiseLevels, begun: Pass | None = None) -> Pass:
     """The pass under the discrepancy of greatest evidence, searched from soft physics to stiff.
 
-    Every level starts at the last trajectory, as in `pinn_cli.training.band.evidence`: soft physics forgives a start at
+    Every level starts at the last trajectory, as in `pinn_cli.training.evidence`: soft physics forgives a start at
     rest, and each stiffer problem begins next to its solution.
 
     Args:

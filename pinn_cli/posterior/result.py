@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from pinn_cli.posterior.base import Posterior, PosteriorSamples
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
     from pinn_cli.training.estimate import Estimate, RunContext
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 # Of the force's posterior predictive: draws of all chains, and samples of the record, so that a file of a few megabytes
 # holds it. A hundred draws are enough for the 5 and 95 % quantiles; with fewer samples the force would not look smooth.

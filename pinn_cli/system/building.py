@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
     from pinn_cli.system.connection.base import Nonlinearity
 
-# What an estimator holds grows with the square of this number; `pinn_cli.training.band.layout` counts it for a record.
+# What an estimator holds grows with the square of this number;
+# `pinn_cli.training.normal_matrix.layout` counts it for a record.
 MOST_DOFS = 2000
 
 

@@ -15,12 +15,12 @@ from pinn_cli.model.knowledge import EndState, HandOver, ParameterKnowledge
 from pinn_cli.model.misfit import Misfit
 from pinn_cli.record.response import Response
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training.other_damping import DampingDoubt
+from pinn_cli.training.doubts.other_damping import DampingDoubt
 
 if TYPE_CHECKING:
     from pinn_cli.runs.checkpoint import Checkpoints
     from pinn_cli.system.structure import Structure
-    from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods
+    from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
 # Called with each row of a history as it comes; it must not change it.
 Watch = Callable[[Mapping[str, float]], None]

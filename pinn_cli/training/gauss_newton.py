@@ -20,26 +20,26 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
-from pinn_cli.training.band.damping_score import scored_damping
-from pinn_cli.training.band.evidence import Evidence
-from pinn_cli.training.band.hand_over import handed_over
-from pinn_cli.training.band.inference import (
+from pinn_cli.training.base import Training, built
+from pinn_cli.training.doubts.damping_score import scored_damping
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
+from pinn_cli.training.history import History
+from pinn_cli.training.inference import (
     ITERATIONS,
     TOLERANCE,
     inferred,
 )
-from pinn_cli.training.band.inferred import InferenceSettings, Inferred
-from pinn_cli.training.band.near_levels import as_fine_as_before
-from pinn_cli.training.band.parameter_likelihoods import parameter_likelihoods
-from pinn_cli.training.band.posterior_estimate import posterior_estimate
-from pinn_cli.training.band.starting_noise import starting_noise
-from pinn_cli.training.band.stories import best_told
-from pinn_cli.training.base import Training, built
-from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
-from pinn_cli.training.history import History
+from pinn_cli.training.inferred import InferenceSettings, Inferred
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.reported.hand_over import handed_over
+from pinn_cli.training.reported.parameter_likelihoods import parameter_likelihoods
+from pinn_cli.training.reported.posterior_estimate import posterior_estimate
+from pinn_cli.training.reported.stories import best_told
+from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.steps.near_levels import as_fine_as_before
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
 

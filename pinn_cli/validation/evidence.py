@@ -11,7 +11,7 @@ from pinn_cli.validation.base import Score, Setup, Validation
 
 
 class EvidenceScore(Validation):
-    """Minus the logarithm of the marginal likelihood (:mod:`pinn_cli.training.band.evidence`), in nats.
+    """Minus the logarithm of the marginal likelihood (:mod:`pinn_cli.training.evidence`), in nats.
 
     It is known up to a constant of the network and of the sensors' noise, so it compares what is prescribed of the
     chain under one network, and no two networks: those are told apart by :mod:`pinn_cli.validation.heldout`.

@@ -17,9 +17,9 @@ from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.posterior.target import S_STD
 from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.training.band.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.likelihood import ParameterLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
 
 # Priors that pull: about as narrow as the likelihood, and off the truth.
 PULLING = {

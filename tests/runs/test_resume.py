@@ -19,7 +19,7 @@ from pinn_cli.record.simulated import Simulated
 from pinn_cli.report import dataset
 from pinn_cli.runs import identity
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.band.evidence import Evidence
+from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space.linearisation import Linearisation
 
 HYDRAS = {".hydra", "pinn-run.log"}

@@ -15,13 +15,13 @@ from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.channels import channel_name
 from pinn_cli.record.gauge import DELAYS_ALLOWED, GAUGE, Gauge
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import Rows, RowSums, Touched
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
 from pinn_cli.training.factors.factor import Channels, Factor, Piece
 from pinn_cli.training.factors.feels import Feels, WeightedSum, felt_by, weighted
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
+from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
 
 

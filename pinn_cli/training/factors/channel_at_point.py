@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.band.layout import BandLayout
+from pinn_cli.training.normal_matrix.layout import BandLayout
 
 
 class Part(NamedTuple):

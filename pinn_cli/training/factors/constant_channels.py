@@ -12,14 +12,14 @@ from pinn_cli.network.base import States
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.record.channels import channel_name
 from pinn_cli.system.functions import Jet
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
 from pinn_cli.training.factors.constant_rows import ConstantRows
 from pinn_cli.training.factors.factor import Channels, Piece
 from pinn_cli.training.factors.feels import weighted
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
 from pinn_cli.training.sensor_samples import SensorSamples
 
 

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix, diags
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.training.band.row_sums import RowSums
+from pinn_cli.training.normal_matrix.row_sums import RowSums
 
 
 class ConstantRows:

@@ -6,12 +6,12 @@ import torch
 from scipy.sparse import identity
 from torch import Tensor
 
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.factors.constant_rows import ConstantRows
 from pinn_cli.training.factors.factor import Residuals
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
 
 
 class Continuity(Residuals):

@@ -14,9 +14,9 @@ from pinn_cli.system.linearisation import Linearisation
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.row_pattern import RowPattern
-from pinn_cli.training.band.row_sums import Rows, Touched
-from pinn_cli.training.band.subdomains import Subdomains
+from pinn_cli.training.normal_matrix.row_pattern import RowPattern
+from pinn_cli.training.normal_matrix.row_sums import Rows, Touched
+from pinn_cli.training.subdomains import Subdomains
 
 # Numbers of rows, or of their products, that are held at once: a whole spline of a small chain, little enough for the
 # caches, and no more than that for Fourier features.

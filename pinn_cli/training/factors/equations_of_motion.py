@@ -1,6 +1,6 @@
 """The equations of all functions of time: motion, memory of connections, ground, unknown forces.
 
-Averaged over the knot intervals of local features, see :mod:`pinn_cli.training.band.subdomains`; at every collocation
+Averaged over the knot intervals of local features, see :mod:`pinn_cli.training.subdomains`; at every collocation
 point of others.
 """
 
@@ -13,12 +13,12 @@ from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
 from pinn_cli.system.functions import Jet
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.factors.equation_rows import EquationRows, own_by_parameter
 from pinn_cli.training.factors.factor import Residuals
 from pinn_cli.training.factors.frame import EVERY, Frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
 
 
 class EquationsOfMotion(Residuals):

@@ -22,11 +22,11 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.training.band.beginning import Beginning
-from pinn_cli.training.band.layout import BandLayout
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_pattern import RowPattern
-from pinn_cli.training.band.subdomains import Subdomains
+from pinn_cli.training.beginning import Beginning
+from pinn_cli.training.normal_matrix.layout import BandLayout
+from pinn_cli.training.normal_matrix.row_pattern import RowPattern
+from pinn_cli.training.point import Point
+from pinn_cli.training.subdomains import Subdomains
 
 # Numbers of the linearised equation of motion that are held at once: little enough for the caches.
 ROWS_AT_ONCE = 1_000_000

@@ -15,13 +15,13 @@ from torch import Tensor
 
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.beginning import TIE, Beginning
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import Rows, RowSums, Touched
+from pinn_cli.training.beginning import TIE, Beginning
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.modal_scale import modal_deviation
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
+from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import force_and_velocity_scale
 
 # Prior standard deviation of an unknown force at the first sample, over the force that the record is about.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from pinn_cli.training.band.layout import BandLayout
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.layout import BandLayout
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
 
 # Relative to the largest diagonal of the first normal matrix: keeps directions that nothing measures from running away.
 # Fourier features on a period longer than the record have such directions: below 1e-15 their Gauss-Newton steps never

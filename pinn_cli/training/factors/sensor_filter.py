@@ -15,14 +15,14 @@ from torch import Tensor
 from pinn_cli.record.gauge import filter_polynomial
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.quantities import HIGH_PASS
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannel, add_products, summed_features
 from pinn_cli.training.factors.channel_at_point import Part
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.feels import WeightedSum
 from pinn_cli.training.factors.frame import Frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
 
 # What the equation may leave, over the rms of the channel: less than any sensor's noise.
 EXACT = 1e-4

@@ -39,7 +39,7 @@ class FunctionSpacePosterior:
         noise: That of the search, its discrepancy widened for its colour: a model error that fills a part of the band
             has fewer independent values, and larger ones, than there are points.
         covariance: (p, p), of the uncertain parameters, in prior standard deviations: the motion integrated out, and
-            what misfit may have added to each (:func:`pinn_cli.training.band.parameter_posterior.coherent_misfit`).
+            what misfit may have added to each (:func:`pinn_cli.training.reported.parameter_posterior.coherent_misfit`).
     """
 
     def __init__(self, search: FunctionSpaceSearch) -> None:

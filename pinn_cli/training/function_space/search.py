@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.mlp import MlpNetwork
-from pinn_cli.training.band.discrepancy_search import SUSPICIOUS_DISCREPANCY
 from pinn_cli.training.function_space.feature_system import NotNearlyLinearError
 from pinn_cli.training.function_space.kernel import Layers, layers
 from pinn_cli.training.function_space.linearisation import Linearisation, Step
@@ -22,6 +21,7 @@ from pinn_cli.training.history import History, noise_weights
 from pinn_cli.training.learned_parameters import LearnedParameters
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.parameter_spread import updated_spread
+from pinn_cli.training.steps.discrepancy_search import SUSPICIOUS_DISCREPANCY
 from pinn_cli.training.stepwise import Stepwise
 
 # Shares of a step that are tried before the damping is raised: a step costs a factor, a share next to nothing.

@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.other_damping import DampingDoubt, damping_doubt, with_other_damping
+from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
 from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
 from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral

@@ -15,11 +15,11 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+from pinn_cli.training.starting_noise import starting_noise
 
 TIME = 2.0 + 0.3 * np.arange(21)
 OWN = np.sort(np.random.default_rng(3).uniform(TIME[0], TIME[-1], 34))

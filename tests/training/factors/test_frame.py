@@ -15,15 +15,15 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.structure import Structure
-from pinn_cli.training.band.connection_forces import connection_forces
-from pinn_cli.training.band.dissipated_energy import dissipated_energy
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.posterior import ReadoutPosterior
-from pinn_cli.training.band.starting_noise import starting_noise
 from pinn_cli.training.base import built
+from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.factors import frame
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+from pinn_cli.training.reported.connection_forces import connection_forces
+from pinn_cli.training.reported.dissipated_energy import dissipated_energy
+from pinn_cli.training.starting_noise import starting_noise
 
 
 def posed(structure: Structure, samples: int = 49) -> tuple[NormalEquations, NoiseModel]:

@@ -23,13 +23,13 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import FunctionSpaceGaussNewton
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.learned_parameters import LearnedParameters
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
 
 SENSORS = (1, 2, 3, 4)
 

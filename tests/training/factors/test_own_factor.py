@@ -9,11 +9,11 @@ from small_problems import measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.row_sums import RowSums
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
 
 
 class Still(Factor):

@@ -20,11 +20,6 @@ from scipy.sparse import csr_matrix
 
 from pinn_cli.runs import side_by_side
 from pinn_cli.system.quantities import HIGH_PASS
-from pinn_cli.training.band.bordered import BorderedSystem
-from pinn_cli.training.band.least_squares import LeastSquares
-from pinn_cli.training.band.normal_equations import NormalEquations
-from pinn_cli.training.band.point import Point
-from pinn_cli.training.band.record_evidence import RecordEvidence
 from pinn_cli.training.factors import equation_rows, frame
 from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains
 from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
@@ -32,7 +27,12 @@ from pinn_cli.training.factors.factor import Channels, Factor, Residuals
 from pinn_cli.training.factors.known_state import KnownState
 from pinn_cli.training.factors.ridge import Ridge
 from pinn_cli.training.factors.sensor_filter import SensorFilter
+from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence
 
 pytestmark = pytest.mark.filterwarnings("ignore:Converting a tensor with requires_grad")
 FIXED = settings(derandomize=True, database=None, deadline=None, suppress_health_check=list(HealthCheck))

@@ -1,0 +1,242 @@
+"""Standard deviations of every state at every time, from the Hessian of the most probable solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.bordered import BorderedFactor
+from pinn_cli.training.normal_matrix.row_variance import is_alike, row_variance
+from pinn_cli.training.point import Point
+
+# Intervals whose covariances of all functions are held at once.
+CHUNK = 64
+
+
+class ReadoutPosterior:
+    """Gaussian posterior of readout and parameters about a solution."""
+
+    def __init__(self, equations: NormalEquations, point: Point, factor: BorderedFactor) -> None:
+        self.equations, self.point, self.factor = equations, point, factor
+        self.inverse = factor.readout.inverse()
+        # With R R^T the parameters' covariance, parameters add |(P - J A^-1 B) R|^2 to a row's variance.
+        root = np.linalg.cholesky(factor.corner_covariance)
+        readout = factor.readout
+        self.root = torch.as_tensor(root)
+        self.carried = torch.as_tensor(readout.solved(np.zeros((readout.size, len(root))), root))  # A^-1 B R
+
+    @cached_property
+    def _carried_lines(self) -> np.ndarray:
+        """(p, size), of :attr:`carried`."""
+        return np.ascontiguousarray(self.carried.numpy().T)
+
+    @cached_property
+    def solved(self) -> Tensor:
+        """(size, p), how the weights follow each parameter, A^-1 B."""
+        return torch.as_tensor(self.factor.readout.solved_border)
+
+    def sensed(self, segments: Segments) -> dict[str, Tensor]:
+        """Standard deviation of what sensors of every quantity would show without noise, at the segments' times.
+
+        Each (N, channels): of displacement, velocity and acceleration n, and of the ground where it moves.
+        """
+        dynamics = self.equations.dynamics
+        functions = dict(zip(RESPONSE_QUANTITIES, self.functions(segments), strict=True))
+        if dynamics.structure.shapes is not None:
+            found = self.of_modes(segments, [dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES])
+            return dict(zip(RESPONSE_QUANTITIES, found, strict=True)) | self._of_ground(functions["displacement"])
+        out = {
+            quantity: std[:, : dynamics.ndof]
+            if dynamics.feels_own(quantity)
+            else self.combined(segments, dynamics.sensing(quantity))
+            for quantity, std in functions.items()
+        }
+        return out | self._of_ground(functions["displacement"])
+
+    def _of_ground(self, values: Tensor) -> dict[str, Tensor]:
+        dynamics = self.equations.dynamics
+        return {GROUND: values[:, dynamics.ground]} if dynamics.inputs.ground else {}
+
+    def of_modes(self, segments: Segments, sensing: Sequence[Sequence[tuple[int, csr_matrix]]]) -> list[Tensor]:
+        """Standard deviations as of :meth:`combined`, each (N, channels), where every channel feels all functions.
+
+        The covariance of all functions is then taken from the band once for all channels.
+        """
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))  # (I, functions, B)
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        weights = [[(order, torch.as_tensor(w.toarray())) for order, w in parts] for parts in sensing]
+        found: list[list[Tensor]] = [[] for _ in sensing]
+        for start in range(0, len(local), CHUNK):
+            part = slice(start, start + CHUNK)
+            position = local[part].flatten(1)
+            covariance = self._covariance(position)
+            for out, parts in zip(found, weights, strict=True):
+                rows = sum(w[:, None, :, None] * kinds[order][part, None, :, None] for order, w in parts)
+                assert isinstance(rows, Tensor)
+                rows = rows.flatten(3).flatten(1, 2)  # (intervals, channels S, functions B)
+                out.append(_deviation(rows, covariance).unflatten(1, (len(parts[0][1]), -1)).mT)
+        return [segments.scatter(torch.cat(out).to(segments.mask.device)).cpu() for out in found]
+
+    def combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
+        """Standard deviation of weighted sums of functions and of their derivatives, (N, channels).
+
+        Args:
+            segments: Of the times.
+            sensing: Orders of derivatives, and weights (channels, functions).
+        """
+        out = segments.mask.new_zeros((segments.samples, sensing[0][1].shape[0]))
+        for part in self._windows(segments):
+            group = segments.part(part)
+            group.place(self._combined(group, sensing).to(out.device), out)
+        return out.cpu()
+
+    def _combined(self, segments: Segments, sensing: Sequence[tuple[int, csr_matrix]]) -> Tensor:
+        """The same in some groups, (I, S, channels)."""
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        every = []
+        for channel in range(sensing[0][1].shape[0]):
+            parts = [
+                (int(function), order, float(weight))
+                for order, weights in sensing
+                for function, weight in zip(weights[channel].indices, weights[channel].data, strict=True)
+            ]
+            position = torch.cat([local[:, function] for function, _, _ in parts], -1)
+            rows = torch.cat([weight * kinds[order] for _, order, weight in parts], -1)
+            every.append(self._spread(position, rows))
+        return torch.stack(every, -1)
+
+    def functions(self, segments: Segments) -> tuple[Tensor, Tensor, Tensor]:
+        """Standard deviation of every function and its two derivatives at the segments' times, each (N, functions)."""
+        u, v, a = (segments.mask.new_zeros((segments.samples, self.equations.layout.ndof)) for _ in range(3))
+        for part in self.equations.windows(segments):
+            group = segments.part(part)
+            for out, values in zip((u, v, a), self._functions(group), strict=True):
+                group.place(values.to(out.device), out)
+        return u.cpu(), v.cpu(), a.cpu()
+
+    def _functions(self, segments: Segments) -> list[Tensor]:
+        """The same in some groups, each (I, S, functions)."""
+        local = torch.as_tensor(self.equations.layout.columns(segments.feature, coupled=False))
+        kinds = [phi.cpu() for phi in (segments.displacement, segments.velocity, segments.acceleration)]
+        results: list[list[Tensor]] = [[] for _ in kinds]
+        for dof in range(self.equations.layout.ndof):
+            spread = self._spread(local[:, dof], torch.cat(kinds, 1))
+            for result, std in zip(results, spread.chunk(len(kinds), 1), strict=True):
+                result.append(std)
+        return [torch.stack(result, -1) for result in results]
+
+    def force(self, segments: Segments) -> Tensor:
+        """Standard deviation of the force that the estimated motion takes, at the segments' times, (N, n)."""
+        every = []
+        for part in self._windows(segments):
+            rows = LocalRows(self.equations, segments, self.point, part)
+            each = [self.deviation(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
+            every.append(torch.stack(each, -1))
+        return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
+
+    def force_by_parameter(self, segments: Segments) -> Tensor:
+        """Change of that force with each parameter, in prior standard deviations, the motion following: (N, n, p)."""
+        every = []
+        for part in self.equations.windows(segments):
+            rows = LocalRows(self.equations, segments, self.point, part)
+            each = [self._by_parameter(*rows.of_dof(dof)) for dof in range(self.equations.dynamics.ndof)]
+            every.append(torch.stack(each, 2))
+        return segments.scatter(torch.cat(every).to(segments.mask.device)).cpu()
+
+    def _windows(self, segments: Segments) -> list[slice]:
+        """Groups whose rows and whose covariances of all coupled functions are held at once."""
+        width = len(self.equations.pattern.offsets) * segments.feature.shape[1]
+        return self.equations.windows(segments, width)
+
+    def deviation(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
+        """Standard deviation of linear rows, (I, S).
+
+        Args:
+            position: (I, C), of the readout weights that they take.
+            jacobian: (I, S, C), the rows by those.
+            held: (I, S, p), the rows by the parameters, in prior standard deviations.
+        """
+        own = held.flatten(0, -2).any(0).nonzero()[:, 0]  # few parameters are in one row
+        given = held[..., own] @ self.root[own]
+        if is_alike(position.numpy()):
+            return self._by_lines(position, jacobian, given)
+        by_parameter = given - jacobian @ self.carried[position]
+        return _deviation(jacobian, self._window(position), by_parameter)
+
+    def _spread(self, position: Tensor, rows: Tensor) -> Tensor:
+        """Standard deviation (I, S) of rows (I, S, C) by the weights at the given positions (I, C) alone."""
+        if is_alike(position.numpy()):
+            return self._by_lines(position, rows, None)
+        return _deviation(rows, self._covariance(position))
+
+    def _by_lines(self, position: Tensor, rows: Tensor, given: Tensor | None) -> Tensor:
+        by_parameter = None if given is None else given.numpy()
+        variance = row_variance(self.inverse, self._carried_lines, position.numpy(), rows.numpy(), by_parameter)
+        return torch.as_tensor(variance).clamp(min=0).sqrt()
+
+    def _by_parameter(self, position: Tensor, jacobian: Tensor, held: Tensor) -> Tensor:
+        """(I, S, p)."""
+        return held - jacobian @ self.solved[position]
+
+    def _covariance(self, position: Tensor) -> Tensor:
+        """(I, C, C), of the weights at the given positions (I, C), with what the parameters add."""
+        carried = self.carried[position]
+        return self._window(position) + carried @ carried.mT
+
+    def _window(self, position: Tensor) -> Tensor:
+        """Entries (I, C, C) of the inverse at the given positions (I, C)."""
+        place = position.numpy()
+        return torch.as_tensor(self.inverse.at(place[:, :, None], place[:, None, :]))
+
+
+def _deviation(rows: Tensor, covariance: Tensor, by_parameter: Tensor | None = None) -> Tensor:
+    """Standard deviation of linear rows (..., C), from the weights' covariance and what parameters add (..., p)."""
+    variance = ((rows @ covariance) * rows).sum(-1)
+    if by_parameter is not None:
+        variance = variance + by_parameter.square().sum(-1)
+    return variance.clamp(min=0).sqrt()
+
+
+class LocalRows:
+    """The linearised equation of motion at the times of segments, DOF by DOF.
+
+    Args:
+        equations: Whose features and parameters the rows are by.
+        segments: I groups of S times.
+        point: Where it is linearised.
+        part: Which groups.
+    """
+
+    def __init__(
+        self,
+        equations: NormalEquations,
+        segments: Segments,
+        point: Point,
+        part: slice = slice(None),
+    ) -> None:
+        self.equations, self.segments = equations, segments.part(part)
+        self.rows = equations.motion.rows(segments, point, part=part)
+        self.local = torch.as_tensor(equations.layout.columns(self.segments.feature))
+        self.own = torch.as_tensor(equations.layout.columns(self.segments.feature, coupled=False))
+
+    def of_dof(self, dof: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Positions (I, D B), rows by the weights there (I, S, D B), and by parameter.
+
+        Unused slots hold 0 for the weights of the row's own DOF.
+        """
+        inside = self.local[:, dof] >= 0
+        own = self.own[:, dof].tile(1, len(self.equations.pattern.offsets))
+        jacobian = (
+            self.rows.jacobian(self.segments, slice(dof, dof + 1))[:, 0].cpu() * inside.to(torch.float64)[:, None]
+        )
+        held = self.equations.pattern.uncertain_columns(self.rows.parameter[:, :, dof].cpu(), dof)
+        return torch.where(inside, self.local[:, dof], own), jacobian, held

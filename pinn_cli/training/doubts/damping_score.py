@@ -1,0 +1,45 @@
+"""The score of another model of damping at a solution: a step of its normal equations, see `other_damping`."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
+from pinn_cli.training.history import History
+from pinn_cli.training.inferred import InferenceSettings, Inferred
+from pinn_cli.training.point import Point
+from pinn_cli.training.steps.coloured import has_forces
+
+
+def scored_damping(found: Inferred, settings: InferenceSettings, device: str, history: History) -> DampingDoubt | None:
+    """What the record of a solution says of another model of damping; None where it is not asked."""
+    equations, point = found.by_record[0]
+    if equations.known is not None:
+        return equations.known.damping_doubt
+    problem, trained = found.evidence.problem, found.trained
+    if has_forces(problem):  # that nobody measured: they are free to be whatever damping is not
+        return None
+    values = {kind: x.cpu().numpy() for kind, x in equations.parameters(point).items()}
+    extended = with_other_damping(problem, values)
+    if extended is None:
+        return None
+    networks = [own.network for own in found.evidence.equations.each]
+    evidence = settings.solved_by(extended, networks, device, history)
+    points = []
+    for (own, at), more in zip(found.by_record, evidence.equations.each, strict=True):
+        known = dict(zip(own.uncertain, at.parameters, strict=True))
+        distances = [known.get(p, at.parameters.new_zeros(())) for p in more.uncertain]
+        points.append(Point(more.layout.unknowns(own.layout.weights(at.unknowns)), torch.stack(distances)))
+    joint = evidence.equations
+    start = joint.joined(points)
+    system = joint.assemble(start, trained.noise)
+    factor = system.factor()
+    if factor is None:
+        return None
+    step = factor.step(system)
+    told, before = (np.linalg.slogdet(one.corner_covariance)[1] for one in (factor, trained.factor))
+    log_odds = 0.5 * (system.decrease(step) + float(told - before))
+    scale, first = joint.scale, start.parameters.cpu().numpy()
+    moved = scale * first, scale * (first + np.asarray(step[1]))
+    return damping_doubt(problem, extended, joint.uncertain, moved, log_odds)

@@ -1,0 +1,268 @@
+"""What the model may lack: how much more probable the record would be with one number more.
+
+A doubt is a parameter that the model does not have: a force of a connection, a mass that is held, an oscillator on a
+DOF, or what a sensor shows beside what it is said to feel. Its rows at the solution are a column. Columns and
+residuals, with the motion projected out, are compared band by band, each of which has a level of its own
+(`left_spectra`). The doubt with which the record is most probable is freed, and the others are asked again.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from pinn_cli.record.response import Response
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.left_out import BACKLASH, FRICTION, HYSTERESIS, MODE
+from pinn_cli.system.natural_modes import frequency_with_oscillator
+from pinn_cli.system.parameters import MASS
+from pinn_cli.training.doubts.force_doubts import ForceTerm, connection_force, force_border, force_terms
+from pinn_cli.training.doubts.left_spectra import Fit, LeftSpectra, left_spectra
+from pinn_cli.training.doubts.sensor_doubts import (
+    DELAY,
+    GAIN,
+    HIGH_PASS,
+    SensorTerm,
+    Term,
+    sensor_border,
+    sensor_terms,
+)
+from pinn_cli.training.estimate import Doubt
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.elimination import Elimination
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+
+# Least discrepancy over the rms force of the connections, and least noise of a sensor over the rms of the largest one
+# of its kind. Stiffer equations take all but the last digits of a column's information; at a resonance of 1 % damping
+# this much is half a per cent of the motion. What is smaller, far from where anything acts, is not asked.
+LEAST = 1e-4
+# Logarithm of how many times as probable a record must be with a doubt: among some hundred doubts, by chance once in a
+# hundred records.
+DECISIVE = 10.0
+# Kinds that have one sign, and the share of its logarithm that what comes early has to lose against what comes late.
+ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
+# Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
+# and doubts that are told of one record.
+BESIDE = 0.1
+MOST_TOLD = 3
+# How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
+SPANS = (0.75, 0.25, 0.08)
+# Products of columns, at every readout weight, that are added up: some seconds, and a gigabyte. A larger record is not
+# asked.
+MOST_PRODUCTS = 2e10
+
+
+def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) -> tuple[Doubt, ...]:
+    """What makes a record far more probable, the most probable one first; nothing where the model holds.
+
+    Args:
+        evidence: Of one record.
+        solution: Its part of a solution.
+        std: Standard deviation of the motion.
+    """
+    equations, point = evidence.equations, solution.point
+    problem = evidence.problem
+    # Where nobody measured a force, it is free to be what the model lacks.
+    if equations.known is not None or problem.inputs.forces or not len(problem.structure.added):
+        return ()
+    reduced = _Solution.of(evidence, solution)
+    forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
+    if reduced is None or equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_PRODUCTS:
+        return ()
+    told, gains = _told(reduced, forces, sensors)
+    if not told:
+        return ()
+    asked = reduced.asked(told)
+    fits = asked.fits(len(told))
+    moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
+    found = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
+    return tuple(reduced.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, told, strict=True))
+
+
+def _told(
+    solution: _Solution, forces: Sequence[ForceTerm], sensors: Sequence[SensorTerm]
+) -> tuple[list[ForceTerm | SensorTerm], list[float]]:
+    """What makes the record far more probable, one beside the other, and by how much, as logarithms."""
+    told: list[ForceTerm | SensorTerm] = []
+    gains: list[float] = []
+    while len(told) < MOST_TOLD:
+        best, gain = solution.asked([*told, *forces, *sensors]).best(len(told))
+        if not gain > max([DECISIVE, *(BESIDE * first for first in gains[:1])]):
+            break
+        for span in SPANS:
+            finer = best.finer(span) if isinstance(best, ForceTerm) else []
+            if finer:
+                best, gain = solution.asked([*told, *finer]).best(len(told))
+        told.append(best)
+        gains.append(gain)
+    return told, gains
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """A record's solution, with the readout weights eliminated.
+
+    Attributes:
+        equations: Of the record.
+        point: Where they are solved.
+        noise: Its weights.
+        channels: Of the record.
+        gradient: (size, 1), of the readout weights.
+        readout: Factored.
+        prior: (p, p), precision of what is believed of the parameters.
+    """
+
+    equations: NormalEquations
+    point: Point
+    noise: NoiseModel
+    channels: list[ChannelAtPoint]
+    gradient: np.ndarray
+    readout: Elimination
+    prior: np.ndarray
+
+    @classmethod
+    def of(cls, evidence: RecordEvidence, solution: RecordSolution) -> _Solution | None:
+        """None where the equations cannot be solved."""
+        equations, point = evidence.equations, solution.point
+        noise = _softened(evidence, solution.noise, _rms_force(equations, point))
+        system = equations.assemble(point, noise)
+        eliminated = system.eliminated()
+        if eliminated is None:
+            return None
+        channels = [one for own in equations.channels for one in own.at(point, noise)]
+        gradient = system.gradient[:, None]
+        return cls(equations, point, noise, channels, gradient, eliminated.readout, solution.prior)
+
+    def asked(self, terms: Sequence[ForceTerm | SensorTerm]) -> _Asked:
+        """Further parameters; forces come first."""
+        forces = [one for one in terms if isinstance(one, ForceTerm)]
+        sensors = [one for one in terms if isinstance(one, SensorTerm)]
+        equations, p = self.equations, len(self.point.parameters)
+        border = np.hstack(
+            (
+                self.gradient,
+                force_border(equations, self.point, self.noise, forces),
+                sensor_border(equations, self.channels, sensors),
+            )
+        )
+        own = self.readout.solved(self.readout.half_solved(border)[0], np.zeros((p, border.shape[1])))
+        # Products with sparse rows take it by rows.
+        moved = np.ascontiguousarray(-np.hstack((own[:, :1], self.readout.solved_border, own[:, 1:])))
+        terms_of = forces, sensors
+        spectra = left_spectra(equations, self.point, self.noise, self.channels, terms_of, moved, self.prior)
+        free = np.flatnonzero(self.point.parameters.cpu().numpy() > equations.lower).tolist()
+        places = {id(one): i for i, one in enumerate([*forces, *sensors], start=p)}
+        return _Asked(terms, [places[id(one)] for one in terms], spectra, moved[:, 1:], free)
+
+    def at_its_mode(self, doubt: Doubt, term: ForceTerm | SensorTerm, step: np.ndarray) -> Doubt:
+        """Of an attached oscillator with the frequency of the whole, in place of its own while its DOF is held."""
+        if doubt.kind != MODE or not isinstance(term, ForceTerm):
+            return doubt
+        by = torch.as_tensor(step[: len(self.point.parameters)]).to(self.point.parameters)
+        values = self.equations.parameters(Point(self.point.unknowns, self.point.parameters + by))
+        structure = self.equations.dynamics.structure
+        present = replace(structure, parameters={kind: values[kind].cpu() for kind in structure.parameters})
+        whole = frequency_with_oscillator(present, int(np.argmax(term.felt)), doubt.value, doubt.shape)
+        return replace(doubt, shape=whole)
+
+    def moved_most(self, asked: _Asked, by: np.ndarray, before: Fit, std: Response) -> tuple[float, str]:
+        """Standard deviations by which what is reported moves with a step of the columns, of what moves most."""
+        equations, like = self.equations, self.point.unknowns
+        moved = {equations.uncertain[i].name: abs(by[i]) * before.information[i] ** 0.5 for i in asked.free}
+        along = Point(torch.as_tensor(asked.moved @ by).to(like), self.point.parameters)
+        change = equations.flat_states(equations.observation, along)
+        displacement = equations.dynamics.sensed("displacement", Jet(*change[:3])).cpu().numpy()
+        for dof, (one, band) in enumerate(zip(displacement.T, std.displacement.T, strict=True)):
+            name = f"the displacement of DOF {equations.problem.record.dof_name(dof)}"
+            moved[name] = float(np.sqrt(np.mean(one**2) / np.mean(band**2)))
+        furthest = max(moved, key=lambda name: moved[name])
+        return float(moved[furthest]), furthest
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """Terms that a model may lack.
+
+    Attributes:
+        terms: D of them.
+        places: Of each, among the columns.
+        spectra: Of the parameters of the model, and of the terms.
+        moved: (size, columns), how the motion adapts to each.
+        free: Places of the parameters that no bound holds.
+    """
+
+    terms: Sequence[ForceTerm | SensorTerm]
+    places: list[int]
+    spectra: LeftSpectra
+    moved: np.ndarray
+    free: list[int]
+
+    def fits(self, told: int) -> list[Fit]:
+        """Without any term, and with one more of the first ones at a time."""
+        fits = [self.spectra.fit(self.free, self.spectra.left)]
+        for count in range(1, told + 1):
+            fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
+        return fits
+
+    def best(self, told: int) -> tuple[ForceTerm | SensorTerm, float]:
+        """The term that makes the record most probable beside the first ones, and its gain."""
+        before, named = self.fits(told)[-1], {(one.term.kind, one.term.of) for one in self.terms[:told]}
+        tried = Counter(one.term.kind for one in self.terms[told:])
+        gains = [
+            -np.inf if (one.term.kind, one.term.of) in named else self._gain(told, place, one.term, before)
+            for one, place in zip(self.terms[told:], self.places[told:], strict=True)
+        ]
+        # Of many that are tried, some are probable by chance.
+        gains = [gain - np.log(tried[one.term.kind]) for gain, one in zip(gains, self.terms[told:], strict=True)]
+        best = int(np.argmax(gains))
+        return self.terms[told + best], float(gains[best])
+
+    def _gain(self, told: int, place: int, term: Term, before: Fit) -> float:
+        """Logarithm of how many times as probable the record is with a term more."""
+        fit = self.spectra.fit([*self.free, *self.places[:told], place], before.energy)
+        x = fit.step[place]
+        # A sensor that passes more than the others do is one whose others pass less. What rubs or slips resists.
+        wrong = term.kind in ONE_SIGN and x < 0.0
+        # A change that leaves no mass, or nothing of a sensor, is beyond what a linear test can tell.
+        wrong |= term.kind in (MASS, GAIN) and x <= -1.0
+        gain = before.minus_log - fit.minus_log - 0.5 * np.log(max(fit.information[place], 1.0))
+        # What explains something else at the price of where the structure moves stands in for what is not asked.
+        moving = self.spectra.moving
+        wrong |= fit.energy[moving].sum() > before.energy[moving].sum()
+        # What comes late is more usual than what comes early: where all sensors are early, the load cell is late.
+        early = EARLY * gain if term.kind == DELAY and x < 0.0 else 0.0
+        return -np.inf if wrong else float(gain - early)
+
+    def doubt(self, number: int, gain: float, fits: list[Fit], moved: tuple[float, str]) -> Doubt:
+        """Of one of the terms; the last fit has all of them."""
+        own, place, last = self.terms[number].term, self.places[number], fits[-1]
+        value, std = own.scale * last.step[place], own.scale / last.information[place] ** 0.5
+        left = [float(fit.energy[self.spectra.moving].sum()) for fit in fits]
+        share = (left[number] - left[number + 1]) / left[0]
+        return Doubt(own.kind, own.of, float(value), float(std), own.unit, gain, *moved, own.shape, share)
+
+
+def _softened(evidence: RecordEvidence, noise: NoiseModel, force: float) -> NoiseModel:
+    """Noise levels of which none is below `LEAST`; ``force`` is that of the connections, N, rms."""
+    largest: defaultdict[str, float] = defaultdict(float)
+    every = evidence.equations.channels
+    for sensor in (sensor for channels in every for sensor in channels.sensors if sensor is not None):
+        largest[sensor.quantity] = max(largest[sensor.quantity], float(sensor.values.std()))
+    response = dict(noise.response)
+    for channels in every:
+        least = [np.nan if sensor is None else LEAST * largest[sensor.quantity] for sensor in channels.sensors]
+        response[channels.name] = np.maximum(noise.response[channels.name], least)
+    return replace(noise, discrepancy=max(noise.discrepancy, LEAST * force), response=response)
+
+
+def _rms_force(equations: NormalEquations, point: Point) -> float:
+    """Of the connections, N."""
+    motion = Jet(*equations.flat_states(equations.physics, point)[:3])
+    return float(np.sqrt(np.mean(connection_force(equations, point, motion)[2] ** 2)))

@@ -1,0 +1,243 @@
+"""Forces that a model may lack: columns, in the equations of motion, of connections, masses, load cells, oscillators.
+
+Each is a history at the collocation points, of the estimated motion and of unit size, and how the coordinates feel it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from pinn_cli.record.channels import record_band
+from pinn_cli.record.gauge import WIDEST_DELAY
+from pinn_cli.record.spectrum import signal_band
+from pinn_cli.system.functions import Jet
+from pinn_cli.system.left_out import LEFT_OUT, MODE, LeftOut, resonance
+from pinn_cli.system.parameters import MASS
+from pinn_cli.system.quantities import FORCE, MOTION
+from pinn_cli.training.doubts.sensor_doubts import DELAY, Term
+from pinn_cli.training.factors.channel_at_point import sparse_rows
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+
+# Oscillators that are attached are tried at frequencies in this ratio at first, or in a larger one, and damped so that
+# they reach each other; then nearer, with these damping ratios. Periods in the record of the lowest, and how many are
+# tried in all.
+RATIO, DAMPED, PERIODS, MOST_OSCILLATORS = 1.08, (0.005, 0.015, 0.04), 8.0, 160
+# Shapes of a term that are tried at once.
+FINER = 7
+
+
+@dataclass(frozen=True, eq=False)
+class ForceTerm:
+    """A force that the motion may take beside those of the model.
+
+    Attributes:
+        term: What.
+        felt: (functions,), how much of it every equation of motion has.
+        history: (P,), N at one prior standard deviation, at the collocation points.
+        reshaped: The same of another shape, in one or several ways; None: it has none.
+        ratio: Of the shapes that are tried.
+        below: What they stay below.
+    """
+
+    term: Term
+    felt: np.ndarray
+    history: np.ndarray
+    reshaped: Callable[[float], Iterable[ForceTerm]] | None = None
+    ratio: float = 1.0
+    below: float = np.inf
+
+    def finer(self, span: float) -> list[ForceTerm]:
+        """The same of shapes that are nearer, from the one below to the one above where ``span`` is one."""
+        if self.reshaped is None:
+            return []
+        shapes = self.term.shape * self.ratio ** (span * np.linspace(-1.0, 1.0, FINER))
+        return [one for shape in shapes[shapes < self.below] for one in self.reshaped(float(shape))]
+
+
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """Makes the forces of one record.
+
+    Attributes:
+        equations: Of the record.
+        motion: Its solution, at the collocation points.
+        time: (P,), s.
+    """
+
+    equations: NormalEquations
+    motion: Jet
+    time: np.ndarray
+
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        """(P, n), of the coordinates, m/s^2."""
+        found: np.ndarray = self.equations.dynamics.inertial_acceleration(self.motion).cpu().numpy()
+        return found
+
+    def term(self, term: Term, pull: np.ndarray, unit: np.ndarray, size: float) -> ForceTerm:
+        """With a prior standard deviation that makes its force so large, rms; ``pull`` is (coordinates,)."""
+        scale = max(size, 1e-300) / max(_rms(unit), 1e-300)
+        felt = self.equations.dynamics.padded(torch.as_tensor(pull)).numpy()
+        return ForceTerm(replace(term, scale=scale), felt, scale * unit)
+
+    def of_connections(self, point: Point) -> Iterator[ForceTerm]:
+        """What a connection may have beside its law."""
+        structure = self.equations.dynamics.structure
+        pulls = structure.incidence.matrix[structure.added].toarray()
+        histories = (x.T for x in connection_force(self.equations, point, self.motion))
+        for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
+            of, own = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
+            for kind in LEFT_OUT:
+                yield from (self.of_connection(shape * _rms(e), kind, of, own) for shape in kind.shapes)
+
+    def of_connection(
+        self, shape: float, kind: LeftOut, of: str, own: tuple[np.ndarray, np.ndarray, np.ndarray, float]
+    ) -> ForceTerm:
+        """One of them."""
+        pull, e, de, size = own
+        plain = self.term(Term(kind.kind, of, kind.unit, 1.0, shape), pull, kind.force(e, de, shape), size)
+        if len(kind.shapes) == 1:
+            return plain
+
+        def again(shape: float) -> Iterator[ForceTerm]:
+            yield self.of_connection(shape, kind, of, own)
+
+        return replace(plain, reshaped=again, ratio=kind.shapes[1] / kind.shapes[0])
+
+    def of_masses(self) -> Iterator[ForceTerm]:
+        """Masses that are held."""
+        problem = self.equations.problem
+        for i, pull in enumerate(np.eye(problem.structure.coordinates)):
+            held, acceleration = problem.structure.parameter(MASS, i), self.acceleration[:, i]
+            if held not in problem.uncertain:
+                size = held.prescribed * _rms(acceleration)
+                yield self.term(Term(MASS, held.owner, held.unit, 1.0), pull, acceleration, size)
+
+    def of_loads(self) -> Iterator[ForceTerm]:
+        """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
+        record = self.equations.problem.record
+        for dof in np.flatnonzero(record.sensors(FORCE)).tolist():
+            shown = self.equations.target.force[:, dof].cpu().numpy()
+            rate = _rate(shown, self.step, signal_band(record.force[:, dof], record.step))
+            late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0)
+            yield self.term(late, np.eye(record.ndof)[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
+
+    def of_oscillators(self) -> Iterator[ForceTerm]:
+        """One mode more, on a DOF with a sensor or under a force."""
+        record, inputs = self.equations.problem.record, self.equations.problem.record.sensors(FORCE)
+        dofs = np.flatnonzero(np.any([inputs, *(record.sensors(q) for q in MOTION)], axis=0)).tolist()
+        lowest, highest = PERIODS / record.duration, self.highest
+        each, reach = MOST_OSCILLATORS // max(len(dofs), 1), np.log(max(highest / lowest, 1.0))
+        if not each:
+            return
+        ratio = max(RATIO, float(np.exp(reach / each)))
+        # At the edge of the band an oscillator is what a mass is.
+        for frequency in highest / ratio ** np.arange(1, 1 + int(reach / np.log(ratio) * (1.0 - 1e-9))):
+            yield from (self.of_oscillator(float(frequency), dof, ratio, (ratio - 1.0) / 2.0) for dof in dofs)
+
+    def of_oscillator(self, frequency: float, dof: int, ratio: float, damping: float) -> ForceTerm:
+        """One of them, of frequencies that are tried in a ratio."""
+        moved, record = self.acceleration[:, dof], self.equations.problem.record
+        mode = Term(MODE, f"DOF {record.dof_name(dof)}", "kg", 1.0, frequency)
+        driven = resonance(moved, self.step, frequency, damping)
+        mass = float(self.equations.prescribed[MASS][dof])
+        plain = self.term(mode, np.eye(record.ndof)[dof], driven, mass * _rms(moved))
+
+        def again(finer: float) -> Iterator[ForceTerm]:
+            yield from (self.of_oscillator(finer, dof, ratio, at) for at in DAMPED)
+
+        return replace(plain, reshaped=again, ratio=ratio, below=self.highest / ratio**0.5)
+
+    @cached_property
+    def highest(self) -> float:
+        """Of the record's content, Hz."""
+        return record_band(self.equations.problem.record)
+
+    @property
+    def step(self) -> float:
+        """Between collocation points, s."""
+        return float(self.time[1] - self.time[0])
+
+
+def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
+    """Of connections, masses that are held, load cells and attached oscillators; of modes those of connections."""
+    motion = Jet(*equations.flat_states(equations.physics, point)[:3])
+    made = _Forces(equations, motion, equations.target.physics_time.cpu().numpy())
+    found = list(made.of_connections(point))
+    if equations.dynamics.structure.shapes is None:
+        found += [*made.of_masses(), *made.of_oscillators()]
+        found += [] if equations.problem.inputs.loads else made.of_loads()
+    return found
+
+
+def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> tuple[np.ndarray, ...]:
+    """Elongation, its rate, and force of the connections that somebody wrote down, each (P, C)."""
+    dynamics, structure = equations.dynamics, equations.dynamics.structure
+    e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.value, motion.rate))
+    z = motion.value[:, dynamics.hidden] if len(structure.memory) else None
+    force = structure.connection_force(e, de, equations.parameters(point), z)
+    return tuple(x.cpu().numpy()[:, structure.added] for x in (e, de, force))
+
+
+def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, terms: Sequence[ForceTerm]) -> np.ndarray:
+    """(size, D), products of forces with the rows of the readout weights."""
+    border = np.zeros((equations.layout.size, len(terms)))
+    own, felt = felt_histories(equations, terms)
+    weight = equations.motion.weight(noise)
+    for part, function, rows, _ in equation_columns(equations, point):
+        by, weighed = np.flatnonzero(felt[function]), weight if weight.ndim == 1 else weight[part]
+        pulled = own[part][..., by] * weighed[..., function, None]  # (I, S or 1, terms that it feels)
+        border[:, by] += (rows.T @ pulled.flatten(0, 1).cpu().numpy()) * felt[function, by]
+    return border
+
+
+def felt_histories(equations: NormalEquations, terms: Sequence[ForceTerm]) -> tuple[Tensor, np.ndarray]:
+    """Forces as the equations are enforced, (I, S or 1, D), and how much of them every equation has, (functions, D)."""
+    time, like = equations.target.physics_time, equations.target.force
+    histories, felt = np.empty((len(time), len(terms))), np.empty((equations.dynamics.size, len(terms)))
+    for d, term in enumerate(terms):
+        histories[:, d], felt[:, d] = term.history, term.felt
+    own = equations.physics.gather(torch.as_tensor(histories).to(like))
+    return own if equations.averages is None else equations.averages(own), felt
+
+
+def equation_columns(equations: NormalEquations, point: Point) -> Iterator[tuple[slice, int, csr_matrix, Tensor]]:
+    """Window by window, of every equation that is enforced, linearised as it is enforced.
+
+    Yields:
+        Which groups, which function's, its rows by the readout weights (I S or I, size) and by each parameter
+        (I, S or 1, p).
+    """
+    for part in equations.windows(equations.physics):
+        segments, rows = equations.physics.part(part), equations.motion.rows(equations.physics, point, part=part)
+        averages = None if equations.averages is None else equations.averages.part(part)
+        places = equations.layout.columns(segments.feature)
+        for function in torch.nonzero(equations.target.equation).flatten().tolist():
+            jacobian = rows.jacobian(segments, slice(function, function + 1))[:, 0]
+            by = equations.pattern.uncertain_columns(rows.parameter[:, :, function], function)
+            if averages is not None:
+                jacobian, by = averages(jacobian), averages(by)
+            yield part, function, sparse_rows(jacobian, places[:, function], equations.layout.size), by
+
+
+def _rate(history: np.ndarray, step: float, highest: float) -> np.ndarray:
+    """(P,), derivative by time of what a history (P,) has up to a frequency, Hz."""
+    from scipy.fft import dct, idct
+
+    cosines = dct(history, type=2, norm="ortho")
+    cosines[int(2.0 * highest * len(history) * step) + 1 :] = 0.0
+    rate: np.ndarray = np.gradient(idct(cosines, type=2, norm="ortho"), step)
+    return rate
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))

@@ -1,0 +1,125 @@
+"""What a sensor may show beside what it is said to feel: columns of a gain, a delay, a tilt, a high-pass filter."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_banded  # scipy.signal takes a third of a second to import
+
+from pinn_cli.record.gauge import WIDEST_DELAY
+from pinn_cli.record.response import GROUND
+from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, MOTION, SUPPORT
+from pinn_cli.training.factors.channel_at_point import ChannelAtPoint
+from pinn_cli.training.normal_equations import NormalEquations
+
+# Kinds, as programs know them.
+GAIN, DELAY, TILT, HIGH_PASS = "gain", "delay", "tilt", "high_pass"
+# Of sensors of one make on one structure: all may pass no slow motion, or turn as their floors do.
+COMMON = (TILT, HIGH_PASS)
+# Of a record, the periods of the lowest corner of a filter that is tried; each next one is twice as high, as long as
+# what the filter takes has no more than half of the channel's power.
+PERIODS, MOST_TAKEN = 2.0, 0.5
+
+
+@dataclass(frozen=True)
+class Term:
+    """Something that a model may lack.
+
+    Attributes:
+        kind: What it is, for programs.
+        of: Whose it is, for people: ``connection 2``, ``acceleration of DOF 3``.
+        unit: Of its value.
+        scale: Value at one prior standard deviation.
+        shape: What its column depends on beside: a gap or an elongation at which it yields, m, a frequency, Hz; NaN:
+            nothing.
+    """
+
+    kind: str
+    of: str
+    unit: str
+    scale: float
+    shape: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTerm:
+    """What channels may show beside what they are said to feel.
+
+    Attributes:
+        term: What.
+        shown: Place of a channel to its column (J,), at one prior standard deviation.
+    """
+
+    term: Term
+    shown: dict[int, np.ndarray]
+
+
+def sensor_terms(channels: Sequence[ChannelAtPoint]) -> list[SensorTerm]:
+    """Of every channel of motion, ground or support, and of all sensors of a quantity together."""
+    found: list[SensorTerm] = []
+    together: defaultdict[tuple[str, str, float], dict[int, tuple[Term, np.ndarray]]] = defaultdict(dict)
+    for i, one in enumerate(channels):
+        if one.quantity in (FORCE, CONNECTION_FORCE):
+            continue
+        for kind, unit, scale, column in columns_of(one):
+            if kind in one.uncertain:
+                continue
+            term, counted = Term(kind, one.name, unit, scale), column * one.counted
+            found.append(SensorTerm(term, {i: counted}))
+            if kind in COMMON and one.quantity in MOTION:
+                corner = scale if kind == HIGH_PASS else 0.0
+                together[one.quantity, kind, corner][i] = term, counted
+    for (quantity, _, _), of_all in together.items():
+        if len(of_all) > 1:
+            term = replace(next(iter(of_all.values()))[0], of=f"{quantity} of all sensors")
+            found.append(SensorTerm(term, {i: term.scale / own.scale * by for i, (own, by) in of_all.items()}))
+    return found
+
+
+def sensor_border(
+    equations: NormalEquations, channels: Sequence[ChannelAtPoint], terms: Sequence[SensorTerm]
+) -> np.ndarray:
+    """(size, D), products of what channels may show with the rows of the readout weights."""
+    border = np.zeros((equations.layout.size, len(terms)))
+    for i, channel in enumerate(channels):
+        own = [d for d, term in enumerate(terms) if i in term.shown]
+        if own:
+            columns = np.column_stack([terms[d].shown[i] for d in own])
+            border[:, own] += channel.sigma**-2 * channel.border(equations.layout, columns)
+    return border
+
+
+def columns_of(channel: ChannelAtPoint) -> Iterator[tuple[str, str, float, np.ndarray]]:
+    """Kind, unit, value at one prior standard deviation, and column (J,) at that."""
+    step = channel.per_sample * float(np.median(np.diff(channel.time)))
+    felt = channel.gain * channel.felt
+    late = WIDEST_DELAY * step
+    yield GAIN, "", 1.0, felt
+    yield DELAY, "s", late, -late * np.gradient(felt, channel.time)
+    if channel.quantity == "acceleration" and channel.displacement is not None and channel.displacement.any():
+        size = _rms(felt) / _rms(channel.displacement)
+        yield TILT, "m/s^2 per m", size, size * channel.displacement
+    yield from ((HIGH_PASS, "Hz", corner, column) for corner, column in _taken(channel).items())
+
+
+def _taken(channel: ChannelAtPoint) -> dict[float, np.ndarray]:
+    """Corner frequency, Hz, to minus what a high-pass filter of first order takes (J,); none of uneven samples."""
+    steps = np.diff(channel.time)
+    out: dict[float, np.ndarray] = {}
+    differentiated = ("acceleration", "velocity", GROUND)
+    if SUPPORT.get(channel.quantity, channel.quantity) not in differentiated or np.ptp(steps) > 0.02 * steps[0]:
+        return out
+    corner, felt = PERIODS / (channel.time[-1] - channel.time[0]), channel.gain * channel.felt
+    while True:
+        kept = float(np.exp(-2.0 * np.pi * corner * steps[0]))
+        slow = solve_banded((1, 0), np.outer((1.0, -kept), np.ones(len(felt))), (1.0 - kept) * felt)
+        if _rms(slow) ** 2 > MOST_TAKEN * _rms(felt) ** 2 or not felt.any():
+            return out
+        out[corner], corner = -slow, 2.0 * corner
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))

@@ -1,0 +1,142 @@
+"""How probable all records that are solved together are under noise models of theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.least_squares import LeastSquares
+from pinn_cli.training.minimise import Solution, minimise
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.bordered import BorderedFactor, Eliminated
+from pinn_cli.training.normal_matrix.shared_border import SharedFactor
+from pinn_cli.training.parameter_spread import updated_spread
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A solution together with the noise levels that it was found under.
+
+    Attributes:
+        solution: The most probable readout and parameters.
+        noise: Its weights.
+        factor: Undamped factors of the Hessian there.
+        log_evidence: Logarithm of the probability density of the records, up to a constant of networks and records.
+    """
+
+    solution: Solution
+    noise: NoiseLevels
+    factor: SharedFactor
+    log_evidence: float
+
+
+class Evidence:
+    """Laplace approximation of the marginal likelihood of noise levels (MacKay 1992), everything integrated out.
+
+    The sum over the records of what each says of its motion, and once what all of them say of the parameters.
+
+    Args:
+        each: The equations of every record; one is a list of one.
+        iterations: Steps at most under one noise model.
+        tolerance: See :func:`minimise`.
+        watch: Called with every loss term and the first record's noise model after each step.
+        learn_spread: Whether the common spread of the prescribed parameters is learned.
+        count: Called with the factorisations that a solution took.
+
+    Attributes:
+        records: What each says of its motion.
+        equations: Of all records.
+        problem: Likewise.
+    """
+
+    def __init__(
+        self,
+        each: Sequence[NormalEquations],
+        iterations: int,
+        tolerance: float,
+        watch: Callable[[dict[str, float], NoiseModel], None],
+        learn_spread: bool = True,
+        count: Callable[[int], None] = lambda factorisations: None,
+    ) -> None:
+        self.records = tuple(map(RecordEvidence, each))
+        self.equations, self.problem = LeastSquares(self.records), Problem.together([own.problem for own in each])
+        self.iterations, self.tolerance = iterations, tolerance
+        self.watch, self.learn_spread, self.count = watch, learn_spread, count
+        self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well
+        self._chord: SharedFactor | None = None  # that the last step of the last solution was made with
+
+    def train(
+        self, noise: NoiseLevels, start: Point, tolerance: float | None = None, goes_on: bool = False
+    ) -> Trained | None:
+        """Solve under noise levels; None where the Hessian is too stiff for a Cholesky factor.
+
+        Args:
+            noise: The levels.
+            start: Where to begin.
+            tolerance: Of a solution that is a step on the way; None: the search's own.
+            goes_on: Whether the levels differ little from those before, whose factor may serve.
+        """
+        enough = self.tolerance if tolerance is None else tolerance
+        watch = lambda losses: self.watch(losses, noise.records[0])  # noqa: E731
+        near, self._chord = self._chord if goes_on else None, None
+        limits = self.iterations, enough
+        solution = minimise(self.equations, noise, start, *limits, watch, self._is_cautious, near)
+        self._is_cautious = solution.cautious
+        # One is kept, and not with the solution: factors are large.
+        self._chord = solution.chord if len(self.records) == 1 else None
+        solution = replace(solution, chord=None)
+        factor = solution.factor or self.equations.assemble(solution.point, noise).factor()
+        self.count(solution.factorisations + (solution.factor is None))
+        if factor is None:
+            return None
+        return Trained(solution, noise, factor, self.log_evidence(solution.point, noise, factor))
+
+    def log_evidence(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
+        """-1/2 [chi^2 + sum of log variances + log det Hessian - log det prior] at the most probable point."""
+        placed = self.equations.placed(point)
+        each = self.equations.members.each(RecordEvidence.log_evidence, placed, noise.records, factor.determinants)
+        return sum(each) + self.parameter_term(point, noise, factor)
+
+    def parameter_term(self, point: Point, noise: NoiseLevels, factor: SharedFactor) -> float:
+        """The parameters' part: their prior, and their Hessian with the readout eliminated."""
+        believed, x = int((~self.equations.unknown).sum()), point.parameters.cpu()
+        loss = float(np.sum((self.equations.prior_precision(noise) @ x).numpy() * x.numpy()))
+        return -0.5 * (loss + factor.parameter_log_determinant + 2.0 * believed * np.log(noise.spread))
+
+    def each_record(self, function: Callable[..., R], trained: Trained, *arguments: Sequence[Any]) -> list[R]:
+        """What a function makes of every record's own part of a solution, in the order of the records.
+
+        Args:
+            function: Of a file's, of (the record's evidence, its solution, its own of every argument).
+            trained: Of all records.
+            arguments: Each with one entry for every record.
+        """
+        equations, factor, members = self.equations, trained.factor, self.equations.members
+        schur, priors = [factor.schur_of(columns) for columns in equations.columns], equations.priors(trained.noise)
+        placed = equations.placed(trained.solution.point)
+        parts = members.keep(_part, placed, trained.noise.records, factor.eliminated, schur, priors)
+        return members.each(function, parts, *arguments)
+
+    def learned_spread(self, trained: Trained) -> float:
+        """How far the prescribed parameters are off, in common; see :func:`updated_spread`."""
+        believed = ~self.equations.unknown
+        x = trained.solution.point.parameters.cpu().numpy()[believed]
+        if not self.learn_spread or len(x) == 0:
+            return trained.noise.spread
+        variance = np.diag(trained.factor.corner_covariance)[believed]
+        return updated_spread(x, variance, trained.noise.spread)
+
+
+def _part(
+    point: Point, noise: NoiseModel, eliminated: Eliminated, schur: np.ndarray, prior: np.ndarray
+) -> RecordSolution:
+    return RecordSolution(point, noise, BorderedFactor(schur, eliminated.readout), prior)

@@ -1,0 +1,186 @@
+"""The weighted least-squares problem of all records that are solved together: what each asks for, the prior once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pinn_cli.runs.side_by_side import side_by_side
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.quantities import CALIBRATION_UNITS
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+from pinn_cli.training.normal_matrix.shared_border import SharedSystem
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence
+
+# What changes of a sensor from one record to the next.
+OF_ONE_RECORD = ("offset", "drift")
+
+
+class LeastSquares:
+    """The unknowns are the readout weights of all records, one record after the other, and the parameters.
+
+    A parameter that is uncertain in several records is one unknown. The records are computed side by side, perhaps in
+    other processes: so their points, systems and factors stay where they are.
+
+    Args:
+        records: Of one structure.
+
+    Attributes:
+        each: The equations of every record.
+        members: The records, where they are computed.
+        uncertain: The parameters, p of them.
+        columns: Of every record, the places of its own parameters among those.
+        lower: (p,), bounds in prior standard deviations from the prescribed values; -inf without one.
+        scale: (p,), prior standard deviations.
+        unknown: (p,) bool: to be identified; the others are believed, and share one spread.
+        is_plain, is_linear: Whether all records' equations are.
+    """
+
+    def __init__(self, records: Sequence[RecordEvidence]) -> None:
+        self.each = [own.equations for own in records]
+        self.uncertain, self.columns = joined_parameters([own.uncertain for own in self.each])
+        self.is_plain = all(own.is_plain for own in self.each)
+        self.is_linear = all(own.is_linear for own in self.each)
+        self.lower = self._gathered([own.lower for own in self.each])
+        self.scale = self._gathered([own.scale.cpu().numpy() for own in self.each])
+        self.unknown = self._gathered([own.unknown.cpu().numpy() for own in self.each]).astype(bool)
+        joint = self.each[0].joint_precision
+        self._precision = torch.as_tensor(np.eye(len(self.uncertain)) if joint is None else joint)
+        # Of every parameter, how many records but the first bring its prior along.
+        self._repeated = np.bincount(np.concatenate(self.columns), minlength=len(self.uncertain)) - 1.0
+        sizes = [own.layout.size for own in self.each]
+        self._ends = np.cumsum(sizes)[:-1].tolist()
+        on_cpu = all(own.target.force.device.type == "cpu" for own in self.each)
+        self.members = side_by_side(records, sizes, copied=on_cpu)
+        self._placed: tuple[Point | None, list[Any]] = None, []
+
+    def _gathered(self, values: Sequence[np.ndarray]) -> np.ndarray:
+        """(p,) from what every record has for its own parameters; all must have the same for the same one.
+
+        Raises:
+            ValueError: They have not.
+        """
+        out = np.full(len(self.uncertain), np.nan)
+        for columns, own in zip(self.columns, values, strict=True):
+            out[columns] = own
+        for columns, own in zip(self.columns, values, strict=True):
+            if not np.array_equal(out[columns], own):
+                raise ValueError("records that are solved together must believe the same of their common parameters")
+        return out
+
+    def start(self) -> Point:
+        """At rest, with the prescribed parameters, or with those that are known."""
+        return self.joined([own.start() for own in self.each])
+
+    def split(self, point: Point) -> list[Point]:
+        """The point of every record."""
+        unknowns = torch.tensor_split(point.unknowns, self._ends)
+        return [Point(w, point.parameters[columns]) for w, columns in zip(unknowns, self.columns, strict=True)]
+
+    def joined(self, points: Sequence[Point]) -> Point:
+        """The point of all records from those of each."""
+        parameters = points[0].parameters.new_zeros(len(self.uncertain))
+        for columns, own in zip(self.columns, points, strict=True):
+            parameters[columns] = own.parameters
+        return Point(torch.cat([own.unknowns for own in points]), parameters)
+
+    def placed(self, point: Point) -> list[Any]:
+        """The point of every record, where the record is: the very same for the same point, which is computed once."""
+        if self._placed[0] is not point:
+            arrays = ([x.cpu().numpy() for x in (own.unknowns, own.parameters)] for own in self.split(point))
+            self._placed = point, self.members.keep(_point, self.members.held, *zip(*arrays, strict=True))
+        return self._placed[1]
+
+    def room_below(self, point: Point) -> np.ndarray:
+        """(p,), the most negative step of every parameter that respects its bound; -inf without one."""
+        room: np.ndarray = self.lower - point.parameters.cpu().numpy()
+        return np.minimum(room, 0.0)
+
+    def moved(self, point: Point, step: tuple[np.ndarray, np.ndarray]) -> Point:
+        """The point after a step; a parameter that the step takes to its bound is at the bound, whatever the rounding.
+
+        Args:
+            point: Where the step begins.
+            step: Of the readout weights (size,) and of the parameters (p,).
+        """
+        unknowns, parameters = (torch.as_tensor(x).to(point.unknowns) for x in step)
+        lower = torch.as_tensor(self.lower).to(point.unknowns)
+        held = torch.as_tensor(step[1] <= self.room_below(point), device=lower.device)
+        after = point.moved((unknowns, parameters))
+        return Point(after.unknowns, torch.where(held, lower, torch.maximum(after.parameters, lower)))
+
+    def losses(self, point: Point, noise: NoiseLevels) -> dict[str, float]:
+        """Weighted sum of squares of every residual and of the ridge, over all records, and of the prior once."""
+        total: dict[str, float] = {}
+        for own in self.members.each(_losses, self.placed(point), noise.records, self.priors(noise)):
+            for name, value in own.items():
+                total[name] = total.get(name, 0.0) + value
+        x = point.parameters.cpu()
+        return total | {"prior": float((x * (self.prior_precision(noise) @ x)).sum())}
+
+    def precision(self, noise: NoiseLevels) -> Tensor:
+        """(p,), prior precision of every parameter by itself: believed ones share one spread."""
+        return torch.where(torch.as_tensor(self.unknown), 1.0, noise.spread**-2)
+
+    def prior_precision(self, noise: NoiseLevels) -> Tensor:
+        """(p, p), of all parameters together; earlier records may have told of them."""
+        alone = self.precision(noise)
+        return self._precision * torch.outer(alone, alone).sqrt()
+
+    def priors(self, noise: NoiseLevels) -> list[np.ndarray]:
+        """Of every record's parameters, (p, p)."""
+        whole = self.prior_precision(noise).numpy()
+        return [whole[np.ix_(columns, columns)] for columns in self.columns]
+
+    def assemble(self, point: Point, noise: NoiseLevels) -> SharedSystem:
+        """Normal equations at a point."""
+        at = self.members.held, self.placed(point)
+        systems = self.members.keep(_assembled, *at, noise.records, self.priors(noise))
+        repeated, known = self._repeated * self.precision(noise).numpy(), self.each[0].known
+        told = None if known is None else known.covariance
+        pull = repeated * point.parameters.cpu().numpy()
+        return SharedSystem(self.members, self.columns, systems, repeated, pull, told)
+
+
+def joined_parameters(each: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parameter, ...], list[np.ndarray]]:
+    """All parameters of several records, those of the first one first, and of every record the places of its own.
+
+    A parameter of the structure is the same in all records. So are the gain and the delay of a sensor of one name.
+    Offset and drift of a sensor are another record's own: they have the number of the record in their name there.
+    """
+    place: dict[tuple[str, str | int, int | None], int] = {}
+    every: list[Parameter] = []
+    columns = []
+    for number, own in enumerate(each, start=1):
+        places = []
+        for parameter in own:
+            of_record = parameter.kind in OF_ONE_RECORD
+            which = parameter.label if parameter.kind in CALIBRATION_UNITS else parameter.index
+            key = parameter.kind, which, number if of_record else None
+            if key not in place:
+                place[key] = len(every)
+                renamed = replace(parameter, label=f"{parameter.label}_record_{number}")
+                every.append(renamed if of_record and number > 1 else parameter)
+            places.append(place[key])
+        columns.append(np.array(places, dtype=int))
+    return tuple(every), columns
+
+
+def _point(record: RecordEvidence, unknowns: np.ndarray, parameters: np.ndarray) -> Point:
+    like = record.equations.target.force
+    return Point(*(torch.as_tensor(x).to(like) for x in (unknowns, parameters)))
+
+
+def _losses(record: RecordEvidence, point: Point, noise: NoiseModel, prior: np.ndarray) -> dict[str, float]:
+    return record.equations.losses(point, noise, prior)
+
+
+def _assembled(record: RecordEvidence, point: Point, noise: NoiseModel, prior: np.ndarray) -> BorderedSystem:
+    return record.equations.assemble(point, noise, prior)

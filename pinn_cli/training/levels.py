@@ -1,0 +1,310 @@
+"""Every noise level by evidence: each response sensor's, each force sensor's and the discrepancy (MacKay 1992).
+
+At the most probable level of a white noise, sigma^2 = |r|^2 / (N - gamma), with r the residuals under it and gamma how
+many of the N values the solution has taken up: the sum over time of the output's posterior variance over sigma^2. Where
+two noises add up in one residual, the sensor of a force and the discrepancy, each gets the part of both sums that its
+share of the variance gives it. A level that is right already stays where it is.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pinn_cli.record.gauge import GAUGE
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.force_residuals import ForceResiduals
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.steps.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN
+from pinn_cli.training.steps.driving import told_below
+
+# Rounds at most, and the relative change of a level below which nothing that is reported would change.
+ROUNDS, SETTLED = 25, 0.01
+# So many rounds one after the other that lose so much log evidence end it: rounding rules.
+LOSING, LOST = 2, 10.0
+# Most that a standard deviation may change in one round: the solution under it has to follow.
+LARGEST_CHANGE = 10.0
+# Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
+# factor of two at most.
+NEAR = 0.35
+# Draws from the posterior that tell how many values the solution has taken up.
+DRAWS = 8
+# Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
+FEWEST_LEFT = 1e-3
+# A discrepancy below this part of the force that acts makes no motion better known.
+FINEST_DISCREPANCY = 1e-6
+# Part of the samples that a sensor's usual noise counts for where the record leaves it open, since the motion follows
+# it wherever it goes; it falls off with this power of the share of its values that the solution has taken up, to
+# nothing for a sensor that the model checks.
+KINSHIP, OPENNESS = 0.2, 4
+# The same of any sensor where forces are unknown, which leave more of it open: with less, every tenth sensor came out
+# half as noisy as it was, and the bands of its motion held two thirds of it.
+KINSHIP_UNDER_FORCES = 0.05
+# An accelerometer beside a load cell, about whose noise nothing is known, has this part of what the load cell's noise
+# makes of the acceleration, at most: that much of it passes for the load cell's.
+BESIDE_LOAD_CELL = 0.4
+# Times that a load cell may be as noisy as its spectrum shows: what is more lies in the band of the force alone, and is
+# none of its noise. A force that is missing there would pass for it, and the model for right.
+LOUDEST = 1.5
+# Steps of a level that shrink by a steady ratio are taken at once, so many of them at most.
+LONGEST_STRIDE = 5.0
+
+
+def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: int = ROUNDS) -> Trained:
+    """Alternate noise levels and solution until neither moves, or until the record gets no more probable.
+
+    Args:
+        evidence: Of the problem.
+        trained: Where to begin; its discrepancy is that of a search.
+        pooled: Whether the sensors of one quantity share one level.
+        rounds: At most.
+    """
+    if evidence.problem.told is not None:  # spectra have told the levels, too
+        return trained
+    floors = evidence.each_record(floor, trained)
+    before: list[np.ndarray | None] = [None] * len(floors)
+    best, losing = trained, 0
+    for _ in range(rounds):
+        found = evidence.each_record(updated, trained, floors)
+        found = [noise.pooled() for noise in found] if pooled else found
+        levels = trained.noise.records
+        change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
+        strides = list(map(_stride, before, change))
+        moves = zip(levels, strides, floors, strict=True)
+        each = (replace(_moved(*own), taken_up=new.taken_up) for own, new in zip(moves, found, strict=True))
+        noise = NoiseLevels(tuple(each), evidence.learned_spread(trained))
+        moved = [*np.concatenate(strides), np.log(noise.spread / trained.noise.spread)]
+        again = evidence.train(noise, trained.solution.point, goes_on=bool(np.abs(moved).max() < NEAR))
+        # One that is still on its way is followed as long as it is the more probable one already.
+        if again is None or not (again.solution.converged or again.log_evidence > trained.log_evidence):
+            break
+        before = list(change)
+        gain, trained = again.log_evidence - trained.log_evidence, again
+        best = max(best, trained, key=lambda one: one.log_evidence)
+        losing = losing + 1 if trained.log_evidence < best.log_evidence - LOST else 0
+        if losing == LOSING:
+            break
+        if np.abs(np.concatenate(change)).max(initial=0.0) < SETTLED or abs(gain) < NEGLIGIBLE_GAIN:
+            break
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """How many values the solution has taken up.
+
+    Attributes:
+        response: Quantity to (channels,).
+        physics: (functions,), of the physics residual.
+    """
+
+    response: dict[str, np.ndarray]
+    physics: np.ndarray
+
+
+def values_taken(evidence: RecordEvidence, solution: RecordSolution) -> Taken:
+    """Effective number of parameters, gamma, of every response channel and equation of motion, by draws.
+
+    Each draw from the posterior gives all of them at once, and scaled to the length that a draw has on average, they
+    add up to what they must; a few draws tell each to some per cent.
+    """
+    equations, noise, point = evidence.equations, solution.noise, solution.point
+    draws = solution.drawn(DRAWS, of_mean_length=True)
+    response = {
+        channels.name: channels.squares_moved(point, draws) / DRAWS / noise.response[channels.name] ** 2
+        for channels in equations.channels
+    }
+    physics, enforced = equations.motion.weight(noise), np.zeros(equations.dynamics.size)
+    for part, forces in equations.motion.moved(point, draws):
+        weight = physics if physics.ndim == 1 else physics[part]
+        for force in forces:
+            enforced += (force.square() * weight).sum((0, 1)).cpu().numpy() / DRAWS
+    return Taken(response, enforced)
+
+
+def updated(evidence: RecordEvidence, solution: RecordSolution, least: NoiseModel) -> NoiseModel:
+    """The noise levels that the residuals ask for, none below its floor; those that repeats tell stay."""
+    equations, noise = evidence.equations, solution.noise
+    taken = values_taken(evidence, solution)
+    force, discrepancy, innovation = _forces(evidence, solution, taken.physics)
+    discrepancy = max(float(_limited(discrepancy, noise.discrepancy)), least.discrepancy)
+    if noise.innovation is not None:
+        noise = replace(noise, innovation=_limited(innovation, noise.innovation))
+    if equations.problem.record.repeats is not None:
+        return replace(noise, discrepancy=discrepancy)
+    response, under_forces = dict(noise.response), bool(equations.problem.inputs.forces)
+    every = _usual_levels(evidence, noise)
+    for channels in equations.channels:
+        name, samples, square = channels.name, channels.samples, channels.squares(solution.point)
+        left = np.maximum(samples - taken.response[name], FEWEST_LEFT * samples)
+        usual, share = every[name], np.clip(taken.response[name] / samples, 0.0, 1.0)
+        weight = samples * (KINSHIP_UNDER_FORCES if under_forces else KINSHIP * share**OPENNESS)
+        found = np.where(usual > 0, (square + weight * usual**2) / (left + weight), square / left)
+        level = _limited(np.sqrt(found), noise.response[name])
+        response[name] = np.where(channels.there, np.maximum(level, least.response[name]), noise.response[name])
+    noise = replace(noise, taken_up=taken.response.get(GAUGE))
+    most = np.full(len(force), np.inf)
+    for dof, cell in evidence.load_cells.items():
+        if cell.shown:
+            most[dof] = max(LOUDEST * cell.shown, least.force[dof])
+    force = np.clip(_limited(force, noise.force), least.force, most)
+    return replace(noise, response=response, force=force, discrepancy=discrepancy)
+
+
+def _usual_levels(evidence: RecordEvidence, noise: NoiseModel) -> dict[str, np.ndarray]:
+    """Name to the noise that each sensor would have if the record left it open; 0 where nothing is known.
+
+    What its spectrum shows above its band, or as much as others of its kind. A lone accelerometer beside a load cell,
+    whose spectrum shows nothing: what its emptiest part has at most, or see `BESIDE_LOAD_CELL`.
+    """
+    equations = evidence.equations
+    sensors = {
+        (channels.name, i): sensor
+        for channels in equations.channels
+        for i, sensor in enumerate(channels.sensors)
+        if sensor is not None
+    }
+    relative: defaultdict[str, dict[tuple[str, int], float]] = defaultdict(dict)
+    for (name, i), sensor in sensors.items():
+        if sensor.rms > 0:
+            relative[sensor.quantity][name, i] = noise.response[name][i] / sensor.rms
+    out = {channels.name: np.zeros(len(channels.there)) for channels in equations.channels}
+    for (name, i), sensor in sensors.items():
+        kin = relative[sensor.quantity]
+        if sensor.shown:
+            out[name][i] = sensor.shown
+        elif kin.keys() - {(name, i)}:
+            out[name][i] = sensor.rms * np.median([level for key, level in kin.items() if key != (name, i)])
+        elif sensor.quantity == "acceleration" and sensor.dof in evidence.load_cells:
+            mass, force = float(equations.prescribed["m"][sensor.dof]), evidence.load_cells[sensor.dof].most
+            if noise.force[sensor.dof] > 0 and mass > 0:
+                out[name][i] = min(sensor.most, BESIDE_LOAD_CELL * force / mass)
+    return {name: np.nan_to_num(level) for name, level in out.items()}
+
+
+def _forces(
+    evidence: RecordEvidence, solution: RecordSolution, taken: np.ndarray
+) -> tuple[np.ndarray, float, np.ndarray]:
+    """(functions,) force sensors' noise, the discrepancy, and (functions,) what drives unknown forces."""
+    noise = solution.noise
+    split = evidence.force_residuals(solution.point, noise)
+    left = np.maximum(split.count - taken, FEWEST_LEFT * split.count)
+    variance, enforced = noise.physics_variance, split.enforced & ~noise.driven
+    misfit = (split.seen / variance)[enforced]
+    share = (noise.discrepancy**2 / variance)[enforced]
+    discrepancy = noise.discrepancy
+    if enforced.any():
+        discrepancy *= float(np.sqrt((share * misfit).sum() / (share * left[enforced]).sum()))
+    squares, values = _of_force_sensors(noise, split, left)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return noise.force * np.sqrt(squares / values), discrepancy, _driving(evidence, solution, split.seen, left)
+
+
+def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(functions,) squares over the present variance, and values, of the force sensors' noise; 0 of all others.
+
+    Args:
+        noise: That the residuals are divided by.
+        split: The physics residual.
+        left: (functions,), values of what the features see that the solution has not taken up.
+    """
+    variance, sensor = noise.physics_variance, noise.force_variance
+    own = 1.0 - noise.discrepancy**2 / variance
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beyond = split.unseen / sensor if split.beyond else np.zeros(len(sensor))
+    return own * split.seen / variance + beyond, own * left + split.beyond
+
+
+def force_noise_told(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float]:
+    """Squares over variance of all force sensors of one record, repeats included, and how many values they are.
+
+    The most probable noise is that of the solution times the root of their ratio, with a relative standard deviation of
+    1 / sqrt(2 values) (MacKay 1992). A sensor at its floor stays there.
+    """
+    noise, record, least = solution.noise, evidence.equations.problem.record, floor(evidence, solution)
+    there = np.flatnonzero(noise.force_variance > 0.0)
+    split = evidence.force_residuals(solution.point, noise)
+    left = split.count - values_taken(evidence, solution).physics
+    squares, values = _of_force_sensors(noise, split, np.maximum(left, FEWEST_LEFT * split.count))
+    squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[there]
+    told = float(squares.sum()), float(values[there].sum())
+    if record.repeats is None or not there.size:
+        return told
+    scatter = record.repeats.square[FORCE][there] / (record.repeats.count * noise.force[there] ** 2)
+    return told[0] + float(scatter.sum()), told[1] + record.repeats.freedom * there.size
+
+
+def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """(functions,) standard deviation of what drives the ground and unknown forces, NaN of all others.
+
+    Alike for all unknown forces: few sensors tell them apart.
+    """
+    equations, level = evidence.equations, np.full(len(seen), np.nan)
+    dynamics, nyquist = equations.dynamics, 0.5 / equations.problem.record.step
+    for i in range(dynamics.smooth.start, dynamics.smooth.stop):
+        level[i] = np.sqrt(seen[i] / left[i])
+        if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
+            told = told_below(evidence, solution, slice(i, i + 1), nyquist)
+            level[i] = level[i] if told is None or told.level is None else told.level
+    if dynamics.inputs.forces:
+        level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / left[dynamics.forces].sum())
+    return level
+
+
+def floor(evidence: RecordEvidence, solution: RecordSolution) -> NoiseModel:
+    """The least levels that are looked for."""
+    noise, of_force = solution.noise, np.full(len(solution.noise.force), np.nan)
+    for dof, cell in evidence.load_cells.items():
+        of_force[dof] = max(cell.finest, cell.shown)
+    force = max((cell.rms for cell in evidence.load_cells.values()), default=noise.discrepancy)
+    of_noise = FINEST_OF_NOISE * noise.least_of_inputs
+    discrepancy = max(min(FINEST_DISCREPANCY * force, noise.discrepancy), of_noise)
+    response = dict(noise.response)
+    for channels in evidence.equations.channels:
+        # The sensor of an input has at least the noise that its spectrum shows. Where the motion does not tell a load
+        # cell's, none at all would do as well; and the ground, which may move alike at all frequencies, takes noise
+        # for it.
+        finest = np.fmin(channels.numbers("finest"), noise.response[channels.name])
+        response[channels.name] = np.fmax(finest, channels.acting * channels.numbers("shown"))
+    return replace(noise, response=response, force=of_force, discrepancy=discrepancy)
+
+
+def _limited(level: np.ndarray | float, before: np.ndarray | float) -> np.ndarray:
+    """A standard deviation that has changed by no more than a factor."""
+    return np.clip(level, np.divide(before, LARGEST_CHANGE), np.multiply(before, LARGEST_CHANGE))
+
+
+def _log_levels(noise: NoiseModel) -> np.ndarray:
+    """Logarithms of all standard deviations; 0 where there is no sensor, or none that is not known to be perfect."""
+    driving = np.full(len(noise.force), np.nan) if noise.innovation is None else noise.innovation
+    every = np.concatenate([*noise.response.values(), noise.force, driving, [noise.discrepancy]])
+    return np.log(np.where(np.isfinite(every) & (every > 0), every, 1.0))
+
+
+def _moved(noise: NoiseModel, change: np.ndarray, least: NoiseModel) -> NoiseModel:
+    """The levels times exp of a change, in the order of :func:`_log_levels`."""
+    sizes = [*(len(level) for level in noise.response.values()), len(noise.force)]
+    *parts, of_force, driving = np.split(np.exp(change[:-1]), np.cumsum(sizes))
+    response = {
+        q: np.maximum(level * part, least.response[q])
+        for (q, level), part in zip(noise.response.items(), parts, strict=True)
+    }
+    force = np.maximum(noise.force * of_force, least.force)
+    discrepancy = max(noise.discrepancy * float(np.exp(change[-1])), least.discrepancy)
+    innovation = None if noise.innovation is None else noise.innovation * driving
+    return replace(noise, response=response, force=force, discrepancy=discrepancy, innovation=innovation)
+
+
+def _stride(before: np.ndarray | None, change: np.ndarray) -> np.ndarray:
+    """A change, lengthened where it shrinks by a steady ratio from round to round (Aitken)."""
+    if before is None:
+        return change
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.nan_to_num(change / before)
+    steady = (ratio > 0.0) & (ratio < 1.0)
+    stride = np.where(steady, np.minimum(1.0 / (1.0 - np.where(steady, ratio, 0.0)), LONGEST_STRIDE), 1.0)
+    return np.clip(change * stride, -np.log(LARGEST_CHANGE), np.log(LARGEST_CHANGE))

@@ -1,0 +1,138 @@
+"""The Gauss-Newton normal equations of one record, added up over its factors, as a band with a border.
+
+A residual of a DOF at one time touches the features alive there, of the DOFs that are coupled with it, and the
+parameters of the connections between them. So its Jacobian is a short dense row [J | P], and all of a group's rows
+together give one small dense block.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.physics import observation_masks
+from pinn_cli.record.response import GROUND
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.quantities import FORCE, SUPPORT
+from pinn_cli.training.factors.calibrated_channels import CalibratedChannels, Gains
+from pinn_cli.training.factors.constant_channels import ResponseChannels
+from pinn_cli.training.factors.continuity import Continuity
+from pinn_cli.training.factors.equations_of_motion import EquationsOfMotion
+from pinn_cli.training.factors.factor import Channels, Factor
+from pinn_cli.training.factors.frame import Frame
+from pinn_cli.training.factors.input_channels import InputChannels
+from pinn_cli.training.factors.known_state import states_known
+from pinn_cli.training.factors.observer import Observer
+from pinn_cli.training.factors.ridge import Ridge
+from pinn_cli.training.factors.sensor_filter import SensorFilter
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+from pinn_cli.training.normal_matrix.front_tree import FrontTree
+from pinn_cli.training.normal_matrix.row_sums import RowSums
+from pinn_cli.training.point import Point
+from pinn_cli.training.whittle.whittle_estimate import KnownParameters
+
+
+class NormalEquations(Frame):
+    """The weighted least-squares problem of one network, structure and record.
+
+    Args:
+        network: Fixed features, linear readout, an output for every unknown function.
+        problem: Structure, record, uncertain parameters.
+        device: Where residuals and blocks are computed.
+        known: Parameters of a linear structure that something else has told; None: they are solved for.
+
+    Attributes:
+        factors: All that is said of the record's unknowns but what is believed of the parameters.
+        channels: Those of sensors.
+        motion: The equations of motion.
+        observer: Accelerometers through these; None: through the motion's derivative alone.
+        ridge: The prior of the readout weights.
+        pull: (p,), a constant force on the parameters, see :mod:`pinn_cli.training.steps.marginal_peak`; None: there is
+            none.
+    """
+
+    def __init__(
+        self,
+        network: LinearReadout,
+        problem: Problem,
+        device: str = "cpu",
+        known: KnownParameters | None = None,
+    ) -> None:
+        super().__init__(network, problem, device)
+        self.known, self.is_linear = known, known is not None
+        masks = observation_masks(self.target, problem.acceleration_through)
+        self.observer = Observer(self, masks.pop("observer")) if "observer" in masks else None
+        self.channels: list[Channels] = [
+            (InputChannels if quantity in (GROUND, FORCE, *SUPPORT) else ResponseChannels)(self, quantity, mask)
+            for quantity, mask in masks.items()
+        ]
+        calibrated = CalibratedChannels(self)
+        self.channels += [calibrated] if calibrated.each else []
+        self.motion, self.ridge = EquationsOfMotion(self), Ridge(self)
+        self.factors: list[Factor] = [
+            *self.channels,
+            *([] if self.observer is None else [self.observer]),
+            self.motion,
+            *([] if self.physics.continuity is None else [Continuity(self)]),
+            *([Gains(self, calibrated.each)] if calibrated.each else []),
+            *(SensorFilter(self, one, one.state) for one in calibrated.each if one.state is not None),
+            self.ridge,
+            *states_known(self),
+        ]
+        self.pull: np.ndarray | None = None
+        self._tree: FrontTree | None = None
+
+    def start(self) -> Point:
+        """The structure at rest with its prescribed parameters, or with those that are known."""
+        zeros = self.target.force.new_zeros
+        parameters = zeros(len(self.scale)) if self.known is None else torch.as_tensor(self.known.distance)
+        return Point(zeros(self.layout.size), parameters.to(self.target.force))
+
+    def losses(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> dict[str, float]:
+        """Weighted sum of squares of every kind of factor, and of the parameters' prior.
+
+        Args:
+            point: Where.
+            noise: The weights.
+            prior: (p, p), precision of what is believed of the parameters; None: nothing is.
+        """
+        out: defaultdict[str, float] = defaultdict(float)
+        for factor in self.factors:
+            out[factor.name] += factor.loss(point, noise)
+        if prior is not None:
+            out["prior"] = float((point.parameters * (torch.as_tensor(prior).to(self.scale) @ point.parameters)).sum())
+        if self.pull is not None:
+            out["marginal"] = -2.0 * float(self.pull @ point.parameters.cpu().numpy())
+        return dict(out)
+
+    def assemble(self, point: Point, noise: NoiseModel, prior: np.ndarray | None = None) -> BorderedSystem:
+        """Normal matrix and gradient at a point; arguments as of :meth:`losses`."""
+        alive, pick = self.physics.feature.shape[1], self.vector.column
+        sums = RowSums(self.network.channels, alive, self.physics.count, self.dynamics.coupling, self.pattern.count)
+        for factor in self.factors:
+            factor.add_to(sums, point, noise)
+        border, corner, slope = sums.border(pick), sums.corner[np.ix_(pick, pick)], sums.slope[pick]
+        if prior is not None:
+            corner = corner + prior
+            slope = slope + (torch.as_tensor(prior).to(self.scale) @ point.parameters).cpu().numpy()
+        slope = slope if self.pull is None else slope - self.pull
+        return BorderedSystem(sums.band, border, corner, sums.gradient, slope, self._order_of_elimination(border))
+
+    def _order_of_elimination(self, border: csr_matrix) -> FrontTree:
+        """See :class:`BorderedSystem`; worked out once for all systems whose parameters touch the same weights."""
+        if self._tree is None or not self._tree.suits(border):
+            dissection = self.layout.dissection
+            self._tree = FrontTree(dissection.grid, dissection.tree(), border)
+        return self._tree
+
+    @property
+    def joint_precision(self) -> np.ndarray | None:
+        """(p, p), of what earlier records say of the parameters together, in their units; None where there are none."""
+        if self.beginning is not None:
+            return self.beginning.precision
+        return None if self.problem.prior is None else self.problem.prior.precision

@@ -1,0 +1,1 @@
+"""The normal matrix of splines: which rows it adds up, and its elimination."""

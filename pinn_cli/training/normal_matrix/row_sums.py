@@ -1,0 +1,272 @@
+"""Normal equations of a linear readout, added up from rows of residuals: blocks over time, parameters as a border.
+
+The weight of (feature f, place j in the order of the n functions) stands at f n + j. In group g of times a row touches
+features from g on, B of them. So entries of equal distance, both of features and of functions, are one contiguous line
+of the normal matrix. Products of the columns of rows are added to pieces of such lines: no index is looked up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix, spmatrix
+from torch import Tensor
+
+from pinn_cli.system.coupling import Coupling
+from pinn_cli.training.normal_matrix.diagonals import Diagonals
+
+
+class Touched(NamedTuple):
+    """D neighbouring functions that rows touch.
+
+    Attributes:
+        first: Place of the first of them in row 0; in every further row it is one further.
+        row: The first row that touches them.
+        features: (D, B, S, I, w), of w rows from that one on.
+    """
+
+    first: int
+    row: int
+    features: np.ndarray
+
+    @property
+    def stop(self) -> int:
+        """Behind the last row."""
+        return self.row + int(self.features.shape[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Linearised residuals at I groups of S times, of several functions in their order or of a single one.
+
+    All are multiplied by the roots of their weights.
+
+    Attributes:
+        feature: (I, B) long, the features alive in each group.
+        touched: What they are by the readout weights.
+        places: (p, rows), of the parameters in every row, -1 where there is none.
+        by: (p + 1, S, I, rows), what they are by those; at last the residuals.
+    """
+
+    feature: Tensor
+    touched: list[Touched]
+    places: np.ndarray
+    by: np.ndarray
+
+
+class RowSums:
+    """Sums over rows of weighted products.
+
+    Args:
+        stride: Features that one group moves on by: the outputs of a function.
+        features: B, alive at once.
+        count: Of one function in all.
+        coupling: The functions' order, and how far those of one row stand apart.
+        places: Of parameters.
+
+    Attributes:
+        corner: (places, places), of the parameters against each other.
+        slope: (places,), gradient of the parameters.
+    """
+
+    def __init__(self, stride: int, features: int, count: int, coupling: Coupling, places: int) -> None:
+        self.n, self.features, self.reach, self.rank = coupling.size, features, coupling.reach, coupling.rank
+        self.size, self._stride, self._step = count * self.n, stride, stride * self.n
+        # Entries more in front and behind: rows at the structure's ends add zeros there.
+        self._length = self.size + 2 * self.n
+        self._inside = slice(self.n, self.n + self.size)
+        # By distance of functions, from -reach on, and by distance of features: a line of the matrix by its columns.
+        self._blocks = np.zeros((2 * self.reach + 1, features, self._length))
+        self._used = np.zeros(2 * self.reach + 1, dtype=bool)
+        self._gradient = np.zeros((1, self._length))
+        # Of every parameter of rows: which place it has by the functions (lines, n), and its lines.
+        self._border: dict[tuple[bytes, int, int, int], tuple[np.ndarray, np.ndarray]] = {}
+        self.corner, self.slope = np.zeros((places, places)), np.zeros(places)
+
+    @property
+    def main(self) -> np.ndarray:
+        """(size,), the main diagonal."""
+        return self._blocks[self.reach, 0, self._inside]
+
+    @property
+    def band(self) -> Diagonals:
+        """Of the readout weights against each other, (size, size)."""
+        lines: dict[int, np.ndarray] = {0: self.main}
+        for apart in np.flatnonzero(self._used) - self.reach:
+            for shift in range(self.features):
+                offset, line = shift * self.n + int(apart), self._blocks[apart + self.reach, shift, self._inside]
+                if offset > 0:
+                    lines[offset] = lines[offset] + line if offset in lines else line
+        offsets = sorted(lines)
+        return Diagonals(np.array(offsets), np.stack([lines[offset] for offset in offsets]))
+
+    @property
+    def gradient(self) -> np.ndarray:
+        """(size,), of the readout weights."""
+        total: np.ndarray = self._gradient[:, self._inside].sum(axis=0)
+        return total
+
+    def border(self, pick: np.ndarray) -> csr_matrix:
+        """(size, p), of the readout weights against the parameters at some places (p,).
+
+        It keeps entries that happen to be zero, so that its pattern stays.
+        """
+        column = np.full(len(self.slope) + 1, -1)
+        column[pick] = np.arange(len(pick))
+        first = np.arange(0, self.size, self.n)[:, None]
+        entries: list[tuple[np.ndarray, ...]] = [(np.zeros(0), *np.zeros((2, 0), dtype=np.int64))]
+        for places, lines in self._border.values():
+            for of_function, line in zip(column[places], lines, strict=True):
+                at = np.flatnonzero(of_function >= 0)
+                values = line[self._inside].reshape(-1, self.n)[:, at]
+                entries.append((values, first + at, np.broadcast_to(of_function[at], values.shape)))
+        values, row, to = (np.concatenate([x.reshape(-1) for x in part]) for part in zip(*entries, strict=True))
+        return csr_matrix((values, (row, to)), shape=(self.size, len(pick)))
+
+    def add(self, rows: Rows) -> None:
+        """Add the products of rows with themselves."""
+        self._add_corner(rows)
+        pairs = [(one, other) for one in rows.touched for other in rows.touched if _together(one, other)]
+        for part, place in self._runs(rows.feature):
+            for one in rows.touched:
+                self._add_border(one, rows, part, place)
+            for one, other in pairs:
+                self._add_block(one, other, part, place)
+
+    def add_diagonal(self, weight: float | np.ndarray, unknowns: np.ndarray) -> None:
+        """Add weights, (size,) or one of all, of the squares of the readout weights (size,)."""
+        self.main[:] += weight
+        self._gradient[0, self._inside] += weight * unknowns
+
+    def add_constant(self, feature: Tensor, gram: np.ndarray, coupling: spmatrix) -> None:
+        """Add products that are those of features times those of functions.
+
+        Args:
+            feature: (I, B), the features alive in each group.
+            gram: (I, B, B), row: feature of the function that is the row of ``coupling``.
+            coupling: (functions, functions), as they come.
+        """
+        entries = coupling.tocoo()
+        row, column = self.rank[entries.row], self.rank[entries.col]
+        for apart in np.unique(row - column).tolist():
+            here = row - column == apart
+            first = int(column[here].min())
+            weights = np.zeros(int(column[here].max()) + 1 - first)
+            np.add.at(weights, column[here] - first, entries.data[here])
+            for part, place in self._runs(feature):
+                products = gram[part].transpose(1, 2, 0)[..., None]
+                for b in range(self.features):
+                    self._add_column(products[None, b:, b] * weights, apart, place + b * self.n + first)
+
+    def add_moment(self, feature: Tensor, moment: np.ndarray) -> None:
+        """Add features against residuals (I, B, functions) of all functions, as they come, to the gradient."""
+        placed = np.empty_like(moment)
+        placed[..., self.rank] = moment
+        for part, place in self._runs(feature):
+            for b in range(self.features):
+                cells = self._view(self._gradient, place + b * self.n, placed[part, b].shape, (self._step, 1))
+                cells += placed[part, b]
+
+    def _runs(self, feature: Tensor) -> Iterator[tuple[slice, int]]:
+        """Groups whose features follow one another, and where the first of them has its first weight."""
+        first = (feature[:, 0] // self._stride).cpu().numpy()
+        breaks = np.flatnonzero(np.diff(first) != 1) + 1
+        for start, stop in pairwise([0, *breaks.tolist(), len(first)]):
+            yield slice(start, stop), int(first[start]) * self._step + self.n
+
+    def _add_corner(self, rows: Rows) -> None:
+        by = rows.by.reshape(len(rows.by), -1, rows.by.shape[-1]).transpose(2, 0, 1)
+        products = by[:, :-1] @ by.transpose(0, 2, 1)  # (rows, p, p + 1)
+        places = rows.places.T
+        used = places >= 0
+        np.add.at(self.slope, places[used], products[..., -1][used])
+        both = used[:, :, None] & used[:, None]
+        row, column = (np.broadcast_to(x, both.shape)[both] for x in (places[:, :, None], places[:, None]))
+        np.add.at(self.corner, (row, column), products[..., :-1][both])
+
+    def _add_block(self, one: Touched, other: Touched, part: slice, place: int) -> None:
+        """Products of the features of some functions, later ones, with those of others."""
+        row, stop = max(one.row, other.row), min(one.stop, other.stop)
+        left, right = (x.features[..., part, row - x.row : stop - x.row] for x in (one, other))
+        for (d, b), products in _products(left, right):
+            apart = one.first - other.first - d
+            # Functions further apart are never in one row.
+            near = slice(max(0, -self.reach - apart), max(0, self.reach + 1 - apart))
+            if near.start < near.stop and near.start < len(products):
+                column = place + b * self.n + other.first + d + row
+                self._add_column(products[near], apart + near.start, column)
+
+    def _add_column(self, products: np.ndarray, apart: int, column: int) -> None:
+        """Add (D, B - b, I, w), of D functions from a distance on by B - b features from the same one on."""
+        assert -self.reach <= apart <= self.reach + 1 - len(products), "functions of one row stand within the band"
+        at = apart + self.reach
+        self._used[at : at + len(products)] = True
+        line, strides = self._length, (self.features * self._length, self._length, self._step, 1)
+        cells = self._view(self._blocks, at * self.features * line + column, products.shape, strides)
+        cells += products
+
+    def _add_border(self, one: Touched, rows: Rows, part: slice, place: int) -> None:
+        """Products of features with what the parameters do, and with the residual."""
+        by = rows.by[:, None, ..., part, one.row : one.stop]
+        # Of several rows the same function is touched by one after the other: each of the D has a line.
+        lines, step = (len(one.features), self._length + 1) if rows.by.shape[-1] > 1 else (1, 1)
+        for (number, _), products in _products(one.features[..., part, :], by):
+            array = self._lines(one, rows.places[number] if number < len(rows.places) else None, lines)
+            for b in range(self.features):
+                start = place + b * self.n + one.first + one.row
+                shape = len(products), *products.shape[2:]
+                cells = self._view(array, start, shape, (step, self._step, 1))
+                cells += products[:, b]
+
+    def _lines(self, one: Touched, places: np.ndarray | None, lines: int) -> np.ndarray:
+        """(lines, length) of one parameter of rows, at its places (rows,); of the gradient where there are none."""
+        if places is None:
+            if len(self._gradient) < lines:
+                more = np.zeros((lines - len(self._gradient), self._length))
+                self._gradient = np.concatenate((self._gradient, more))
+            return self._gradient
+        key = places.tobytes(), one.first, one.row, len(one.features)
+        if key not in self._border:
+            functions, row = np.full((lines, self.n), -1), np.arange(one.row, one.stop)
+            for d in range(len(one.features)):
+                at = one.first + d + row
+                inside = (at >= 0) & (at < self.n)
+                functions[d % lines, at[inside]] = places[row[inside]]
+            self._border[key] = functions, np.zeros((lines, self._length))
+        return self._border[key][1]
+
+    @staticmethod
+    def _view(array: np.ndarray, start: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> np.ndarray:
+        """Some numbers of an array."""
+        size = array.itemsize
+        return np.ndarray(shape, array.dtype, array, start * size, tuple(size * stride for stride in strides))
+
+
+def _together(one: Touched, other: Touched) -> bool:
+    """Whether some row touches both."""
+    return max(one.row, other.row) < min(one.stop, other.stop)
+
+
+def _products(left: np.ndarray, right: np.ndarray) -> Iterator[tuple[tuple[int, int], np.ndarray]]:
+    """Of every column (E, F) of ``right`` the products with ``left``, summed over the times of each group.
+
+    Args:
+        left: (D, B, S, I, w).
+        right: (E, F, S, I, w).
+
+    Yields:
+        The column's place in ``right``, and (D, B - f, I, w), of the features from its own place among F on.
+    """
+    columns = np.ndindex(right.shape[:2])
+    if left.shape[2] == 1:
+        for place in columns:
+            yield place, left[:, place[1] :, 0] * right[place][0]
+        return
+    one, other = (x.reshape(-1, *x.shape[2:]).transpose(2, 3, 0, 1) for x in (left, right))
+    gram = (np.ascontiguousarray(other) @ np.ascontiguousarray(one).swapaxes(2, 3)).transpose(2, 3, 0, 1)
+    for place, products in zip(columns, gram, strict=True):
+        yield place, products.reshape(*left.shape[:2], *products.shape[1:])[:, place[1] :]

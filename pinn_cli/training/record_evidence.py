@@ -1,0 +1,175 @@
+"""How probable one record is under a noise model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from pinn_cli.network.linear_readout import Segments
+from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.record.spectrum import occupied_band
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.force_residuals import ForceResiduals
+from pinn_cli.training.motion_density import log_density, seen_powers
+from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.normal_matrix.bordered import BorderedFactor
+from pinn_cli.training.point import Point
+from pinn_cli.training.sensor_samples import SensorSamples
+
+# Losses that are about the parameters alone.
+OF_PARAMETERS = ("gain", "marginal")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordSolution:
+    """One record's part of a solution.
+
+    Attributes:
+        point: Where its motion ended.
+        noise: That it was found under.
+        factor: Of the Hessian there, of which all records have their share of the parameters' part.
+        prior: (p, p), precision of what is believed of the record's parameters.
+    """
+
+    point: Point
+    noise: NoiseModel
+    factor: BorderedFactor
+    prior: np.ndarray
+
+    def drawn(self, count: int, of_mean_length: bool = False) -> list[Point]:
+        """Draws from the posterior, as steps from the solution; the same ones every time.
+
+        Args:
+            count: How many.
+            of_mean_length: Whether each is as long as a draw is on average: few of them then add up to what they must.
+        """
+        size = self.factor.size
+        normals = np.random.default_rng(0).standard_normal((size, count))
+        if of_mean_length:
+            normals *= np.sqrt(size) / np.linalg.norm(normals, axis=0)
+        weights, parameters = self.factor.draws(normals)
+        like = self.point.unknowns
+        return [
+            Point(*(torch.as_tensor(x).to(like) for x in drawn)) for drawn in zip(weights.T, parameters.T, strict=True)
+        ]
+
+
+class RecordEvidence:
+    """What one record says of its motion, see :class:`pinn_cli.training.evidence.Evidence`.
+
+    The physics residual counts as what the features can see of it, K values per DOF with a discrepancy that is white
+    among them; beyond that there is nothing but the force sensors' noise.
+
+    Attributes:
+        equations: Of the record.
+        problem: Likewise.
+    """
+
+    def __init__(self, equations: NormalEquations) -> None:
+        self.equations, self.problem = equations, equations.problem
+
+    @cached_property
+    def projection(self) -> FeatureProjection:
+        """At the collocation points."""
+        return self._projection(self.equations.physics)
+
+    @cached_property
+    def observer_projection(self) -> FeatureProjection:
+        """At the response's samples, where it differs from :attr:`projection` if the force is held between its own."""
+        return self._projection(self.equations.observation)
+
+    @cached_property
+    def load_cells(self) -> dict[int, SensorSamples]:
+        """DOF to the load cell whose force stands in the equations of motion, and is no channel."""
+        measured = np.flatnonzero(self.equations.target.measured_force.cpu().numpy()).tolist()
+        return {dof: SensorSamples.of_column(self.problem.record, FORCE, dof) for dof in measured}
+
+    def log_evidence(self, point: Point, noise: NoiseModel, readout_log_determinant: float) -> float:
+        """The record's own part, without the parameters' prior and without their share of the Hessian."""
+        equations = self.equations
+        losses = equations.losses(point, noise)
+        forces = self.force_residuals(point, noise)
+        rest = sum(value for name, value in losses.items() if name not in ("physics", "observer", *OF_PARAMETERS))
+        sensors = self.log_variances(noise)
+        # What is probable is a force, not the motion that it makes.
+        moved = self._log_density_of_motion(point, forces.count)
+        return -0.5 * (forces.misfit(noise) + rest + sensors + readout_log_determinant) + moved
+
+    def _log_density_of_motion(self, point: Point, count: int) -> float:
+        """See :func:`log_density`: of the equations linearised at a motion, on the average over the record."""
+        equations = self.equations
+        enforced, segments = equations.target.equation.cpu().numpy() > 0, equations.physics
+        pattern, tangent = equations.pattern, equations.motion.mean_tangent(segments, point)
+        stiffness, damping = (pattern.full(pattern.by_coordinate(x).cpu().numpy()) for x in tangent)
+        mass = equations.dynamics.mass(equations.parameters(point)).cpu().numpy()
+        kept = np.ix_(enforced, enforced)
+        network, averaged = equations.network, equations.averages is not None
+        degree = network.degree if averaged and isinstance(network, SplineNetwork) else None
+        seen = seen_powers(count, np.pi * network.free_intervals, degree)
+        return log_density(mass[enforced], damping[kept], stiffness[kept], seen)
+
+    def log_variances(self, noise: NoiseModel) -> float:
+        """Sum over all samples of the sensors; those of an observer equation stand with the forces."""
+        each = ((own.values[own.there], noise.response[own.name][own.there]) for own in self.equations.channels)
+        return float(sum(2.0 * float(values @ np.log(sigma)) for values, sigma in each))
+
+    def force_residuals(self, point: Point, noise: NoiseModel) -> ForceResiduals:
+        """What the physics residual holds in the features' sight and beyond it."""
+        equations = self.equations
+        enforced = equations.target.equation.cpu().numpy()
+        physics, weight = equations.motion.residual(point), equations.motion.weight(noise)
+        observer = None
+        if equations.observer is not None:
+            residual = torch.cat([each for _, each in equations.observer.residuals(point)])
+            observer = self.observer_projection.sum_of_squares(residual), equations.observer.weight(noise).cpu().numpy()
+        left_open, unseen = np.zeros(len(enforced)), np.zeros(len(enforced))
+        # A discrepancy varies within the intervals too, as far as the features follow it: that is no noise of a sensor.
+        beyond = len(equations.problem.record.time) - equations.network.count if equations.refinement == 1 else 0
+        if beyond > 0:
+            moments = self.projection.no_moments(len(enforced))
+            for part in equations.windows(equations.physics):
+                forces = equations.motion.force(point, part)
+                unseen += forces.square().sum((0, 1)).cpu().numpy()
+                self.projection.add_moments(moments, forces, part)
+            unseen -= self.projection.seen(moments)
+        if equations.averages is None:
+            seen, count = self.projection.sum_of_squares(physics), equations.network.count
+        else:  # averages between the samples count as far as the samples tell what acts there
+            trust = weight * torch.as_tensor(noise.physics_variance).to(weight)
+            seen = (physics.square() * trust).sum((0, 1)).cpu().numpy()
+            count = equations.averages.count
+            if trust.ndim > 1:
+                left_open = -torch.where(trust > 0, trust, 1.0).log().sum((0, 1)).cpu().numpy()
+        return ForceResiduals(enforced, seen, np.maximum(unseen, 0.0), count, max(beyond, 0), left_open, observer)
+
+    def followed_force(self) -> np.ndarray:
+        """(N, n), the measured force as far as the features follow it; 0 where there is none."""
+        equations = self.equations
+        coefficients = self.projection.coefficients(equations.target.force.cpu()).to(equations.target.force)
+        segments = equations.forces
+        values = (
+            output_features(equations.network, segments)[0]
+            @ coefficients[first_output(equations.network, segments).feature]
+        )
+        return segments.scatter(values)[:, : equations.dynamics.ndof].cpu().numpy()
+
+    def _projection(self, segments: Segments) -> FeatureProjection:
+        network = self.equations.network
+        return FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+
+
+def occupied_share(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """N_eff / K, see :func:`pinn_cli.training.steps.discrepancy_search.widened_for_colour`."""
+    equations = evidence.equations
+    unforced = equations.target.unforced & equations.dynamics.has_mass.to(equations.target.unforced.device)
+    enforced = unforced if bool(unforced.any()) else equations.target.equation
+    residual, step = equations.motion.residual(solution.point), 1.0 / equations.network.free_intervals
+    if equations.averages is None:
+        residual, step = equations.physics.scatter(residual), equations.problem.record.step
+    else:
+        residual = equations.averages.by_interval(residual)
+    return occupied_band(residual[:, enforced].cpu().numpy(), step, equations.network.free_intervals / 2.0)

@@ -1,0 +1,63 @@
+"""What is known where a later record goes on: from the samples up to that time, and from no later ones.
+
+A record may overlap the next one, whose samples are then in both. Knowledge that has taken them in already would count
+them twice. So the solution is taken once more from the samples before the hand-over alone, under the noise that all of
+them tell: the same knots as far as they reach, from where the solution is, which takes one step or two.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from pinn_cli.model.knowledge import HandOver
+from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.history import History
+from pinn_cli.training.inferred import InferenceSettings, Inferred
+from pinn_cli.training.point import Point
+from pinn_cli.training.reported.end_state import end_state
+from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
+from pinn_cli.training.steps.near_levels import softer_point
+
+
+def handed_over(found: Inferred, settings: InferenceSettings, device: str, history: History) -> HandOver:
+    """Parameters and state at :attr:`pinn_cli.scheme.problem.Problem.hand_over`.
+
+    Args:
+        found: The solution from all samples, of one record.
+        settings: That it was found with.
+        device: Where it is solved.
+        history: Of the training.
+
+    Raises:
+        DivergenceError: The samples before that time have no solution.
+    """
+    equations, problem = found.evidence.equations.each[0], found.evidence.problem
+    assert problem.hand_over is not None
+    network, record = equations.network, problem.record
+    assert isinstance(network, SplineNetwork)
+    samples = int(np.searchsorted(record.time, problem.hand_over + 0.5 * record.step))
+    early = replace(problem, record=record.until(samples), alternatives=())
+    # Beyond its last sample a record has as much of an interval as before its first one.
+    margin = float(record.time[0]) - network.start
+    intervals = math.ceil((float(early.record.time[-1]) + margin - network.start) / network.spacing - 1e-6)
+    shorter = SplineNetwork(
+        network.ndof, network.start, network.start + intervals * network.spacing, intervals, network.degree,
+        network.continuity, network.readout.dtype,
+    )  # fmt: skip
+    evidence = replace(settings, known=equations.known).solved_by(early, [shorter], device, history)
+    point = found.trained.solution.point
+    start = Point(point.unknowns[: evidence.equations.each[0].layout.size], point.parameters)
+    if early.uncertain:
+        start = softer_point(evidence, found.trained.noise, start)
+    trained = evidence.train(found.trained.noise, start)
+    if trained is None or not torch.isfinite(trained.solution.point.unknowns).all():
+        raise DivergenceError(f"the samples up to {problem.hand_over:g} s alone have no solution to hand over")
+    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    _, _, known = parameter_posterior(evidence.equations, trained, told)
+    (end,) = evidence.each_record(end_state, trained)
+    return HandOver(known, end, found.told)

@@ -1,0 +1,166 @@
+"""From a trained network to likelihoods of its unknown parameters: all that a sampler needs, in small matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from pinn_cli.record.record import Record
+from pinn_cli.system.functions import Jet
+from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
+from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.least_squares import LeastSquares
+from pinn_cli.training.levels import force_noise_told
+from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, S_REACH, MarginalLikelihood
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterLikelihoods:
+    """Both likelihoods, and what they say about the force.
+
+    Attributes:
+        marginal: The motion integrated out.
+        conditional: The motion held at the most probable one.
+        force: (N, n), N, what the most probable motion takes, at the parameters' ``peak``.
+        force_by_parameter: (N, n, p), its change with the parameters, the motion following them.
+    """
+
+    marginal: MarginalLikelihood
+    conditional: ConditionalLikelihood
+    force: np.ndarray
+    force_by_parameter: np.ndarray
+
+
+def parameter_likelihoods(evidence: Evidence, trained: Trained) -> ParameterLikelihoods:
+    """Both likelihoods of the unknown parameters about a trained network, or about those of several records.
+
+    What they say about the force is that of the first record.
+    """
+    equations = evidence.equations
+    marginal = marginal_likelihood(evidence, trained)
+    point, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    force, own = evidence.each_record(force_of_motion, trained)[0]
+    slope = np.zeros((*own.shape[:2], len(scale)))
+    slope[..., equations.columns[0]] = own
+    moved = force + slope @ (marginal.peak - _physical(equations, point))
+    return ParameterLikelihoods(marginal, conditional_likelihood(evidence, trained), moved, slope)
+
+
+def force_of_motion(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
+    """(N, n) force that the most probable motion of one record takes, and (N, n, p) its change with the parameters."""
+    equations = evidence.equations
+    posterior = ReadoutPosterior(equations, solution.point, solution.factor)
+    slope = posterior.force_by_parameter(equations.forces).numpy() / equations.scale.cpu().numpy()
+    states = equations.flat_states(equations.forces, solution.point)
+    force = equations.dynamics.external_force(Jet(*states[:3]), equations.parameters(solution.point))
+    return force.cpu().numpy(), slope
+
+
+def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelihood:
+    """The marginal likelihood, tabulated over the scale of the force noise; each point is a solution of its own.
+
+    The noise of the force sensors of all records has one scale; its standard deviations are those of the first. Its
+    logarithm s is a Gaussian, as wide as the values that tell it say; parameters under it are another.
+    """
+    record = evidence.records[0].problem.record
+    names = tuple(p.name for p in evidence.equations.uncertain)
+    sigma = trained.noise.records[0].force[: record.ndof] * np.sqrt(_repeats(record))
+    squares, values = np.sum(evidence.each_record(force_noise_told, trained), axis=0)
+    s_mean, s_std = (0.5 * np.log(squares / values), 1.0 / np.sqrt(2.0 * values)) if values > 0.0 else (0.0, 1.0)
+    reach = min(S_RANGE * s_std, S_REACH) if values > 0.0 else 0.0
+    rows = []
+    for s in np.linspace(-reach, reach, S_POINTS if reach else 1):
+        louder = trained.noise.each(NoiseModel.with_force_scale, float(np.exp(s)))
+        found = evidence.train(louder, trained.solution.point) or trained
+        # With the parameters integrated out again, s is the Gaussian.
+        level = 0.5 * (found.factor.parameter_log_determinant - trained.factor.parameter_log_determinant)
+        rows.append((s, level, *_without_prior(evidence.equations, found)))
+    nodes, levels, peaks, precisions = (np.array(values) for values in zip(*rows, strict=True))
+    return MarginalLikelihood(names, sigma, nodes, levels, peaks, precisions, (float(s_mean), float(s_std)))
+
+
+def _repeats(record: Record) -> int:
+    return 1 if record.repeats is None else record.repeats.count
+
+
+def _without_prior(equations: LeastSquares, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+    """Peak (p,) and precision (p, p) of the likelihood alone, in the parameters' units.
+
+    Gauss-Newton worked under wide Gaussians, which the sampler replaces by the user's priors.
+    """
+    _, step = trained.factor.step(equations.assemble(trained.solution.point, trained.noise))
+    prior = np.diag(equations.precision(trained.noise).numpy())
+    posterior = np.linalg.inv(trained.factor.corner_covariance)
+    values, vectors = np.linalg.eigh(posterior - prior)
+    # What the record does not determine at all must not come out negative by rounding.
+    values = np.maximum(values, 1e-12 * values.max())
+    precision = (vectors * values) @ vectors.T
+    moved = trained.solution.point.parameters.cpu().numpy() + step
+    peak = np.linalg.solve(precision, posterior @ moved)
+    scale = equations.scale
+    return _physical(equations, peak), precision / np.outer(scale, scale)
+
+
+def _physical(equations: LeastSquares, x: np.ndarray) -> np.ndarray:
+    """(p,) parameters in their own units."""
+    start = np.array([p.prescribed for p in equations.uncertain])
+    return start + equations.scale * x
+
+
+def conditional_likelihood(evidence: Evidence, trained: Trained) -> ConditionalLikelihood:
+    """The conditional likelihood at the most probable motion, of every DOF whose equation of motion is enforced."""
+    equations = evidence.equations
+    p = len(equations.uncertain)
+    gram, moment, square, scatter, count = np.zeros((p, p)), np.zeros(p), 0.0, 0.0, 0
+    for columns, own in zip(equations.columns, evidence.each_record(force_regression, trained), strict=True):
+        gram[np.ix_(columns, columns)] += own.gram
+        moment[columns] += own.moment
+        square, scatter, count = square + own.square, scatter + own.scatter, count + own.count
+    moved = -np.linalg.lstsq(gram, moment, rcond=None)[0]
+    peak = _physical(equations, trained.solution.point.parameters.cpu().numpy()) + moved
+    names = tuple(q.name for q in equations.uncertain)
+    forced = evidence.records[0].problem.record.sensors("force")
+    return ConditionalLikelihood(names, forced, gram, peak, square + float(moment @ moved) + scatter, count)
+
+
+@dataclass(frozen=True, eq=False)
+class ForceRegression:
+    """Sums over the samples of one record, repeats included, of its force residual and of the residual's derivatives.
+
+    Attributes:
+        gram: (p, p), derivatives times derivatives.
+        moment: (p,), derivatives times residual.
+        square: Of the residual.
+        scatter: Of the force's repeats about their mean.
+        count: Of residuals.
+    """
+
+    gram: np.ndarray
+    moment: np.ndarray
+    square: float
+    scatter: float
+    count: int
+
+
+def force_regression(evidence: RecordEvidence, solution: RecordSolution) -> ForceRegression:
+    """Of one record."""
+    equations, record, point = evidence.equations, evidence.problem.record, solution.point
+    at_samples = slice(None, None, equations.refinement)
+    residual = equations.physics.scatter(equations.motion.force(point))[at_samples]
+    rows = equations.motion.rows(equations.forces, point)
+    p = len(equations.uncertain)
+    gram, moment = np.zeros((p, p)), np.zeros(p)
+    for dof in torch.nonzero(equations.target.equation).flatten().tolist():
+        grouped = equations.pattern.uncertain_columns(rows.parameter[:, :, dof], dof)
+        columns = (equations.forces.scatter(grouped) / equations.scale).cpu().numpy()  # (N, p), N per unit
+        gram += columns.T @ columns
+        moment += columns.T @ residual[:, dof].cpu().numpy()
+    repeats = _repeats(record)
+    scatter = 0.0 if record.repeats is None else float(record.repeats.square["force"][record.sensors("force")].sum())
+    count = repeats * len(record.time) * int(equations.target.equation.sum())
+    return ForceRegression(repeats * gram, repeats * moment, repeats * float(residual.square().sum()), scatter, count)

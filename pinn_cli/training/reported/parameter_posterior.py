@@ -1,0 +1,133 @@
+"""Estimates, standard deviations and intervals of the parameters, with the motion integrated out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
+from pinn_cli.system.quantities import INITIAL_STATE
+from pinn_cli.training.bounded_estimates import bounded_estimates
+from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.training.evidence import Trained
+from pinn_cli.training.least_squares import LeastSquares
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+
+# N; a model without any misfit is divided by it.
+LEAST_MISFIT = 1e-300
+# Force over misfit beyond which nothing is hidden; its square is still a number in any unit.
+LARGEST_RATIO = 1e100
+
+
+def parameter_posterior(
+    equations: LeastSquares,
+    trained: Trained,
+    told: tuple[np.ndarray, np.ndarray],
+    covariance: np.ndarray | None = None,
+) -> tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge]:
+    """Every uncertain parameter, the (p, p) correlation of all of them, and what is known without bounds.
+
+    The posterior is the Gaussian of the joint Hessian with the readout weights marginalised, of which parameters that
+    cannot be negative leave only a part. Where a bound holds one back, the Gaussian's own peak lies beyond the bound,
+    at a Newton step's distance from the solution. What misfit may have added to each comes on top. Which of them is
+    the estimate: :func:`pinn_cli.training.bounded_estimates.bounded_estimates`.
+
+    Args:
+        equations: Of one record or of several.
+        trained: Their solution.
+        told: Both (p,), see :func:`coherent_misfit`.
+        covariance: (p, p), of that Gaussian; None: by the Hessian.
+    """
+    mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
+    peak = mode + _newton_step(equations, trained)
+    covariance = trained.factor.corner_covariance if covariance is None else covariance
+    # What follows is about parameters alone: a first state is integrated out.
+    uncertain, lower = [p for p in equations.uncertain if p.kind != INITIAL_STATE], equations.lower
+    own = slice(len(uncertain))
+    mode, scale, peak, covariance, lower = mode[own], scale[own], peak[own], covariance[own, own], lower[own]
+    known = ParameterKnowledge(
+        np.array([p.prescribed for p in uncertain]) + scale * peak,
+        covariance * np.outer(scale, scale),
+        told[0][own] / scale,
+        told[1][own] / scale**2,
+        scale,
+        np.where(equations.unknown, np.nan, [p.prescribed for p in equations.uncertain]),
+        trained.noise.spread,
+    )
+    prior = equations.each[0].problem.prior
+    if prior is not None:
+        then = trained.noise.records[0].earlier_misfit
+        known = replace(
+            known,
+            told=known.told + then * prior.told,
+            weight=known.weight + then**2 * prior.weight,
+            first_std=prior.first_std,
+            prescribed=prior.prescribed,
+            spread=prior.spread,
+        )
+    misfit = known.hidden / scale
+    posterior = TruncatedGaussian(peak, covariance, lower)
+    estimates = bounded_estimates(uncertain, scale, mode, posterior, misfit)
+    whole = posterior.covariance + np.diag(misfit**2)
+    unit = np.sqrt(np.diag(whole))
+    return estimates, whole / np.outer(unit, unit), known
+
+
+def coherent_misfit(
+    columns: Sequence[np.ndarray], each: Sequence[tuple[np.ndarray, int]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What tells how much of what the model leaves out each parameter may have taken in: its sums over the records.
+
+    The Hessian takes the discrepancy for noise, which averages out over a record. A force that was forgotten does not:
+    that of a cubic spring follows the motion as that of a linear one does, and however long the record is, the linear
+    one comes out stiffer. So a discrepancy of root mean square d may hide d / rms(dr/dx) of a parameter x whose force
+    on its connections is r, or what the prior lets it hide. Without model error d is small, and this with it.
+
+    It does not average out over records either, each of which hides as much as its weight among them: the first sum
+    (p,) over the second is the standard deviation of what is hidden, in prior ones. See
+    :class:`pinn_cli.model.knowledge.ParameterKnowledge`, which limits it to what the prior lets it hide.
+
+    Args:
+        columns: Of every record, the places of its parameters among all p.
+        each: Of every record, see :func:`parameter_force`.
+    """
+    size = 1 + max((int(c.max()) for c in columns if len(c)), default=-1)
+    weighed, weights = np.zeros(size), np.zeros(size)
+    for own, (ratio, values) in zip(columns, each, strict=True):
+        limited = np.minimum(ratio, LARGEST_RATIO)
+        weighed[own] += values * limited
+        weights[own] += values * limited**2
+    return weighed, weights
+
+
+def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, int]:
+    """(p,) rms force of one prior standard deviation of every parameter over that of the misfit; how many values tell.
+
+    Args:
+        evidence: Of one record.
+        solution: Its solution.
+    """
+    equations = evidence.equations
+    if not equations.vector.kinds:
+        return np.zeros(0), 0
+    segments, total = equations.physics, np.zeros(equations.vector.places)
+    for part in equations.windows(segments):
+        per_std = equations.motion.own_by_parameter(segments, solution.point, part)
+        total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
+    force = np.sqrt(total / segments.samples)[equations.vector.column]
+    # What spectra have told holds what the model leaves out already.
+    told = equations.problem.told is not None
+    misfit = 0.0 if told else solution.noise.misfit(equations.network.count, len(equations.problem.record.time))
+    return force / max(misfit, LEAST_MISFIT), equations.network.count
+
+
+def _newton_step(equations: LeastSquares, trained: Trained) -> np.ndarray:
+    """(p,) from the solution to the peak that the Gaussian would have without bounds; zero where none is active."""
+    point = trained.solution.point.parameters.cpu().numpy()
+    held = point <= equations.lower
+    if not held.any():
+        return np.zeros(len(point))
+    return trained.factor.step(equations.assemble(trained.solution.point, trained.noise))[1]

@@ -1,0 +1,208 @@
+"""From a trained linear readout to what is reported: posterior means and standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from scipy.sparse import csr_matrix
+
+from pinn_cli.model.knowledge import ParameterKnowledge
+from pinn_cli.physics import estimated_response
+from pinn_cli.record.gauge import GAUGE
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.acting_force import acting_force, sensor_share
+from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.doubts.doubts import doubts
+from pinn_cli.training.estimate import ConnectionHistories, Estimate, ParameterEstimate
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.history import History
+from pinn_cli.training.levels import values_taken
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.reported.agreement import disagreements
+from pinn_cli.training.reported.connection_forces import connection_forces
+from pinn_cli.training.reported.dissipated_energy import dissipated_energy
+from pinn_cli.training.reported.end_state import end_state
+from pinn_cli.training.reported.misfit_history import misfit_history
+from pinn_cli.training.reported.model_evidence import model_log_evidence
+from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
+
+
+def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
+    """Means, standard deviations, parameters and summary of trained networks, one for every record."""
+    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    found = {
+        "iterations": len(history.rows),
+        "factorisations": history.factorisations,
+        "stop_reason": "converged" if trained.solution.converged else "iteration limit",
+        "log_evidence": trained.log_evidence,
+        **({"model_log_evidence": model_log_evidence(evidence, trained)} if evidence.equations.unknown.any() else {}),
+        "parameter_spread": trained.noise.spread,
+    }
+    table = history.table()
+    each = [
+        replace(own, history=table, summary=found | own.summary)
+        for own in evidence.each_record(record_estimate, trained)
+    ]
+    estimate = with_parameters(evidence, each, parameter_posterior(evidence.equations, trained, told))
+    if len(each) > 1:
+        return replace(estimate, disagreements=disagreements(evidence, trained))
+    return replace(estimate, end=evidence.each_record(end_state, trained)[0])
+
+
+def with_parameters(
+    evidence: Evidence,
+    each: Sequence[Estimate],
+    posterior: tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge],
+) -> Estimate:
+    """One estimate of all records from that of each, with these parameters, their correlation, and what is known."""
+    parameters, correlation, known = posterior
+    first, *further = (
+        replace(own, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
+        for own, problem, columns in zip(each, evidence.problem.by_record, evidence.equations.columns, strict=True)
+    )
+    every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
+    return replace(first, further=tuple(further), known=known, **every)
+
+
+def _own_parameters(
+    every: Sequence[ParameterEstimate], correlation: np.ndarray, problem: Problem, columns: np.ndarray
+) -> dict[str, Any]:
+    """One record's parameters as its problem has them, and their correlation."""
+    pairs = zip(columns, problem.uncertain, strict=True)
+    parameters = [replace(every[column], parameter=parameter) for column, parameter in pairs]
+    return {"parameters": parameters, "correlation": correlation[np.ix_(columns, columns)]}
+
+
+def record_estimate(evidence: RecordEvidence, solution: RecordSolution) -> Estimate:
+    """Motion, forces, and the noise of one record; without the parameters, which other records may have in common."""
+    equations, point = evidence.equations, solution.point
+    posterior = ReadoutPosterior(equations, point, solution.factor)
+    motion = (equations.flat_states(segments, point) for segments in (equations.observation, equations.forces))
+    response = estimated_response(equations.problem.record, equations.dynamics, equations.parameters(point), *motion)
+    std = _deviations(posterior, response)
+    response, std = _share_force(evidence, solution, response, std)
+    summary = {
+        "features_per_dof": equations.network.count,
+        "operations_per_factorisation": solution.factor.readout.operations,
+        "effective_parameters": _effective_parameters(evidence, solution),
+        "sigma_discrepancy": solution.noise.discrepancy / equations.refinement**0.5,
+        "sigma_force": _listed(solution.noise.force[: equations.problem.record.ndof]),
+        **{f"sigma_{quantity}": _listed(sigma) for quantity, sigma in _noise_felt(equations, solution).items()},
+    }
+    summary |= _of_unknown_forces(equations, solution)
+    if equations.known is not None:
+        summary["spectral_misfit"] = equations.known.misfit
+    connections, misfit = _connections(posterior, response), misfit_history(evidence, solution)
+    lacking = doubts(evidence, solution, std)
+    return Estimate(response, std, [], pd.DataFrame(), summary, connections=connections, misfit=misfit, doubts=lacking)
+
+
+def _noise_felt(equations: NormalEquations, solution: RecordSolution) -> dict[str, np.ndarray]:
+    """Quantity to the noise of its sensors in what they feel; of gauges under a name of their own as well."""
+    record = equations.problem.record
+    levels = {quantity: sigma.copy() for quantity, sigma in solution.noise.response.items()}
+    if GAUGE not in levels:
+        return levels
+    gain = equations.parameters(solution.point)["gain"].cpu().numpy()
+    levels[GAUGE] /= np.abs(gain)
+    for gauge, sigma in zip(record.gauges, levels[GAUGE], strict=True):
+        if gauge.dof is not None:
+            levels[gauge.quantity][gauge.dof] = sigma
+    return levels
+
+
+def _of_unknown_forces(equations: NormalEquations, solution: RecordSolution) -> dict[str, float]:
+    """Correlation time (s) and standard deviation (N) of forces that nobody measured, where there are any.
+
+    A process of second order that white noise drives has this standard deviation, whatever its damping ratio.
+    """
+    inputs, driving = equations.problem.inputs, solution.noise.innovation
+    if not inputs.forces or driving is None:
+        return {}
+    step = equations.problem.record.step / equations.refinement
+    level = float(driving[equations.dynamics.forces][0]) * (step / (2.0 * inputs.correlation_time)) ** 0.5
+    return {"correlation_time_unknown_force": inputs.correlation_time, "std_unknown_force": level}
+
+
+def _connections(posterior: ReadoutPosterior, response: Response) -> ConnectionHistories:
+    """Drifts, sums of functions whose errors are not independent, and forces of :attr:`Structure.added`."""
+    dynamics, segments = posterior.equations.dynamics, posterior.equations.observation
+    structure = dynamics.structure
+    motion, _ = response.stretching
+    forces, energy = [np.zeros((len(motion), 0))] * 2, [np.zeros(0)] * 2
+    if len(structure.added):
+        forces, energy = list(connection_forces(posterior)), list(dissipated_energy(posterior))
+    drifts = structure.drifts
+    std = np.zeros((len(motion), 0))
+    if drifts.shape[0]:
+        by_function = csr_matrix(drifts @ dynamics.picked(dynamics.stretch_places))
+        std = posterior.combined(segments, [(0, by_function)]).numpy()
+    return ConnectionHistories(motion @ drifts.T, std, *forces, *energy)
+
+
+def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
+    """Standard deviations of everything in a response, before what load cells add to the force."""
+    equations = posterior.equations
+    dynamics = equations.dynamics
+    sensed = posterior.sensed(equations.observation)
+    functions = None if dynamics.is_plain else posterior.functions(equations.forces)[0]
+    if dynamics.structure.shapes is None:
+        force = posterior.force(equations.forces)
+    else:
+        force = torch.zeros_like(sensed["displacement"])
+    if functions is not None:
+        force[:, dynamics.loaded] = functions[:, dynamics.acting]
+    displacement, velocity, acceleration = (sensed[quantity].numpy() for quantity in RESPONSE_QUANTITIES)
+    return Response(
+        response.time,
+        displacement,
+        velocity,
+        acceleration,
+        force.numpy(),
+        sensed[GROUND][:, 0].numpy() if dynamics.inputs.ground else None,
+        None if functions is None or response.hidden is None else functions[:, dynamics.hidden].numpy(),
+        supports=None if response.supports is None else _of_supports(posterior),
+    )
+
+
+def _of_supports(posterior: ReadoutPosterior) -> np.ndarray:
+    """(N, 3, S), standard deviations of the supports' motion."""
+    dynamics = posterior.equations.dynamics
+    moved = posterior.functions(posterior.equations.observation)
+    return np.stack([std[:, dynamics.supports].numpy() for std in moved], axis=1)
+
+
+def _share_force(
+    evidence: RecordEvidence, solution: RecordSolution, response: Response, std: Response
+) -> tuple[Response, Response]:
+    """The force that acts, with its standard deviation."""
+    equations, noise = evidence.equations, solution.noise
+    forced = equations.problem.record.sensors("force")
+    if not forced.any() or equations.dynamics.inputs.loads:
+        return response, std
+    measured = equations.problem.record.force
+    filtered = evidence.followed_force()
+    share, sigma = (x[: len(forced)][forced] for x in (sensor_share(noise), noise.force))
+    # Both variances count N samples for the K values that the features can tell apart.
+    seen = min(equations.network.count / len(measured), 1.0)
+    force_std = std.force.copy()
+    force_std[:, forced] = np.sqrt(((1 - share) * force_std[:, forced]) ** 2 + seen * share * sigma**2)
+    return acting_force(response, filtered, noise), replace(std, force=force_std)
+
+
+def _effective_parameters(evidence: RecordEvidence, solution: RecordSolution) -> dict[str, list[float | None]]:
+    """Name of sensors to how many values of each one's samples the solution has taken up."""
+    taken = values_taken(evidence, solution).response
+    every = evidence.equations.channels
+    return {own.name: _listed(np.where(own.there, taken[own.name], np.nan)) for own in every}
+
+
+def _listed(sigma: np.ndarray) -> list[float | None]:
+    return [None if np.isnan(s) else float(s) for s in sigma]

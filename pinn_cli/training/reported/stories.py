@@ -1,0 +1,125 @@
+"""Stories of a record that the model does not quite explain, and what each predicts that it has not been shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.record.channels import channels
+from pinn_cli.record.free_run import NoFreeRunError, free_run_of
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import Response
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.calibrated_record import as_calibrated
+from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
+from pinn_cli.training.estimated_structure import estimated_structure
+from pinn_cli.training.inferred import Inferred
+from pinn_cli.training.point import Point
+from pinn_cli.training.reported.misfit_history import misfit_history
+from pinn_cli.training.reported.parameter_posterior import parameter_posterior
+from pinn_cli.training.reported.posterior_estimate import with_parameters
+from pinn_cli.training.steps.free_running import FreeRunning
+
+OF_FORCE, OF_RESPONSE = "force", "free run"
+# Parts of a record that are simulated each from the estimated state at its beginning.
+SEGMENTS = 10
+# A story that leaves as much of every sensor as there is predicts nothing.
+NOTHING = 100.0
+
+
+def best_told(found: Inferred, estimate: Estimate) -> Estimate:
+    """The estimate with the parameters of the story that predicts the record best, and what each of them says.
+
+    Args:
+        found: Its solutions.
+        estimate: Of the story in which a force acts that the model leaves out; its motion is that in any case.
+    """
+    if not found.free:
+        return estimate
+    problems = found.evidence.problem.by_record
+    every = [of_free_running(found, free, estimate) for free in found.free]
+    free, other = min(((_story(OF_RESPONSE, problems, own), own) for own in every), key=lambda told: _rank(told[0]))
+    of_force = _story(OF_FORCE, problems, estimate)
+    stories, chosen = ((free, of_force), other) if _rank(free) < _rank(of_force) else ((of_force, free), estimate)
+    first, *others = (tuple(own.parameters) for own in estimate.by_record)
+    further = [replace(own, of_motion=motion) for own, motion in zip(chosen.further, others, strict=True)]
+    return replace(chosen, stories=stories, of_motion=first, further=tuple(further))
+
+
+def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> Estimate:
+    """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
+
+    No record averages out how the parameters vary.
+    """
+    equations, varying = found.evidence.equations, (free.varying, np.ones(len(free.varying)))
+    parameters, correlation, known = parameter_posterior(equations, free.trained, varying, free.covariance)
+    if not any(p.held for p in parameters):
+        # A mean that a bound moves is no longer what makes the structure run; of one on its bound there is no other.
+        modes = free.trained.solution.point.parameters.cpu().numpy() * equations.scale
+        parameters = [_at_mode(p, p.parameter.value(float(x))) for p, x in zip(parameters, modes, strict=False)]
+    point = Point(found.trained.solution.point.unknowns, free.trained.solution.point.parameters)
+    moved = replace(found.trained, solution=replace(found.trained.solution, point=point))
+    each = zip(estimate.by_record, found.evidence.each_record(misfit_history, moved), strict=True)
+    told = with_parameters(
+        found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
+    )
+    changed = ("parameters", "correlation", "known", "further", "misfit")
+    return replace(estimate, **{name: getattr(told, name) for name in changed})
+
+
+def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:
+    lower, upper = min(found.lower_90, mode), max(found.upper_90, mode)
+    return replace(found, estimate=mode, lower_90=lower, upper_90=upper)
+
+
+def _story(name: str, problems: Sequence[Problem], estimate: Estimate) -> Story:
+    return Story(name, tuple(estimate.parameters), *_missed(problems, estimate))
+
+
+def _rank(story: Story) -> float:
+    """What decides: the free run, else its segments where it goes nowhere."""
+    return story.free_run if story.free_run < NOTHING else NOTHING + story.segments
+
+
+def _missed(problems: Sequence[Problem], estimate: Estimate) -> tuple[float, float]:
+    """NMSE of a free run and of segments, %, mean over the response's sensors of all records."""
+    every = [_missed_of(*each) for each in zip(problems, estimate.by_record, strict=True)]
+    free_run, segments = np.mean(every, axis=0)
+    return float(free_run), float(segments)
+
+
+def _missed_of(problem: Problem, estimate: Estimate) -> tuple[float, float]:
+    """Of one record."""
+    record, motion = as_calibrated(problem.record, estimate), estimate.response
+    structure = estimated_structure(problem.structure, estimate.parameters)
+    ends = np.linspace(0, len(record.time), SEGMENTS + 1).astype(int)
+
+    def left(parts: Sequence[tuple[int, int]]) -> float:
+        total = []
+        for first, last in parts:
+            try:
+                response = free_run_of(structure, record.until(last), motion, first, first)
+            except NoFreeRunError:
+                return np.inf
+            total.append(_squares(record, response, slice(first, last)))
+        return 100.0 * float(np.mean(np.sum(total, axis=0) / _powers(record)))
+
+    return left([(0, len(record.time))]), left(list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)))
+
+
+def _squares(record: Record, response: Response, part: slice) -> np.ndarray:
+    """(C,) sum of squares of what a simulation leaves of every channel in a part of the record."""
+    out = []
+    for channel in channels(record):
+        left = channel.measured[part] - channel.of(response)
+        there = slice(None) if channel.there is None else channel.there[part]
+        out.append(float(np.sum(left[there] ** 2)))
+    return np.array(out)
+
+
+def _powers(record: Record) -> np.ndarray:
+    """(C,) sum of squares of every channel about its mean."""
+    samples = [channel.sampled(channel.measured) for channel in channels(record)]
+    return np.array([float(np.sum((x - x.mean()) ** 2)) for x in samples])

@@ -1,0 +1,123 @@
+"""The search for the model error that makes a record, or several together, most probable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import occupied_share
+
+# The scan over the discrepancy goes down by this factor, half a decade; all levels settle together afterwards.
+SCAN_FACTOR = 10.0**0.5
+# Where the evidence rises by more than this from one solution to the next, the peak is far: then steps are twice as
+# long, while they take no more than so many factorisations.
+FAR_FROM_THE_PEAK, EASILY_FOLLOWED = 200.0, 3
+# A drop of the log evidence by this much ends the scan: the odds against anything stiffer are e^-20.
+DECISIVE_DROP = 20.0
+# The scan also ends after this many steps without a gain, or at this fraction of the force that it began with.
+PATIENCE, FINEST_DISCREPANCY = 3, 1e-8
+# A discrepancy below this part of the noise of every measured input makes no motion better known: one step without a
+# gain ends the scan there.
+FINEST_OF_NOISE = 1e-2
+# A model error above this part of the force is either a model that is far off or a search that went astray: it is worth
+# a second search from another start.
+SUSPICIOUS_DISCREPANCY = 0.01
+# Gain in log evidence below which another solution is not worth it.
+NEGLIGIBLE_GAIN = 0.5
+
+
+def searched(evidence: Evidence, noise: NoiseLevels, force: float, second_start: Callable[[], Point | None]) -> Trained:
+    """The most probable discrepancy of a scan, from rest and, where that finds no good model, from another start.
+
+    Where a structure is strongly nonlinear, the motion that soft physics finds may lie in the wrong valley.
+
+    Args:
+        evidence: Of the problem.
+        noise: Sensor noise; its discrepancy is ignored.
+        force: That acts, N.
+        second_start: Another motion to begin with; None: there is none.
+
+    Raises:
+        DivergenceError: Even the softest physics cannot be solved.
+    """
+    found = scanned(evidence, noise, force, evidence.equations.start())
+    if found.solution.converged and found.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force:
+        return found
+    start = second_start()
+    if start is None:
+        return found
+    try:
+        other = scanned(evidence, noise, SUSPICIOUS_DISCREPANCY * force, start)
+    except DivergenceError:
+        return found
+    return max(found, other, key=lambda trained: trained.log_evidence)
+
+
+def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point) -> Trained:
+    """The most probable discrepancy of a scan from soft physics to stiff, with the spread of the parameters there.
+
+    Every solution starts at the last. Soft physics is nearly linear and forgives a start at rest; each stiffer
+    problem begins next to its solution. So the search for the noise level is also the continuation that long and
+    stiff records need.
+
+    Args:
+        evidence: Of the problem.
+        noise: Sensor noise; its discrepancy is ignored.
+        largest: Where to begin, N: with a start at rest the force that acts.
+        start: The motion to begin with.
+
+    Raises:
+        DivergenceError: The first problem cannot be solved.
+    """
+    point, discrepancy, idle, stride = start, largest, 0, SCAN_FACTOR
+    best: Trained | None = None
+    indifferent = FINEST_OF_NOISE * noise.least_of_inputs
+    while discrepancy > FINEST_DISCREPANCY * largest and idle < PATIENCE:
+        trained = evidence.train(noise.with_discrepancy(discrepancy), point)
+        followed = best is not None and best.solution.converged
+        failed = trained is None or (followed and not trained.solution.converged)
+        lower = trained is not None and best is not None and trained.log_evidence < best.log_evidence
+        if stride > SCAN_FACTOR and (failed or lower):  # beyond what can be followed, or beyond the peak
+            discrepancy, stride = discrepancy * stride / SCAN_FACTOR, SCAN_FACTOR
+            continue
+        if trained is None or failed:
+            break  # stiffer than these steps or these numbers can follow
+        stride = SCAN_FACTOR**2 if best is not None and _is_easy(best, trained) else SCAN_FACTOR
+        point, noise = trained.solution.point, replace(noise, spread=evidence.learned_spread(trained))
+        idle = 0 if best is None or trained.log_evidence > best.log_evidence else idle + 1
+        best = trained if best is None or idle == 0 else best
+        if trained.log_evidence < best.log_evidence - DECISIVE_DROP or (idle and discrepancy < indifferent):
+            break
+        discrepancy /= stride
+        del trained  # before the next is made
+    if best is None:
+        raise DivergenceError(
+            "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
+        )
+    return best
+
+
+def widened_for_colour(evidence: Evidence, trained: Trained) -> Trained:
+    """Solve once more with the discrepancy that its own colour asks for.
+
+    The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the
+    features' band has fewer, N_eff, and larger ones; counting K of them makes states look better known than they
+    are. N_eff / K is the bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that
+    the features follow.
+    """
+    levels = zip(trained.noise.records, evidence.each_record(occupied_share, trained), strict=True)
+    widened = tuple(level.widened(share) for level, share in levels)
+    wider = evidence.train(replace(trained.noise, records=widened), trained.solution.point)
+    return wider if wider is not None and wider.solution.converged else trained
+
+
+def _is_easy(before: Trained, after: Trained | None) -> bool:
+    """Whether a scan that goes on like that is still far from the peak, and may take longer steps to it."""
+    if after is None or not (before.solution.converged and after.solution.converged):
+        return False
+    rise = after.log_evidence - before.log_evidence
+    return rise > FAR_FROM_THE_PEAK and after.solution.factorisations <= EASILY_FOLLOWED and not after.solution.cautious

@@ -1,0 +1,177 @@
+"""Inputs that are functions to be found, as the record's own band tells them: how large they are, and of what colour.
+
+They are the ground's acceleration, measured forces that are functions, and forces that nobody measured. The features
+follow frequencies beyond the band, where a record shows that nothing acts. Counted with the others these would pull the
+level of what drives an input down, and make bands too narrow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION
+from pinn_cli.system.functions import FLAT, Inputs
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+
+# Draws from the posterior that tell how much of what drives the forces the record has told.
+DRAWS = 8
+# Part of the drive in the band that must be told: of less no level can be read.
+LEAST_TOLD = 0.02
+# Parts of the band, on a logarithmic axis, and the lowest corners that are tried over the band's edge.
+PARTS, CORNERS = 16, (1.0, 0.3, 0.1, 0.03, 0.01)
+# Another spectrum must be so much more probable, as a logarithm.
+DECISIVE = 3.0
+# A floor above the band that has this part of the power that the forces would give it, or more, may be theirs: a sensor
+# would have to be as noisy by chance. Many times as much is noise beside which forces do not show.
+OF_FORCES = (0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What drives unknown forces.
+
+    Attributes:
+        level: Standard deviation per collocation point, alike for all forces, N.
+        correlation_time, damping_ratio: Of the process, see :class:`Inputs`.
+    """
+
+    level: float
+    correlation_time: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """The drive of the solution over the frequencies of a band.
+
+    Attributes:
+        frequency: (F,), Hz.
+        power: (F,), of all functions together, N^2; of the ground (m/s^2)^2.
+        told: (F,), how many of its values the record has told.
+    """
+
+    frequency: np.ndarray
+    power: np.ndarray
+    told: np.ndarray
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether a level can be read off it."""
+        return float(self.told.sum()) > LEAST_TOLD * len(self.told)
+
+    @property
+    def level(self) -> float | None:
+        """Standard deviation of the drive, per collocation point; None where it cannot be read.
+
+        sigma^2 = sum |n|^2 / sum (1 - var / sigma^2) over the frequencies of the band (MacKay 1992): n is the drive of
+        the solution at a frequency, var its posterior variance there, from draws.
+        """
+        return math.sqrt(float(self.power.sum() / self.told.sum())) if self.is_enough else None
+
+
+def level_in_band(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
+    """:attr:`Told.level` of the unknown forces; None without any."""
+    seen = _of_forces(evidence, solution)
+    return None if seen is None else seen.level
+
+
+def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Drive | None:
+    """The drive of the most probable spectrum of the unknown forces; None where that is the present one.
+
+    Flat up to the band's edge, or falling off from a corner below it.
+    """
+    seen = _of_forces(evidence, solution)
+    if seen is None or not seen.is_enough:
+        return None
+    inputs = evidence.equations.problem.inputs
+    edges = np.geomspace(max(seen.frequency[0], 1e-3 * seen.frequency[-1]), seen.frequency[-1], PARTS + 1)
+    part = np.clip(np.searchsorted(edges, seen.frequency, side="right") - 1, 0, PARTS - 1)
+    present = _gain(inputs.correlation_time, inputs.damping_ratio, seen.frequency)
+
+    def fit(correlation_time: float, damping_ratio: float) -> tuple[float, Drive]:
+        """Whittle's likelihood of the parts, and what drives the process at its most probable level."""
+        ratio = (_gain(correlation_time, damping_ratio, seen.frequency) / present) ** 2
+        power, told = (np.bincount(part, x, PARTS) for x in (seen.power * ratio, np.maximum(seen.told, 0.0)))
+        level = power.sum() / told.sum()
+        shape = np.bincount(part, np.maximum(seen.told, 0.0) * np.log(ratio), PARTS)
+        likelihood = float((shape - told * np.log(level) - power / level).sum())
+        return likelihood, Drive(math.sqrt(level), correlation_time, damping_ratio)
+
+    now, _ = fit(inputs.correlation_time, inputs.damping_ratio)
+    likelihood, best = max((fit(*process) for process in _processes(inputs)), key=lambda found: found[0])
+    return best if likelihood > now + DECISIVE else None
+
+
+def _processes(inputs: Inputs) -> list[tuple[float, float]]:
+    """Correlation times and damping ratios: flat to the band's edge, or two corners, the upper one there."""
+    edge = inputs.edge
+    flat = (2.0 * FLAT / edge, FLAT)
+    return [flat] + [((1.0 + 1.0 / x) / edge, 0.5 * (1.0 + x) / x**0.5) for x in CORNERS]
+
+
+def _gain(correlation_time: float, damping_ratio: float, frequency: np.ndarray) -> np.ndarray:
+    """From a force to what drives it."""
+    omega = 2.0 * np.pi * frequency
+    return np.hypot(1.0 - (omega * correlation_time / (2.0 * damping_ratio)) ** 2, omega * correlation_time)
+
+
+def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """How many times the band the unknown forces reach; 1 where it is as far as they do.
+
+    Forces that are white shake a mass at all frequencies. What a sensor shows above the frequencies of the structure is
+    then flat, and passes for its noise. It is the forces' own where these, as large as they are in the band, would give
+    it just that.
+    """
+    level, equations = level_in_band(evidence, solution), evidence.equations
+    record, inputs, shapes = equations.problem.record, equations.problem.inputs, equations.dynamics.structure.shapes
+    usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
+    wider = 2.0 * np.pi * usable / inputs.edge
+    if level is None or shapes is not None or wider < 1.1:
+        return 1.0
+    mass = equations.prescribed["m"].cpu().numpy()[list(inputs.forces)]
+    noise = solution.noise.response["acceleration"][list(inputs.forces)]
+    with np.errstate(invalid="ignore"):
+        # White noise of the points has so much power per frequency less than that of the samples.
+        share = (level / mass) ** 2 / equations.refinement / noise**2
+    share = share[np.isfinite(share)]
+    return wider if share.size and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
+
+
+def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> Told | None:
+    """What drives the unknown forces, in the record's band; None without any."""
+    equations = evidence.equations
+    return told_below(evidence, solution, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
+
+
+def told_below(evidence: RecordEvidence, solution: RecordSolution, functions: slice, top: float) -> Told | None:
+    """What drives some functions alike, up to a frequency (Hz); None without any, or without averages over intervals.
+
+    Args:
+        evidence: Of one record.
+        solution: Its solution.
+        functions: Which.
+        top: The frequency.
+    """
+    equations, point = evidence.equations, solution.point
+    innovation, averages = solution.noise.innovation, equations.averages
+    if functions.start == functions.stop or innovation is None or averages is None:
+        return None
+    rate = equations.network.free_intervals
+
+    def power(residual: torch.Tensor) -> np.ndarray:
+        drive = averages.by_interval(residual)[:, functions].cpu().numpy()
+        return (np.abs(np.fft.rfft(drive, axis=0)) ** 2).sum(1) / len(drive)
+
+    found = power(equations.motion.residual(point))
+    moved = [functions_moved for _, functions_moved in equations.motion.moved(point, solution.drawn(DRAWS))]
+    scatter = np.zeros_like(found)
+    for of_draw in zip(*moved, strict=True):
+        scatter += power(torch.cat(of_draw)) / DRAWS
+    told = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
+    frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))
+    inside = (frequency > 0.0) & (frequency <= top)
+    return Told(frequency[inside], found[inside], told[inside])

@@ -1,0 +1,221 @@
+"""Parameters with which the structure runs free.
+
+There are two stories of a record that the model does not quite explain. In one a force that it leaves out acts on every
+coordinate: then the motion follows the sensors, which is best for the motion, and of the parameters no more is left
+than a regression of forces on it. In the other the structure runs free, and what it misses of the record is an error of
+the response: then the parameters are those of an output-error fit (Ljung 1999, section 7.3), with which the structure
+does what the record shows better than with any others. The second is the first with a discrepancy that goes to nothing
+while the sensors' noise follows what is left. So it is found from the first, step by step.
+
+What is left of the sensors is no white noise then. So the covariance is that of a misspecified model (White 1982),
+S^-1 (J + P) S^-1, with S the precision under white noise, P that of the prior, and J the covariance of the score, from
+sums of it over parts of the record that are long enough to be independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.levels import floor
+from pinn_cli.training.noise_model import NoiseModel
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, SCAN_FACTOR
+
+# A load cell's noise would take up as much of a model error as it may: a free run is one under the measured force.
+FORCE_LEFT = 0.03
+# Parts of the first discrepancy: the last one moves a structure by nothing beside what the sensors are off by then.
+PARTS_LEFT = (1e-2, 1e-3, 1e-4)
+# Rounds at most to each, and the change of a logarithm of the sensors' noise below which nothing moves any more.
+ROUNDS, SETTLED = 15, 0.01
+# Parts of a record that a score is summed over, and how many of them in a row are as good as independent of others.
+CELLS, IN_A_ROW = 200, 20
+# Parts that overlap count for one and a half times as many that do not.
+FREEDOM = 1.5 * CELLS / IN_A_ROW - 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRunning:
+    """A solution without any discrepancy, and how well its parameters are known, in prior standard deviations.
+
+    Attributes:
+        trained: The solution.
+        covariance: (p, p), over records that were made in the same way.
+        varying: (p,), standard deviation over the conditions of this record.
+    """
+
+    trained: Trained
+    covariance: np.ndarray
+    varying: np.ndarray
+
+
+def running_free(evidence: Evidence, trained: Trained) -> list[FreeRunning]:
+    """Solutions whose structure runs free, each with less of a discrepancy; none where the motion does already.
+
+    A spline does not follow every motion of a structure that runs free, so the last one need not be the best.
+
+    Args:
+        evidence: Of a problem whose forces were all measured.
+        trained: Its solution with a discrepancy.
+    """
+    floors = evidence.each_record(floor, trained)
+    out: list[FreeRunning] = []
+    if not _is_misled(evidence, trained, floors):
+        return out
+    first, found = trained.noise.records, trained
+    for part in PARTS_LEFT:
+        ends = [max(part * own.discrepancy, least.discrepancy) for own, least in zip(first, floors, strict=True)]
+        followed = _followed(evidence, found, ends, first)
+        if followed is None:
+            break
+        found = followed
+        if found.solution.converged:
+            out.append(FreeRunning(found, *_deviations(evidence, found)))
+    return out
+
+
+def _followed(evidence: Evidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:
+    """The solution with a discrepancy that has come down to its end, step by step; None where it cannot be solved."""
+    for _ in range(ROUNDS):
+        levels = tuple(evidence.each_record(_stiffer, found, ends, first))
+        again = evidence.train(replace(found.noise, records=levels), found.solution.point)
+        if again is None or not np.isfinite(again.log_evidence):
+            return None
+        pairs = zip(again.noise.records, found.noise.records, strict=True)
+        moved = [np.abs(_log_response(new) - _log_response(old)) for new, old in pairs]
+        found = again
+        settled = float(np.nanmax(np.concatenate(moved), initial=0.0)) < SETTLED
+        if settled and all(own.discrepancy <= end for own, end in zip(levels, ends, strict=True)):
+            break
+    return found
+
+
+def _is_misled(evidence: Evidence, trained: Trained, least: list[NoiseModel]) -> bool:
+    """Whether the record is far less probable without any discrepancy; or far more, where the search went astray."""
+    levels = list(zip(trained.noise.records, least, strict=True))
+    if all(level.discrepancy <= SCAN_FACTOR * own.discrepancy for level, own in levels):
+        return False
+    without = tuple(replace(level, discrepancy=own.discrepancy) for level, own in levels)
+    stiff = evidence.train(replace(trained.noise, records=without), trained.solution.point)
+    return stiff is None or not abs(stiff.log_evidence - trained.log_evidence) < DECISIVE_DROP
+
+
+def _stiffer(evidence: RecordEvidence, solution: RecordSolution, end: float, first: NoiseModel) -> NoiseModel:
+    """Less of a discrepancy, and what is left of the response's sensors as an error that is as large a part of each.
+
+    On top of the sensor's own noise. If each had a level of its own, one would be followed at the cost of the others.
+
+    Args:
+        evidence: Of one record.
+        solution: The solution before.
+        end: Of the discrepancy.
+        first: Noise of the sensors, and of the inputs, which keep theirs.
+    """
+    left, size = _left_and_size(evidence, solution.point)
+    beyond = [np.maximum(left[q] - first.response[q] ** 2, 0.0) / size[q] for q in left]
+    part = np.nanmean(np.concatenate(beyond)) if beyond else 0.0
+    response = {q: np.sqrt(level**2 + part * size[q]) if q in left else level for q, level in first.response.items()}
+    discrepancy = max(solution.noise.discrepancy / SCAN_FACTOR, end)
+    of_force = np.clip(discrepancy / (PARTS_LEFT[0] * first.discrepancy), FORCE_LEFT, 1.0)
+    return replace(solution.noise, response=response, force=of_force * first.force, discrepancy=discrepancy)
+
+
+def _left_and_size(evidence: RecordEvidence, point: Point) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Mean squares of what a point leaves of the response's sensors, and of these, by name; NaN of no sensor."""
+    left, size = {}, {}
+    for own in evidence.equations.channels:
+        response = own.there & ~own.acting
+        if response.any():
+            left[own.name] = np.where(response, own.squares(point) / own.samples, np.nan)
+            size[own.name] = np.where(own.there, response * own.numbers("rms") ** 2, np.nan)
+    return left, size
+
+
+def _log_response(noise: NoiseModel) -> np.ndarray:
+    return np.log(np.concatenate(list(noise.response.values())))
+
+
+def _deviations(evidence: Evidence, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance (p, p) and standard deviation (p,), see :class:`FreeRunning`."""
+    white = trained.factor.corner_covariance
+    scores, varying = np.zeros((len(white), len(white))), np.zeros(len(white))
+    found = evidence.each_record(_score_covariance, trained)
+    for columns, (of_score, of_condition) in zip(evidence.equations.columns, found, strict=True):
+        scores[np.ix_(columns, columns)] += of_score
+        varying[columns] += of_condition / len(found)
+    prior = evidence.equations.precision(trained.noise).numpy()
+    covariance = white @ (scores + np.diag(prior)) @ white
+    # No residual tells more than white noise of its size.
+    wider = np.sqrt(np.maximum(np.diag(white) / np.diag(covariance), 1.0))
+    return covariance * np.outer(wider, wider), np.sqrt(varying)
+
+
+def _score_covariance(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
+    """(p, p) covariance of one record's score; (p,) variance of parameters over how loud it is, and when.
+
+    Both from parts of the record. The parameters of a part are a step away, its own score and information tell which;
+    their slope by a condition counts for what is beyond chance.
+    """
+    white = solution.factor.corner_covariance
+    scores, information = (_in_parts(x) for x in _scores(evidence, solution))
+    # Of a fit to the whole record the parts know, and few of them tell a variance roughly (Student 1908).
+    each = CELLS / IN_A_ROW / (1.0 - IN_A_ROW / CELLS) * FREEDOM / (FREEDOM - 2.0) / len(scores)
+    of_score = each * scores.T @ scores
+    by_chance = np.diag(white @ of_score @ white)
+    loud = 0.5 * np.log(np.trace(information @ white, axis1=1, axis2=2).clip(1e-12))
+    varying = np.zeros(len(white))
+    for condition in (loud, np.linspace(0.0, 1.0, len(scores))):
+        moved = _slope(condition - condition.mean(), scores, information) * np.std(condition)
+        varying += np.maximum(moved**2 - by_chance, 0.0)
+    return of_score, varying
+
+
+def _slope(condition: np.ndarray, scores: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """(p,), of parameters that change with a condition (W,), from scores (W, p) and information (W, p, p) of parts."""
+    design, p = np.column_stack((np.ones(len(condition)), condition)), scores.shape[1]
+    normal = np.einsum("wi,wj,wpq->ipjq", design, design, information).reshape(2 * p, 2 * p)
+    slope: np.ndarray = np.linalg.lstsq(normal, np.einsum("wi,wp->ip", design, scores).ravel())[0][p:]
+    return slope
+
+
+def _in_parts(cells: np.ndarray) -> np.ndarray:
+    """Sums over so many cells in a row, wherever they begin."""
+    total = np.concatenate((np.zeros((1, *cells.shape[1:])), np.cumsum(cells, axis=0)))
+    return total[IN_A_ROW:] - total[:-IN_A_ROW]
+
+
+def _scores(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
+    """(CELLS, p) slope of -log density by every parameter with the motion that follows it, (CELLS, p, p) information.
+
+    In parts of the record.
+    """
+    equations, noise, point = evidence.equations, solution.noise, solution.point
+    count = len(point.parameters)
+    still = np.zeros(solution.factor.readout.size)
+    steps = [
+        Point(torch.as_tensor(-solution.factor.readout.solved(still, own)).to(point.unknowns), torch.as_tensor(own))
+        for own in np.eye(count)
+    ]
+    scores, information = np.zeros((CELLS, count)), np.zeros((CELLS, count, count))
+
+    def add(left: torch.Tensor, moved: list[torch.Tensor], first: int, total: int) -> None:
+        """Of residuals (groups, ...) and what each step moves them by, over their noise."""
+        rows = torch.stack(moved, dim=-1).reshape(len(left), -1, count)
+        place = (first + np.arange(len(left))) * CELLS // total
+        np.add.at(scores, place, torch.einsum("gs,gsp->gp", left.reshape(len(left), -1), rows).cpu().numpy())
+        np.add.at(information, place, (rows.mT @ rows).cpu().numpy())
+
+    # What acts on the structure is as it was measured: what its sensors leave says nothing of the model.
+    for own in (own for own in equations.channels if not own.acting.all()):
+        root = torch.as_tensor(np.nan_to_num(~own.acting / noise.response[own.name])).to(point.unknowns)
+        for piece, (at, moved) in zip(own.residuals(point), own.moved(point, steps), strict=True):
+            add(piece.residual * root[at], [change * root[at] for change in moved], piece.first, piece.groups)
+    physics, of_physics = equations.motion.residual(point), equations.motion.weight(noise).sqrt()
+    for part, forces in equations.motion.moved(point, steps):
+        weight = of_physics if of_physics.ndim == 1 else of_physics[part]
+        add(physics[part] * weight, [force * weight for force in forces], part.start, len(physics))
+    return scores, information

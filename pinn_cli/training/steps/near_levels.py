@@ -1,0 +1,139 @@
+"""A solution under the noise that the last record of the same structure had: no search for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.levels import floor, updated
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.steps.discrepancy_search import SUSPICIOUS_DISCREPANCY
+from pinn_cli.training.steps.windows_discrepancy import discrepancy_unit
+
+# Part of the force below which a discrepancy is not begun with: the first solution starts at rest.
+LEAST_START = 1e-4
+# Factor on the number of features below which finer ones are not worth it.
+WORTHWHILE = 1.1
+# Relative decrease of the loss below which a softer solution is near enough to its end.
+ON_THE_WAY = 1e-2
+
+
+def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
+    """The solution under the levels of the problem's model; None where it has none, or they explain nothing.
+
+    The discrepancy is taken for as large a part of the force as it was. A structure that is not linear is first solved
+    under softer physics, which forgives a start at rest.
+
+    Args:
+        evidence: Of the problem.
+        noise: Where its levels would start without a model; the discrepancy is the force that acts.
+    """
+    problem = evidence.problem
+    if problem.told is not None:
+        return _under_told_levels(evidence, noise, problem.told.levels)
+    if problem.prior is None:
+        return None
+    levels, equations = problem.prior.levels, evidence.equations.each[0]
+    if not np.isfinite(levels.discrepancy) or not levels.force > 0:
+        return None
+    force, _ = force_and_velocity_scale(problem)
+    rate = (levels.step / problem.record.step * equations.refinement) ** 0.5
+    known = levels.discrepancy * rate * force / levels.force
+    if levels.told is not None:
+        known = levels.told.start * discrepancy_unit(evidence)
+    discrepancy = max(known, LEAST_START * force)
+    if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
+        return None
+    of_force = levels.sensors.get("force")
+    own = noise.each(_with_known_response, levels.sensors).with_discrepancy(discrepancy)
+    own = own.each(lambda own: replace(own, force=_known_where(own.force, of_force)))
+    point = evidence.equations.start()
+    try:
+        # Uncertain springs times a motion are no linear force either: physics is stiff after a window, and where
+        # forces or the ground are functions that are found with the motion.
+        stiff = levels.told is not None or not equations.dynamics.is_plain
+        bilinear = stiff and len(problem.uncertain) > 0
+        if problem.structure.nonlinearity_name != "linear" or bilinear:
+            softer = evidence.train(softened(own, force), point, ON_THE_WAY)
+            if softer is None or not softer.solution.converged:
+                return None
+            point = softer.solution.point
+        trained = evidence.train(own, point)
+        if trained is not None and trained.solution.converged:
+            trained = _as_driven(evidence, trained, known) or trained
+    except DivergenceError:
+        return None
+    return trained if trained is not None and trained.solution.converged else None
+
+
+def _under_told_levels(evidence: Evidence, noise: NoiseLevels, told: Mapping[str, np.ndarray]) -> Trained | None:
+    """The solution under levels that spectra have told; what disturbs the motion is no more than the load cell's."""
+    least = LEAST_START * force_and_velocity_scale(evidence.problem)[0]
+    discrepancy = float(max(np.nanmax(told[FORCE]), least))
+    known = noise.each(_with_known_response, told).with_discrepancy(discrepancy)
+    return evidence.train(known, evidence.equations.start())
+
+
+def softened(noise: NoiseLevels, force: float) -> NoiseLevels:
+    """The same with physics so soft that it forgives where a solution begins; the force that acts is ``force`` (N)."""
+    return noise.with_discrepancy((noise.discrepancy * force) ** 0.5)
+
+
+def softer_point(evidence: Evidence, noise: NoiseLevels, point: Point) -> Point:
+    """Where a solution under stiff physics begins: at that under softer physics, found from a point on.
+
+    Parameters that are uncertain times a motion are no linear force: from elsewhere stiff physics may get stuck. Where
+    even the softer one cannot be solved it is the point itself.
+    """
+    force, _ = force_and_velocity_scale(evidence.problem)
+    softer = evidence.train(softened(noise, force), point, ON_THE_WAY)
+    return point if softer is None else softer.solution.point
+
+
+def _as_driven(evidence: Evidence, trained: Trained, discrepancy: float) -> Trained | None:
+    """The solution under what drives the ground and forces in this record; None where neither is unknown.
+
+    Sensors come after that: under another drive they would be taken for noisier or better than they are, and a short
+    record does not tell enough of them to find back.
+    """
+    if trained.noise.records[0].innovation is None:
+        return None
+    (driven,) = evidence.each_record(updated, trained, evidence.each_record(floor, trained))
+    noise = trained.noise.each(lambda own: replace(own, discrepancy=discrepancy, innovation=driven.innovation))
+    return evidence.train(noise, trained.solution.point)
+
+
+def as_fine_as_before(design: NetworkDesign, problem: Problem, network: LinearReadout) -> NetworkDesign:
+    """A design with as many features a second as the model's record turned out to need.
+
+    Args:
+        design: As it is.
+        problem: With a model.
+        network: Of that design.
+    """
+    assert problem.prior is not None
+    factor = problem.prior.levels.features * problem.record.duration / network.count
+    finer = design.finer(factor, problem.record) if factor >= WORTHWHILE else None
+    return design if finer is None else finer
+
+
+def _with_known_response(noise: NoiseModel, known: Mapping[str, np.ndarray]) -> NoiseModel:
+    return replace(noise, response={q: _known_where(own, known.get(q)) for q, own in noise.response.items()})
+
+
+def _known_where(start: np.ndarray, known: np.ndarray | None) -> np.ndarray:
+    """Levels of sensors that there are, as they were if they were there."""
+    if known is None or known.shape[0] > start.shape[0]:
+        return start
+    there = np.pad(known, (0, len(start) - len(known)), constant_values=np.nan)
+    return np.where(np.isfinite(start) & np.isfinite(there) & (there > 0), there, start)

@@ -1,0 +1,127 @@
+"""Noise levels and parameters looked for in a part of a long record, and the whole record solved from there.
+
+A search solves the problem many times, from soft physics to stiff. In a stationary record its first part shows nearly
+the same model error and parameters as the whole. The whole is then searched from there on, in the last steps alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.factors.frame import collocation_refinement
+from pinn_cli.training.factors.ridge import carried_ridge
+from pinn_cli.training.minimise import followed
+from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.point import Point
+from pinn_cli.training.steps.discrepancy_search import (
+    FINEST_OF_NOISE,
+    SCAN_FACTOR,
+    SUSPICIOUS_DISCREPANCY,
+    scanned,
+)
+
+# Samples of a part, at least; a share of the record, at least. Levels of 20 000 samples are right to half a percent.
+FEWEST_SAMPLES, SHARE = 20_000, 1 / 16
+# Records of fewer such parts are searched whole: little would be gained.
+FEWEST_PARTS = 2.5
+# Factor between the root mean squares of part and whole, of any channel, up to which a record is stationary enough.
+STATIONARY = 1.5
+# Steps of the scan from the part's discrepancy beyond which the part is no picture of the whole.
+NEAR = 2
+# Of a scan down to any discrepancy that is looked for.
+MOST_STEPS = 16
+
+
+def part_of_record(problem: Problem, network: LinearReadout) -> tuple[Problem, SplineNetwork] | None:
+    """The problem of the first part of a record, with the same knots there; None where a part is of no use.
+
+    That is where a record is short or not stationary, where samples are missing or come at times of their own, where
+    several records or an earlier one tell of the parameters, and where forces are unknown. Where no parameter is
+    unknown, ten minutes of ten DOFs took as long either way. Scans of structures that are not linear take other
+    steps in a part than in the whole, which would move what is reported.
+    """
+    record = problem.record
+    told = bool(problem.further) or problem.prior is not None or problem.initial_state is not None
+    irregular = bool(record.gauges or record.missing) or record.repeats is not None
+    linear = problem.structure.nonlinearity_name == "linear"
+    if told or irregular or problem.inputs.forces or not problem.identifies or not linear:
+        return None
+    if not isinstance(network, SplineNetwork) or network.channels > 1:
+        return None
+    wanted = max(FEWEST_SAMPLES, round(SHARE * len(record.time)))
+    if len(record.time) < FEWEST_PARTS * wanted:
+        return None
+    # So many intervals are a whole number of samples, and the part ends as the whole does.
+    groups = round(wanted * record.step / network.spacing) // collocation_refinement(network, record) + 1
+    intervals = groups * collocation_refinement(network, record)
+    samples = intervals * network.spacing / record.step
+    if abs(samples - round(samples)) > 1e-6 * samples or not _is_stationary(record, round(samples)):
+        return None
+    stop = network.start + intervals * network.spacing
+    shape = intervals, network.degree, network.continuity, network.readout.dtype
+    own = replace(problem, record=record.until(round(samples)), alternatives=())
+    return own, SplineNetwork(network.ndof, network.start, stop, *shape)
+
+
+def _is_stationary(record: Record, samples: int) -> bool:
+    """Whether all channels are as strong in the first samples as in the whole."""
+    for quantity in (*record.response_quantities, "force"):
+        values = record.histories(quantity)[:, record.sensors(quantity)]
+        part, whole = (np.sqrt(np.mean(x**2, axis=0)) for x in (values[:samples], values))
+        if np.any(part > STATIONARY * whole) or np.any(whole > STATIONARY * part):
+            return False
+    return True
+
+
+def is_trustworthy(part: Trained, force: float) -> bool:
+    """Whether the solution of a part is a good model of it, under the force that acts, N."""
+    return part.solution.converged and part.noise.discrepancy < SUSPICIOUS_DISCREPANCY * force
+
+
+def whole_from(
+    part: Trained, of_part: Evidence, largest: float, evidence: Evidence, noise: NoiseLevels
+) -> Trained | None:
+    """The most probable discrepancy of the whole record, looked for where its part has it; None where it is not there.
+
+    The last steps of a search in all of the record: of the same discrepancies, under the noise that its sensors show.
+
+    Args:
+        part: The solution of the part, with its parameters and its discrepancy.
+        of_part: The evidence of the part.
+        largest: Discrepancy where its search began, N.
+        evidence: Of the whole.
+        noise: Where a search of the whole would begin.
+    """
+    equations, own, before = evidence.equations, evidence.equations.each[0], of_part.equations.each[0]
+    own.ridge.value = carried_ridge(before.ridge.value, before.layout, own.layout)
+    noise, largest_of_whole = replace(noise, spread=part.noise.spread), noise.discrepancy
+    steps = min(_steps(largest, part.noise.discrepancy), _steps_to_indifference(noise))
+    # A scan of the whole would take one step, then two at a time: from an odd one on both try the same discrepancies.
+    begin = noise.with_discrepancy(largest_of_whole / SCAN_FACTOR ** max(steps - 1 + steps % 2, 0))
+    point = Point(equations.start().unknowns, part.solution.point.parameters)
+    point = followed(equations, point, begin)
+    found = scanned(evidence, noise, begin.discrepancy, point)
+    return found if found.solution.converged and _are_near(begin, found.noise) else None
+
+
+def _steps(largest: float, discrepancy: float) -> int:
+    """Of a scan from the largest discrepancy to another one."""
+    return round(float(np.log(largest / discrepancy) / np.log(SCAN_FACTOR)))
+
+
+def _steps_to_indifference(noise: NoiseLevels) -> int:
+    """Of a scan to the first discrepancy that makes no motion better known: how far beyond it goes is chance."""
+    least = FINEST_OF_NOISE * noise.least_of_inputs
+    return int(np.ceil(np.log(noise.discrepancy / least) / np.log(SCAN_FACTOR))) if least > 0 else MOST_STEPS
+
+
+def _are_near(begin: NoiseLevels, found: NoiseLevels) -> bool:
+    """Whether the discrepancy was found near the place where it was looked for first."""
+    return found.discrepancy > begin.discrepancy / SCAN_FACTOR ** (NEAR + 0.5)

@@ -1,0 +1,143 @@
+"""What a spline cannot follow of a motion, and how many knots it takes to follow it."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.record.channels import record_band
+from pinn_cli.record.spectrum import periodogram
+from pinn_cli.system.parameters import FACTOR
+from pinn_cli.training.noise_model import FeatureProjection, first_output, output_features
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+
+# The error of a spline's accelerations falls with this power of the knots.
+ORDER = 5
+# Part of a sensor's noise, of a spring's or of the motion's standard deviation, that the spline's own error may be:
+# beyond it the spline should be finer.
+TOLERATED = 0.3
+# The same of the motion's where forces are not linear: they fold what the spline cannot follow back into its band.
+TOLERATED_NONLINEAR = 0.15
+# So far above the highest resonance a record still tells of stiffness.
+BEYOND_RESONANCE = 1.3
+# Draws from the posterior that tell how well the motion is known.
+DRAWS = 4
+# Most that the knots are multiplied by at once.
+LARGEST_FACTOR = 2.0
+
+
+def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
+    """(dofs,) rms of what the spline cannot follow of the accelerations, m/s^2.
+
+    Content at a frequency f comes with an image of it at r - f, with r knots a second, smaller by the power degree - 1
+    of f / (r - f): that of the basis functions' spectrum, sinc to the power degree + 1, less two derivatives.
+    """
+    equations = evidence.equations
+    network = equations.network
+    if not isinstance(network, SplineNetwork):
+        return np.zeros(equations.problem.record.ndof)
+    motion = equations.flat_states(equations.physics, solution.point).acceleration.cpu().numpy()
+    motion = motion[:, : equations.dynamics.ndof]
+    shapes = equations.dynamics.structure.shapes
+    motion = motion if shapes is None else shapes.of_dofs(motion)
+    rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
+    errors = []
+    for column in motion.T:
+        frequency, power = periodogram(column, step)
+        below = frequency <= rate / 2.0
+        image = (frequency[below] / (rate - frequency[below])) ** (2 * (network.degree - 1))
+        errors.append(np.sqrt(2.0 * float(np.sum(power[below] * image)) / len(column)))
+    return np.array(errors)
+
+
+def knots_wanted(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """How many times the knots make the spline's error small against all that the record tells; at least 1."""
+    if evidence.equations.averages is None:
+        return 1.0
+    error = acceleration_error(evidence, solution)
+    wanted = max(
+        _for_the_sensors(evidence, solution, error),
+        _for_the_motion(evidence, solution, error),
+        _for_the_parameters(evidence, solution),
+    )
+    return float(np.clip(wanted, 1.0, LARGEST_FACTOR))
+
+
+def _for_the_motion(evidence: RecordEvidence, solution: RecordSolution, error: np.ndarray) -> float:
+    """So many times the knots make the spline's error (dofs,) small against the deviation of every acceleration.
+
+    Poor sensors of a structure that is known leave a motion that is known far better than they measure it.
+    """
+    equations = evidence.equations
+    segments, square = equations.observation, np.zeros(len(error))
+    for drawn in solution.drawn(DRAWS, of_mean_length=True):
+        for part in equations.windows(segments):
+            values = equations.dynamics.sensed("acceleration", equations.jet(segments, drawn, part))
+            square += values.square().sum((0, 1)).cpu().numpy() / DRAWS
+    known = np.sqrt(square / segments.samples)
+    worst = float(np.max(error[known > 0] / known[known > 0], initial=0.0))
+    is_linear = equations.dynamics.structure.nonlinearity_name == "linear"
+    return float((worst / (TOLERATED if is_linear else TOLERATED_NONLINEAR)) ** (1.0 / ORDER))
+
+
+def _for_the_sensors(evidence: RecordEvidence, solution: RecordSolution, error: np.ndarray) -> float:
+    """So many times the knots make the spline's error (dofs,) small against every sensor's noise.
+
+    An error of the accelerations is one of velocities and displacements at the record's highest frequencies.
+    """
+    record = evidence.equations.problem.record
+    omega = 2.0 * np.pi * record_band(record)
+    worst = 0.0
+    for order, quantity in enumerate(("acceleration", "velocity", "displacement")):
+        ratio = error / omega**order / solution.noise.response[quantity]
+        worst = max(worst, float(np.nanmax(ratio, initial=0.0)))
+    return float((worst / TOLERATED) ** (1.0 / ORDER))
+
+
+def _for_the_parameters(evidence: RecordEvidence, solution: RecordSolution) -> float:
+    """So many times the knots make the error of the dynamic stiffness small against what is known of every spring."""
+    equations = evidence.equations
+    parameters = equations.parameters(solution.point)
+    std = np.sqrt(np.diag(solution.factor.corner_covariance)) * equations.scale.cpu().numpy()
+    known = [
+        s / float(parameters[p.kind][p.index])
+        for s, p in zip(std, equations.uncertain, strict=True)
+        if p.kind in ("k", FACTOR) and float(parameters[p.kind][p.index]) > 0
+    ]
+    if not known:
+        return 1.0
+    network = equations.network
+    assert isinstance(network, SplineNetwork)
+    wanted = _highest_resonance(equations, solution) * (1.0 + (TOLERATED * min(known)) ** (-1.0 / network.degree))
+    return wanted * network.spacing
+
+
+def _highest_resonance(equations: NormalEquations, solution: RecordSolution) -> float:
+    """A little above the highest natural frequency in the record's band, Hz, with the mean tangent stiffness."""
+    parameters, point = equations.parameters(solution.point), solution.point
+    structure = equations.dynamics.structure
+    stretch = structure.incidence.matrix.toarray()
+    stiffness = equations.motion.mean_tangent(equations.observation, point)[0][: len(stretch)].cpu().numpy()
+    root = np.sqrt(parameters["m"].cpu().numpy())
+    rates = np.linalg.eigvalsh((stretch / root).T @ (stiffness[:, None] * (stretch / root)))
+    frequencies, band = np.sqrt(np.maximum(rates, 0.0)) / (2.0 * np.pi), record_band(equations.problem.record)
+    highest = float(max(frequencies[frequencies <= band], default=band))
+    return min(band, BEYOND_RESONANCE * highest)
+
+
+def carried_over(point: Point, coarse: NormalEquations, fine: NormalEquations) -> Point:
+    """The same motion and parameters in the features of a finer spline, or in other coordinates."""
+    segments = fine.physics
+    times = fine.target.physics_time
+    motion = coarse.flat_states(coarse.network.segments(times), point).displacement
+    before, after = (equations.dynamics.structure.reduction for equations in (coarse, fine))
+    if before is not None and after is not before:
+        turn = torch.as_tensor(before.onto(after)).to(motion)
+        n = len(turn)
+        motion = torch.cat([motion[:, :n] @ turn.T, motion[:, n:]], 1)
+    projection = FeatureProjection(first_output(fine.network, segments), output_features(fine.network, segments)[0])
+    weights = projection.coefficients(motion).to(motion)
+    return Point(fine.layout.unknowns(weights), point.parameters)

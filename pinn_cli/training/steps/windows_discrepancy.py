@@ -1,0 +1,121 @@
+"""The discrepancy of a window, by what it and the windows before it say together.
+
+A discrepancy that is small against the sensors' noise leaves a record as probable as none does, so that where a search
+ends within that range is chance. What the model may hide of a parameter grows with it all the same. A long record says
+that it is smaller than a window of it can, and the windows one after the other say what the long record says: each adds
+its log evidence, a function of the discrepancy over the force that acts. Where none at all is as probable as the most
+probable one, the least that is looked for is taken, as a search takes it that comes from above and finds nothing to
+stop at.
+
+A window that contradicts those before it, or that tells its discrepancy by itself, keeps its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.model.knowledge import DiscrepancyTold
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.levels import floor
+from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, NEGLIGIBLE_GAIN
+
+# From one discrepancy that is tried to the next, decades.
+STEP = 0.25
+# Steps upwards at most.
+HIGHEST = 8
+# Log evidence from the smallest discrepancy's below which smaller ones than that are all the same.
+FLAT = 0.05
+# Log evidence that a window's own discrepancy may have over that of all windows before it contradicts them.
+CONTRADICTION = 3.0
+# Relative decrease of the loss below which a solution under another discrepancy is near enough.
+NEAR = 1e-3
+
+
+def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyTold]:
+    """The solution under the discrepancy that all windows say, and what they say of it.
+
+    Args:
+        evidence: Of a window.
+        trained: Its solution, with settled noise levels.
+    """
+    prior = evidence.problem.prior
+    before = None if prior is None else prior.levels.told
+    unit = discrepancy_unit(evidence)
+    top = float(np.log10(trained.noise.discrepancy / unit))
+    found_before = np.inf if before is None or not before.common else float(np.log10(before.start))
+    (lowest,) = evidence.each_record(floor, trained)
+    least = min(float(np.log10(lowest.discrepancy / unit)), found_before)
+    own = _own(evidence, trained, unit, (least, top))
+    places = _places(own, before)
+    if own is None:
+        return trained, DiscrepancyTold(10.0**top, False, places, _at(before, places))
+    total = own.at(places) + _at(before, places)
+    least = float(own.places[0])
+    tried = np.sort(np.concatenate((places[places > least], [least, top])))
+    sums = own.at(tried) + _at(before, tried)
+    chosen = least if sums[0] >= sums.max() - NEGLIGIBLE_GAIN else float(tried[np.argmax(sums)])
+    common = bool(own.at(np.array([chosen]))[0] >= -CONTRADICTION)
+    found = _under(evidence, trained, unit, chosen) if common and chosen != top else None
+    if found is None:
+        chosen, found = top, trained
+    factor = before.start / 10.0**chosen if before is not None and before.common and common else 1.0
+    found = replace(found, noise=found.noise.each(lambda own: replace(own, earlier_misfit=factor)))
+    return found, DiscrepancyTold(10.0**chosen, common, places, total)
+
+
+def discrepancy_unit(evidence: Evidence) -> float:
+    """N, of a discrepancy that is the force that acts, in a sample of one second."""
+    force, _ = force_and_velocity_scale(evidence.problem)
+    return float(force * (evidence.equations.each[0].refinement / evidence.problem.record.step) ** 0.5)
+
+
+def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]) -> DiscrepancyTold | None:
+    """What a window says by itself, over its own most probable one; None where even none at all is improbable."""
+    least, top = between
+    found = {top: 0.0}
+
+    def tried(place: float) -> float:
+        noise = trained.noise.with_discrepancy(unit * 10.0**place)
+        other = evidence.train(noise, trained.solution.point, NEAR, goes_on=True)
+        stiff = other is None or not np.isfinite(other.log_evidence)
+        return -np.inf if other is None or stiff else other.log_evidence - trained.log_evidence
+
+    while least < top and not np.isfinite(value := tried(least)):  # stiffer than these numbers can follow
+        least += 1.0
+    if least < top:
+        found[least] = value
+        if value <= -DECISIVE_DROP:
+            return None
+    place = STEP * np.floor(top / STEP)
+    while place > least and np.isfinite(value := 0.0 if place == top else tried(place)):
+        found[place] = value
+        if abs(value - found[least]) <= FLAT:
+            break
+        place -= STEP
+    place, highest = STEP * np.floor(top / STEP + 1.0), STEP * np.floor(top / STEP + HIGHEST)
+    while place <= highest and (value := tried(place)) > max(found.values()) - DECISIVE_DROP:
+        found[place] = value
+        place += STEP
+    found[place] = max(found.values()) - DECISIVE_DROP  # or less: as improbable
+    places = sorted(found)
+    return DiscrepancyTold(10.0**top, True, np.array(places), np.array([found[place] for place in places]))
+
+
+def _under(evidence: Evidence, trained: Trained, unit: float, place: float) -> Trained | None:
+    found = evidence.train(trained.noise.with_discrepancy(unit * 10.0**place), trained.solution.point)
+    return found if found is not None and found.solution.converged else None
+
+
+def _places(*each: DiscrepancyTold | None) -> np.ndarray:
+    """Whole steps over all that was tried."""
+    every = np.concatenate([np.zeros(0), *(told.places for told in each if told is not None)])
+    if len(every) == 0:
+        return every
+    return STEP * np.arange(np.floor(every.min() / STEP), np.ceil(every.max() / STEP) + 1)
+
+
+def _at(told: DiscrepancyTold | None, places: np.ndarray) -> np.ndarray:
+    return np.zeros(len(places)) if told is None else told.at(places)

@@ -1,0 +1,211 @@
+"""Elimination by fronts, in orders that are chosen by counting, against dense linear algebra."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from one_record import shared
+from scipy.interpolate import BSpline
+from scipy.sparse import csr_matrix
+
+from pinn_cli.training.normal_matrix.bordered import BorderedSystem
+from pinn_cli.training.normal_matrix.diagonals import Diagonals
+from pinn_cli.training.normal_matrix.dissection import Dissection, Grid
+from pinn_cli.training.normal_matrix.elimination import Elimination
+from pinn_cli.training.normal_matrix.front_tree import FrontTree
+
+# Parameters of a function, and the grids: cut across the functions first, across the features first, in slabs along
+# either; functions that are coupled further, no parameters, one function, all in one front.
+OWN = 2
+GRIDS = {
+    "functions": Grid(12, 40, 3, 2, 80),
+    "features": Grid(60, 12, 3, 2, 24),
+    "slabs": Grid(50, 3, 3, 1, 6),
+    "along": Grid(5, 30, 4, 1, 6),
+    "far": Grid(20, 15, 2, 4, 30),
+    "none": Grid(30, 10, 3, 2, 0),
+    "one": Grid(90, 1, 4, 0, 2),
+    "leaf": Grid(4, 5, 3, 2, 10),
+}
+
+
+def matrices(grid: Grid) -> tuple[Diagonals, csr_matrix]:
+    """A positive definite matrix of rows on the grid, its diagonal over eight decades, and a border."""
+    rng, size = np.random.default_rng(grid.features), grid.features * grid.functions
+    feature, function = np.divmod(np.arange(size), grid.functions)
+    near = (np.abs(np.subtract.outer(feature, feature)) <= grid.span) & (
+        np.abs(np.subtract.outer(function, function)) <= grid.reach
+    )
+    matrix = np.where(near, rng.normal(size=(size, size)), 0.0)
+    matrix = np.tril(matrix, -1) + np.tril(matrix, -1).T
+    matrix += np.diag(np.abs(matrix).sum(axis=1) * rng.uniform(1.01, 2.0, size))
+    scale = 10.0 ** rng.uniform(-2.0, 2.0, size)
+    matrix *= scale[:, None] * scale
+    offsets = np.unique(np.abs(np.subtract(*np.nonzero(near))))
+    values = np.zeros((len(offsets), size))
+    for line, offset in zip(values, offsets, strict=True):
+        line[: size - offset] = np.diag(matrix, -offset)
+    touched = np.minimum(function[:, None] + np.arange(2), grid.functions - 1)[:, :, None] * OWN + np.arange(OWN)
+    border = np.zeros((size, grid.functions * OWN))
+    border[np.arange(size)[:, None], touched.reshape(size, -1)] = rng.normal(size=(size, 2 * OWN)) * scale[:, None]
+    return Diagonals(offsets, values), csr_matrix(border[:, : grid.parameters])
+
+
+def eliminated(grid: Grid, damping: float = 0.0) -> tuple[Elimination, np.ndarray, np.ndarray]:
+    """With the same as dense matrices."""
+    band, border = matrices(grid)
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    found = Elimination.of(tree, band, border, damping)
+    assert found is not None
+    dense = band.dense()
+    return found, dense + damping * np.diag(np.diag(dense)), border.toarray()
+
+
+def test_the_grids_are_eliminated_in_the_orders_that_they_stand_for():
+    found = {name: Dissection(grid, largest=40).best for name, grid in GRIDS.items()}
+    assert {name: (best.how, best.axis) for name, best in found.items() if name not in ("far", "none", "one")} == {
+        "functions": ("halves", "functions"),
+        "features": ("halves", "features"),
+        "slabs": ("slabs", "features"),
+        "along": ("slabs", "functions"),
+        "leaf": ("leaf", "features"),
+    }
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_every_weight_is_eliminated_once(name):
+    found, _, _ = eliminated(GRIDS[name])
+    np.testing.assert_array_equal(np.sort(found.tree.order), np.arange(found.size))
+    assert len(found.tree.fronts) > (name != "leaf")
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_log_determinant_and_what_the_border_leaves(name):
+    found, dense, border = eliminated(GRIDS[name])
+    assert found.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
+    expected = border.T @ np.linalg.solve(dense, border)
+    np.testing.assert_allclose(found.border_gram, expected, atol=1e-10 * np.abs(expected).max(initial=0.0))
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("name", GRIDS)
+def test_a_solution_leaves_no_residual(name, damping):
+    found, dense, border = eliminated(GRIDS[name], damping)
+    rng, root = np.random.default_rng(0), np.sqrt(np.diag(dense))
+    right, x = rng.normal(size=(found.size, 3)) * root[:, None], rng.normal(size=(border.shape[1], 3))
+    half, taken = found.half_solved(right)
+    solution = found.solved(half, x)
+    np.testing.assert_allclose((dense @ solution - right - border @ x) / root[:, None], 0.0, atol=1e-10)
+    np.testing.assert_allclose(taken, border.T @ np.linalg.solve(dense, right), atol=1e-9)
+    np.testing.assert_allclose(np.sum(half**2), np.sum(right * np.linalg.solve(dense, right)), rtol=1e-9)
+    one = found.half_solved(right[:, 0])
+    assert [part.shape for part in one] == [(found.size,), (border.shape[1],)]
+    np.testing.assert_allclose(found.solved(one[0], x[:, 0]), solution[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(found.solved_border, np.linalg.solve(dense, border), atol=1e-9 / root.min())
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_the_inverse_wherever_two_weights_meet(name):
+    found, dense, _ = eliminated(GRIDS[name])
+    row, column = np.nonzero(dense)
+    expected = np.linalg.inv(dense)
+    scale = np.sqrt(np.diag(expected))
+    given = found.inverse().at(row, column)
+    np.testing.assert_allclose(
+        given / scale[row] / scale[column], (expected / scale / scale[:, None])[row, column], atol=1e-10
+    )
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_operations_are_those_of_elimination_entry_by_entry(name):
+    """Of one front, which is dense: of every entry that a column changes an addition and a multiplication."""
+    grid = GRIDS[name]
+    band, border = matrices(grid)
+    tree = FrontTree(grid, Dissection(grid, largest=band.size).tree(), border)
+    found, counted = Elimination.of(tree, band, border), 0
+    assert found is not None
+    for pivot, below in zip(found.pivots, found.below, strict=True):
+        counted += sum((len(pivot) + len(below) - column) ** 2 for column in range(len(pivot)))
+    assert found.operations == pytest.approx(counted, rel=0.1)
+
+
+def test_a_system_gives_the_same_step_in_two_orders():
+    grid = GRIDS["functions"]
+    band, border = matrices(grid)
+    rng, p = np.random.default_rng(1), border.shape[1]
+    corner = 2.0 * np.eye(p) + border.T @ np.linalg.solve(band.dense(), border.toarray())
+    gradient = rng.normal(size=band.size) * np.sqrt(band.main)
+    trees = [FrontTree(grid, Dissection(grid, largest).tree(), border) for largest in (40, band.size)]
+    assert len(trees[0].fronts) > len(trees[1].fronts)
+    dissected = BorderedSystem(band, border, corner, gradient, rng.normal(size=p), trees[0])
+    plain = replace(dissected, tree=trees[1])
+    for damping in (0.0, 0.1):
+        expected, given = (system.factor(damping).step(system) for system in map(shared, (plain, dissected)))
+        np.testing.assert_allclose(given[0] * np.sqrt(band.main), expected[0] * np.sqrt(band.main), atol=1e-9)
+        np.testing.assert_allclose(given[1], expected[1], atol=1e-10)
+    np.testing.assert_allclose(dissected.readout_step(), plain.readout_step(), rtol=1e-8)
+    one, other = (shared(system).factor() for system in (plain, dissected))
+    assert other.determinants == pytest.approx(one.determinants, rel=1e-12)
+    assert other.parameter_log_determinant == pytest.approx(one.parameter_log_determinant, rel=1e-12)
+
+
+def test_the_same_tree_serves_another_border_at_the_same_places():
+    grid = GRIDS["features"]
+    band, border = matrices(grid)
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    zeros = border.copy()
+    zeros.data[::3] = 0.0
+    assert tree.suits(2.0 * border)
+    assert tree.suits(zeros)
+    assert not tree.suits(border[:, :3])
+    expected = zeros.toarray().T @ np.linalg.solve(band.dense(), zeros.toarray())
+    np.testing.assert_allclose(Elimination.of(tree, band, zeros).border_gram, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("spoil", ["indefinite", "zero", "nan"])
+def test_what_is_not_positive_definite_has_no_factor(spoil):
+    grid = GRIDS["features"]
+    band, border = matrices(grid)
+    if spoil == "indefinite":
+        band.values[1] *= 100.0
+    else:
+        band.main[7] = 0.0 if spoil == "zero" else np.nan
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    assert Elimination.of(tree, band, border) is None
+
+
+def test_rows_that_reach_further_than_the_coupling_says_are_refused():
+    band, border = matrices(Grid(60, 12, 3, 3, 24))
+    grid = GRIDS["features"]
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), border)
+    with pytest.raises(IndexError, match="further apart than the structure's coupling"):
+        Elimination.of(tree, band, border)
+
+
+def test_operations_grow_as_they_do_for_a_plane_grid():
+    """Nested dissection of a square grid of N weights takes N^1.5; a band takes N^2."""
+    few, many = (Dissection(Grid(2 * n, n, 4, 2, 3 * n)).best.cost for n in (200, 800))
+    assert np.log(many / few) / np.log(4.0) < 3.2
+
+
+def test_a_curvature_that_is_known_far_better_than_the_weights_has_its_variance():
+    """Of coupled splines whose values are measured seldom: it was up to thousands of times as large, or negative."""
+    count, functions, degree, known = 400, 3, 6, 1e5
+    time, knots = np.arange(count - degree) + 0.37, np.arange(-degree, count + 1.0)
+    value, curvature = (BSpline(knots, np.eye(count), degree).derivative(order)(time) for order in (0, 2))
+    coupling = np.vstack((np.eye(functions), 10.0 * (np.eye(functions) - 0.5 * np.eye(functions, k=-1))[1:]))
+    rows = np.vstack((known * np.kron(curvature, coupling), np.kron(value[::7], np.eye(functions))))
+    matrix = rows.T @ rows
+    grid = Grid(count, functions, degree, 1, 0)
+    tree = FrontTree(grid, Dissection(grid, largest=40).tree(), csr_matrix((len(matrix), 0)))
+    values = np.zeros((len(tree.offsets), len(matrix)))
+    for line, offset in zip(values, tree.offsets, strict=True):
+        line[: len(matrix) - offset] = np.diag(matrix, -offset)
+    band, border = Diagonals(tree.offsets, values), csr_matrix((len(matrix), 0))
+    wanted = np.kron(curvature, np.eye(functions)[-1:])
+    factor = Elimination.of(tree, band, border)
+    half, _ = factor.half_solved(wanted.T)
+    variance = np.sum((wanted @ factor.inverse().dense()) * wanted, axis=1)
+    assert variance == pytest.approx(np.sum(half**2, axis=0), rel=0.02, abs=0.0)

@@ -1,0 +1,139 @@
+"""Every noise level by evidence, on records that another simulator made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from independent_records import IndependentRecord, frame_record, measured, storey_record
+from one_record import evidence_of, levels_of, of_record, residuals_of
+from small_problems import excitation, small_chain
+from solved_records import estimated, model
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.noise import Noise
+from pinn_cli.record.simulated import Simulated
+from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.gauss_newton import GaussNewton
+from pinn_cli.training.levels import floor, settled, updated, values_taken
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.starting_noise import starting_noise
+from pinn_cli.training.steps.discrepancy_search import searched
+
+HIGHEST = 20.0  # Hz, of the frame's force
+
+
+def ratios(made: IndependentRecord, estimate: Estimate, quantity: str) -> np.ndarray:
+    """Noise that was found over noise that was put in, of every sensor."""
+    found = np.array(estimate.summary[f"sigma_{quantity}"], dtype=float)
+    there = made.record.sensors(quantity)
+    assert np.isnan(found[~there]).all()
+    return found[there] / made.noise[quantity][there]
+
+
+@pytest.mark.parametrize("per_period", [2.6, 5.0, 20.0])
+def test_the_noise_of_every_sensor_is_found(per_period):
+    made = frame_record(rate=per_period * HIGHEST, duration=15.0)
+    estimate = estimated(made)
+    np.testing.assert_allclose(ratios(made, estimate, "acceleration"), 1.0, atol=0.1)
+    np.testing.assert_allclose(ratios(made, estimate, "force"), 1.0, atol=0.1)
+
+
+def test_pooled_sensors_have_the_noise_that_is_common():
+    made, rng = frame_record(rate=100.0, duration=15.0), np.random.default_rng(8)
+    acceleration = made.truth.acceleration + 0.05 * rng.standard_normal(made.truth.acceleration.shape)
+    problem = Problem(model(made), replace(made.record, acceleration=acceleration))
+    found = GaussNewton(pooled=True).solve(problem, Spline(), RunContext()).summary["sigma_acceleration"]
+    assert len(set(found)) == 1
+    assert found[0] == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_lone_sensor_with_as_many_features_as_samples_does_not_lose_its_noise():
+    """The motion could follow every sample; then the least of residuals is rounding, and no noise level."""
+    made = frame_record(rate=100.0, duration=8.0, sensors=(("acceleration", (3,)),))
+    problem, design = Problem(model(made), made.record), Spline(intervals=len(made.record.time))
+    estimate = GaussNewton().solve(problem, design, RunContext())
+    assert estimate.summary["features_per_dof"] >= len(made.record.time)
+    assert 0.3 < ratios(made, estimate, "acceleration")[0] < 2.0
+
+
+def test_an_accelerometer_beside_a_poor_load_cell_has_the_noise_that_its_spectrum_shows():
+    """The motion follows it wherever it goes, and leaves its noise for the load cell's."""
+    ratio, z = [], []
+    for seed in range(2):
+        made = storey_record((6.0, 25.0), 400, 92.0, 20.0, 58.0, seed)
+        rng, force = np.random.default_rng(50 + seed), made.truth.force
+        noisy = force + 10.0 ** (-24.0 / 20.0) * force.std() * rng.standard_normal(force.shape)
+        estimate = estimated(replace(made, record=replace(made.record, force=noisy)))
+        ratio.append(np.array(estimate.summary["sigma_acceleration"])[0] / made.noise["acceleration"][0])
+        error = (estimate.response.acceleration - made.truth.acceleration) / estimate.std.acceleration
+        z.append(np.sqrt((error**2).mean()))
+    assert np.mean(ratio) > 0.75, ratio
+    assert np.mean(z) < 1.3, z
+
+
+def solved(made: IndependentRecord) -> tuple[Evidence, Trained]:
+    record = made.record
+    equations = NormalEquations(Spline().build(record), Problem(model(made), record))
+    evidence, noise = evidence_of(equations), levels_of(starting_noise(equations))
+    return evidence, searched(evidence, noise, noise.discrepancy, lambda: None)
+
+
+def test_settled_levels_stay_where_they_are():
+    evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
+    once = settled(evidence, trained)
+    again, (before,) = of_record(updated, evidence, once, of_record(floor, evidence, once)), once.noise.records
+    np.testing.assert_allclose(again.response["acceleration"], before.response["acceleration"], rtol=0.03)
+    assert again.force[2] == pytest.approx(before.force[2], rel=0.05)
+    assert once.log_evidence >= trained.log_evidence
+
+
+def test_the_evidence_is_greatest_at_the_levels_that_are_found():
+    """The derivative by every sensor's level is MacKay's: samples less those taken up, less the residuals."""
+    evidence, trained = solved(frame_record(rate=100.0, duration=10.0))
+    once = settled(evidence, trained)
+    point, (own,), step = once.solution.point, once.noise.records, 0.02
+    (equations,) = evidence.equations.each
+
+    def log_evidence(dof: int, by: float) -> float:
+        level = own.response["acceleration"].copy()
+        level[dof] *= np.exp(by)
+        noise = levels_of(replace(own, response={**own.response, "acceleration": level}), once.noise.spread)
+        return evidence.log_evidence(point, noise, evidence.equations.assemble(point, noise).factor())
+
+    samples = len(equations.problem.record.time)
+    residual = residuals_of(equations, point)["acceleration"].square().sum((0, 1)).numpy()
+    taken = of_record(values_taken, evidence, once).response["acceleration"]
+    for dof in range(3):
+        slope = (log_evidence(dof, step) - log_evidence(dof, -step)) / (2.0 * step)
+        chi_square = residual[dof] / own.response["acceleration"][dof] ** 2
+        # Sixteen draws tell how many are taken to a few per cent of them.
+        assert slope == pytest.approx(chi_square - (samples - taken[dof]), abs=0.1 * taken[dof])
+        assert abs(slope) < 0.05 * samples
+
+
+def test_the_scatter_of_repeats_stays_what_it_is():
+    structure = small_chain()
+    source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
+    record = source.measure(structure).record.keep({"acceleration": (1, 2)})
+    summary = GaussNewton().solve(Problem(structure, record), Spline(), RunContext()).summary
+    for quantity in ("acceleration", "force"):
+        there = record.sensors(quantity)
+        found = np.array(summary[f"sigma_{quantity}"], dtype=float)[there]
+        np.testing.assert_allclose(found, record.repeats.noise_of_mean(quantity)[there])
+
+
+def test_sensors_of_one_kind_and_very_different_noise_keep_their_own():
+    made = frame_record(rate=100.0, duration=15.0, snr_db=300.0)
+    noisy = measured(made.structure, made.truth, {"acceleration": (1, 2, 3)}, 40.0)
+    record, extra = noisy.record, 10.0 * noisy.noise["acceleration"][1]
+    acceleration = record.acceleration.copy()
+    acceleration[:, 1] += extra * np.random.default_rng(9).standard_normal(len(acceleration))
+    worse = replace(record, acceleration=acceleration)
+    summary = GaussNewton().solve(Problem(model(made), worse), Spline(), RunContext()).summary
+    found = np.array(summary["sigma_acceleration"]) / noisy.noise["acceleration"]
+    np.testing.assert_allclose(found, [1.0, np.hypot(10.0, 1.0), 1.0], rtol=0.15)

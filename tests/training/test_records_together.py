@@ -1,0 +1,243 @@
+"""Several records solved together, against one dense matrix of all their unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.sparse import csr_matrix
+from small_problems import accelerations, measured, small_chain
+
+from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.runs import side_by_side
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.training.covariance import ReadoutPosterior
+from pinn_cli.training.evidence import Evidence
+from pinn_cli.training.history import History
+from pinn_cli.training.least_squares import joined_parameters
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.point import Point
+from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.reported.agreement import told
+from pinn_cli.training.reported.posterior_estimate import posterior_estimate
+from pinn_cli.training.starting_noise import starting_noise
+
+STIFFNESSES = tuple(Parameter("k", i, 15.0, 150.0, unknown=True, positive=True) for i in range(2))
+DAMPER = Parameter("c", 1, 1.0, 0.3)
+
+
+def records() -> list[Record]:
+    """Two of one chain, of different lengths, each with an accelerometer of its own."""
+    structure = small_chain("duffing", 2)
+    lengths = ((8.0, 129), (12.0, 161))
+    every = [measured(structure, "exact", 40.0, *length, seed=i).record for i, length in enumerate(lengths)]
+    return [accelerations(record, (dof,)) for record, dof in zip(every, (1, 2), strict=True)]
+
+
+def together(uncertain: tuple[tuple[Parameter, ...], ...], here: bool = True) -> tuple[Evidence, NoiseLevels]:
+    """Both records, each with its own uncertain parameters, computed in this process or in copies of it."""
+    structure = small_chain("duffing", 2)
+    own = [Problem(structure, record, moving) for record, moving in zip(records(), uncertain, strict=True)]
+    each = [NormalEquations(Spline(knots_per_period=4.0).build(p.record), p) for p in own]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "usable_cores", lambda: [0] if here else [0, 1])
+        evidence = Evidence(each, 20, 1e-9, lambda losses, noise: None)
+    assert (type(evidence.equations.members) is side_by_side.Items) == here
+    levels = (replace(starting_noise(own), discrepancy=0.02) for own in each)
+    return evidence, NoiseLevels(tuple(levels), spread=0.8)
+
+
+SHARED = ((*STIFFNESSES, DAMPER),) * 2
+# The first record alone lets the damper move, the second one alone the first spring.
+PARTLY = ((STIFFNESSES[1], DAMPER), STIFFNESSES)
+
+
+def dense(evidence: Evidence, point: Point, noise: NoiseLevels) -> tuple[np.ndarray, np.ndarray]:
+    """Hessian and gradient of all unknowns, from each record's own; the priors of the parameters once."""
+    equations = evidence.equations
+    sizes = [own.layout.size for own in equations.each]
+    start, p = [0, *np.cumsum(sizes)], len(equations.uncertain)
+    hessian, gradient = np.zeros((start[-1] + p,) * 2), np.zeros(start[-1] + p)
+    precision = np.where([q.unknown for q in equations.uncertain], 1.0, noise.spread**-2)
+    for i, (own, level) in enumerate(zip(equations.each, noise.records, strict=True)):
+        at = equations.split(point)[i]
+        system, columns = own.assemble(at, level), equations.columns[i]
+        rows, border = np.arange(start[i], start[i + 1]), start[-1] + columns
+        hessian[np.ix_(rows, rows)] = system.band.dense()
+        hessian[np.ix_(rows, border)], hessian[np.ix_(border, rows)] = (
+            csr_matrix(system.border).toarray(),
+            csr_matrix(system.border).toarray().T,
+        )
+        hessian[np.ix_(border, border)] += system.corner
+        gradient[rows] = system.gradient
+        gradient[border] += system.corner_gradient
+    last = np.arange(start[-1], start[-1] + p)
+    hessian[last, last] += precision
+    gradient[last] += precision * point.parameters.numpy()
+    return hessian, gradient
+
+
+def somewhere(evidence: Evidence) -> Point:
+    """A point with motion in it and parameters off their prescribed values."""
+    start, rng = evidence.equations.start(), np.random.default_rng(0)
+    moved = torch.as_tensor(0.01 * rng.standard_normal(len(start.unknowns)))
+    return Point(start.unknowns + moved, start.parameters + 0.02)
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_a_step_stops_at_a_bound_and_the_others_make_up_for_it(uncertain):
+    evidence, noise = together(uncertain)
+    point = somewhere(evidence)
+    system = evidence.equations.assemble(point, noise)
+    factor = system.factor()
+    _, free = factor.step(system)
+    bounded = int(np.argmin(free))
+    assert free[bounded] < 0.0
+    lower = np.where(np.arange(len(free)) == bounded, 0.5 * free, -np.inf)
+    w, x = factor.step(system, lower)
+    assert x[bounded] == lower[bounded]
+    hessian, gradient = dense(evidence, point, noise)
+    at = len(w) + bounded
+    free_ones = np.delete(np.arange(len(hessian)), at)
+    right = gradient[free_ones] + hessian[free_ones, at] * x[bounded]
+    expected = -np.linalg.solve(hessian[np.ix_(free_ones, free_ones)], right)
+    np.testing.assert_allclose(np.delete(x, bounded), expected[len(w) :], rtol=1e-5)
+    np.testing.assert_allclose(w, expected[: len(w)], rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_the_log_evidence_is_that_of_the_dense_determinant(uncertain):
+    """What records say of motion adds up; the Hessian's determinant and the prior are those of all unknowns."""
+    evidence, noise = together(uncertain)
+    trained = evidence.train(noise, evidence.equations.start())
+    assert trained.solution.converged
+    point, believed = trained.solution.point, sum(not q.unknown for q in evidence.equations.uncertain)
+    factor = evidence.equations.assemble(point, noise).factor()
+    found = evidence.log_evidence(point, noise, factor)
+    sign, determinant = np.linalg.slogdet(dense(evidence, point, noise)[0])
+    records = zip(evidence.records, evidence.equations.split(point), noise.records, strict=True)
+    without = sum(own.log_evidence(at, level, 0.0) for own, at, level in records)
+    prior = evidence.equations.losses(point, noise)["prior"] + 2.0 * believed * np.log(noise.spread)
+    assert sign == 1.0
+    assert found == pytest.approx(without - 0.5 * (determinant + prior), rel=1e-9, abs=1e-3)
+
+
+def motion_std(evidence: RecordEvidence, solution: RecordSolution) -> np.ndarray:
+    """Of a file's, so that a copy of the process finds it."""
+    equations = evidence.equations
+    posterior = ReadoutPosterior(equations, solution.point, solution.factor)
+    return posterior.functions(equations.observation)[0].numpy()
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_the_states_of_each_record_are_as_uncertain_as_the_dense_inverse_says(uncertain):
+    """The parameters' covariance of all records is in each one's standard deviations."""
+    evidence, noise = together(uncertain)
+    trained = evidence.train(noise, evidence.equations.start())
+    fresh = replace(trained, factor=evidence.equations.assemble(trained.solution.point, noise).factor())
+    covariance = np.linalg.inv(dense(evidence, trained.solution.point, noise)[0])
+    start = 0
+    for own, found in zip(evidence.records, evidence.each_record(motion_std, fresh), strict=True):
+        equations = own.equations
+        size, segments = equations.layout.size, equations.observation
+        place = torch.as_tensor(equations.layout.columns(segments.feature, coupled=False))
+        for dof in range(2):
+            rows = np.zeros((len(found), size))
+            for group in range(len(place)):
+                index = segments.gather(torch.arange(len(found), dtype=torch.float64)[:, None])[group, :, 0].long()
+                alive = segments.mask[group] > 0
+                position = place[group, dof].numpy()
+                rows[np.ix_(index[alive].numpy(), position)] = segments.displacement[group][alive].numpy()
+            own_part = covariance[start : start + size, start : start + size]
+            expected = np.sqrt(np.einsum("ni,ij,nj->n", rows, own_part, rows))
+            np.testing.assert_allclose(found[:, dof], expected, rtol=1e-3)
+        start += size
+    alone = np.sqrt(np.diag(covariance))[start:]
+    np.testing.assert_allclose(np.sqrt(np.diag(fresh.factor.corner_covariance)), alone, rtol=1e-4)
+
+
+def test_the_numbers_do_not_depend_on_where_they_are_computed():
+    found = []
+    for here in (True, False):
+        evidence, noise = together(SHARED, here)
+        trained = evidence.train(noise, evidence.equations.start())
+        found.append((trained, evidence.each_record(motion_std, trained)))
+    (one, one_std), (other, other_std) = found
+    assert torch.equal(one.solution.point.parameters, other.solution.point.parameters)
+    assert torch.equal(one.solution.point.unknowns, other.solution.point.unknowns)
+    assert one.log_evidence == other.log_evidence
+    assert all(np.array_equal(a, b) for a, b in zip(one_std, other_std, strict=True))
+
+
+def test_records_that_believe_different_things_of_a_parameter_are_refused():
+    other = (*STIFFNESSES, replace(DAMPER, prior_std=0.5))
+    with pytest.raises(ValueError, match="believe the same"):
+        together((SHARED[0], other))
+
+
+def test_several_noise_models_move_together():
+    _, noise = together(SHARED)
+    first, second = noise.records
+    noise = replace(noise, records=(first, replace(second, discrepancy=0.1)))
+    moved = noise.with_discrepancy(0.01).each(NoiseModel.noisier, 2.0).each(NoiseModel.with_force_scale, 3.0)
+    assert [level.discrepancy for level in moved.records] == pytest.approx([0.01, 0.05])
+    assert moved.spread == noise.spread
+    for before, after in zip(noise.records, moved.records, strict=True):
+        np.testing.assert_allclose(after.response["acceleration"], 2.0 * before.response["acceleration"])
+        np.testing.assert_allclose(after.force, 3.0 * before.force)
+
+
+def sensor(kind: str, index: int, name: str) -> Parameter:
+    return Parameter(kind, index, 1.0, 2.0, unknown=True, label=name)
+
+
+def test_gain_and_delay_go_with_the_sensor_and_its_offset_with_the_record():
+    """Sensors are known by name: their number among the gauges of another record may be another one."""
+    first = (STIFFNESSES[0], sensor("gain", 0, "f"), sensor("offset", 0, "f"), sensor("delay", 1, "a1"))
+    second = (STIFFNESSES[0], sensor("offset", 1, "f"), sensor("gain", 1, "f"), sensor("delay", 0, "a2"))
+    every, columns = joined_parameters([first, second])
+    names = ["k_1", "gain_f", "offset_f", "delay_a1", "offset_f_record_2", "delay_a2"]
+    assert [p.name for p in every] == names
+    assert [list(places) for places in columns] == [[0, 1, 2, 3], [0, 4, 1, 5]]
+    assert every[: len(first)] == first
+
+
+@pytest.mark.parametrize("uncertain", [SHARED, PARTLY])
+def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
+    evidence, noise = together(uncertain)
+    trained = evidence.train(noise, evidence.equations.start())
+    estimate = posterior_estimate(evidence, trained, History(progress=False))
+    every = {found.name: found for found in estimate.parameters}
+    assert set(every) == {"k_1", "k_2", "c_2"}
+    assert len(estimate.by_record) == 2
+    for own, moving, record in zip(estimate.by_record, uncertain, records(), strict=True):
+        assert tuple(found.parameter for found in own.parameters) == moving
+        assert all(found.estimate == every[found.name].estimate for found in own.parameters)
+        assert own.correlation.shape == (len(moving),) * 2
+        assert len(own.response.time) == len(record.time)
+        assert not own.further
+    places = [list(every).index(found.name) for found in estimate.further[0].parameters]
+    np.testing.assert_array_equal(estimate.further[0].correlation, estimate.correlation[np.ix_(places, places)])
+    deviations = [every[name].std for name in every]
+    covariance = np.diag(np.linalg.inv(dense(evidence, trained.solution.point, noise)[0]))[-3:]
+    unit = evidence.equations.scale
+    assert np.all(np.array(deviations) >= 0.98 * np.sqrt(covariance) * unit)
+
+
+def test_pulls_of_all_records_balance_the_prior() -> None:
+    """At the most probable parameters the slopes of all records' misfits and of the prior add up to none."""
+    evidence, noise = together(SHARED)
+    trained = evidence.train(noise, evidence.equations.start())
+    each = evidence.each_record(told, trained)
+    at = trained.solution.point.parameters.numpy()
+    prior = evidence.equations.precision(noise).numpy() * at
+    size = np.sqrt(sum(np.diag(information) for information, _ in each))
+    np.testing.assert_allclose(sum(pull for _, pull in each) / size, prior / size, atol=2e-2)
+    assert max(np.abs(pull / size).max() for _, pull in each) > 0.1
+    for information, _ in each:
+        assert np.linalg.eigvalsh(information / np.outer(size, size)).min() > -1e-8
