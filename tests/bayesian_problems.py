@@ -19,7 +19,8 @@ from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.levels import settled
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.record_scales import force_and_velocity_scale
-from pinn_cli.training.steps.discrepancy_search import searched, widened_for_colour
+from pinn_cli.training.steps.discrepancy_search import searched
+from pinn_cli.training.steps.widened import widened
 
 PRECISE = 1e-10  # relative decrease of the loss below which a solution counts as the most probable one
 
@@ -68,4 +69,4 @@ def solved(problem: Problem, intervals: int | None = None) -> Example:
     force, _ = force_and_velocity_scale(problem)
     noise = levels_of(shown_noise(problem.record, force, 1.0))
     found = settled(evidence, searched(evidence, noise, force, lambda: None))
-    return Example(problem, evidence, widened_for_colour(evidence, found))
+    return Example(problem, evidence, widened(evidence, found))

@@ -209,7 +209,7 @@ def problems(draw: st.DrawFn, plain: bool) -> Problem:
     problem = Problem.of_records(structure, own, uncertain, through, begins, force)
     further = draw(st.sampled_from((None, None, "state", "turns")))
     if further == "turns":
-        return replace(problem, turns=Turns(np.array([START + 1.0]), 0.1, 5.0))
+        return replace(problem, turns=Turns(np.array([START + 1.0]), 0.1, 5.0, 1.0))
     return goes_on(problem, rng) if further == "state" and len(own) == 1 else problem
 
 

@@ -16,7 +16,7 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.inference import inferred_sensor_noise
+from pinn_cli.training.steps.first_solution import inferred_sensor_noise
 
 
 class KalmanSmoother(Estimator):

@@ -42,11 +42,13 @@ class Turns:
         time: (T,), s, ascending.
         level: Error of the equations of motion about these, N, as they are enforced.
         looser: How many times that of all other times it is.
+        discrepancy: Of the solution that turns there, N.
     """
 
     time: np.ndarray
     level: float
     looser: float
+    discrepancy: float
 
     def near(self, time: np.ndarray, spacing: float) -> np.ndarray:
         """(I,) bool: which times are within a few intervals, of so many seconds, of one of them."""
@@ -183,6 +185,16 @@ class Problem:
     def priors(self) -> tuple[Prior, ...]:
         """Of the uncertain parameters, in their order; none where estimates with standard deviations will do."""
         return tuple(parameter.prior for parameter in self.uncertain if parameter.prior is not None)
+
+    @property
+    def starts(self) -> tuple[Problem, ...]:
+        """The same from every start of the unknown parameters, this one's first."""
+        return (replace(self, alternatives=()) if self.alternatives else self, *self.alternatives)
+
+    @property
+    def has_unknown_forces(self) -> bool:
+        """Whether forces act that nobody measured, in any record."""
+        return any(own.inputs.forces for own in self.by_record)
 
     @property
     def identifies(self) -> bool:

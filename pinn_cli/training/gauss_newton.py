@@ -23,15 +23,10 @@ from pinn_cli.settings.legal_values import fraction, positive_number, true_or_fa
 from pinn_cli.training.base import Training, built
 from pinn_cli.training.doubts.damping_score import scored_damping
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
-from pinn_cli.training.inference import (
-    ITERATIONS,
-    TOLERANCE,
-    inferred,
-)
-from pinn_cli.training.inferred import InferenceSettings, Inferred
+from pinn_cli.training.inference import inferred
+from pinn_cli.training.inferred import ITERATIONS, TOLERANCE, Inferred, Solver
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.reported.hand_over import handed_over
@@ -97,19 +92,16 @@ class GaussNewton(Training):
             return self._over_all_weights(problem, design, run)
         self._left_alone(design, "has a linear readout", collocation_points=None, most_residuals=MOST_RESIDUALS)
         history = History(run.progress, run.watch)
-        settings = InferenceSettings(
-            self.iterations or ITERATIONS, self.tolerance or TOLERANCE, self.learn_spread, self.pooled
-        )
+        limits = self.iterations or ITERATIONS, self.tolerance or TOLERANCE
+        designs = (design,) * len(problem.by_record)
+        solver = Solver(designs, history, *limits, self.learn_spread, self.pooled, run.device)
         with history:
-            if self.weights:
-                found = self._weighed(settings.solved_by(problem, [network], run.device, history))
-            else:
-                found = inferred(problem, design, settings, run.device, history)
-            handed = None if problem.hand_over is None else handed_over(found, settings, run.device, history)
+            found = self._weighed(problem, solver) if self.weights else inferred(problem, solver)
+            handed = None if problem.hand_over is None else handed_over(found)
         for equations, point in found.by_record:
             equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
-        doubt = None if self.weights else scored_damping(found, settings, run.device, history)
+        doubt = None if self.weights else scored_damping(found)
         summary = estimate.summary | {"narrowed_by_refinement": found.narrowed}
         estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
         if found.evidence.problem.structure.shapes is not problem.structure.shapes:
@@ -154,17 +146,18 @@ class GaussNewton(Training):
                 value = getattr(self, setting)
                 raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
 
-    def _weighed(self, evidence: Evidence) -> Inferred:
+    def _weighed(self, problem: Problem, solver: Solver) -> Inferred:
         """The solution under weights that the user has fixed."""
-        force, velocity = force_and_velocity_scale(evidence.problem)
+        evidence = solver.evidence(problem)
+        force, velocity = force_and_velocity_scale(problem)
         starting = starting_noise(evidence.equations.each[0])
-        noise = NoiseLevels((self._fixed(starting, evidence.problem.record, force, velocity),))
+        noise = NoiseLevels((self._fixed(starting, problem.record, force, velocity),))
         trained = evidence.train(noise, evidence.equations.start())
         if trained is None:
             raise InputError(
                 "training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular"
             )
-        return Inferred(evidence, trained)
+        return Inferred(evidence, trained, solver)
 
     def _fixed(self, noise: NoiseModel, record: Record, force: float, velocity: float) -> NoiseModel:
         """Noise levels that weigh the residuals as the given lambdas do."""

@@ -1,36 +1,121 @@
-"""A solution of a problem, and how it is looked for."""
+"""A solution of a problem, and how one is looked for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from pinn_cli.model.knowledge import DiscrepancyTold
+from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.training.base import built
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
+from pinn_cli.training.levels import ROUNDS, settled
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
-from pinn_cli.training.steps.free_running import FreeRunning
+from pinn_cli.training.starting_noise import starting_noise
 from pinn_cli.training.whittle.whittle_estimate import KnownParameters
+
+# Steps at most under one noise model, and the relative decrease of the loss below which one has converged.
+ITERATIONS, TOLERANCE = 12, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """How a problem is solved.
+
+    Attributes:
+        designs: Of the networks of the records, one each.
+        history: Of all steps.
+        iterations, tolerance: Steps at most under one noise model, and the relative decrease of the loss that ends
+            them.
+        learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
+        pooled: Whether the sensors of one quantity share one noise level.
+        device: Where it is solved.
+        known: Parameters that spectra have told, and that are held.
+    """
+
+    designs: tuple[NetworkDesign, ...]
+    history: History
+    iterations: int = ITERATIONS
+    tolerance: float = TOLERANCE
+    learn_spread: bool = True
+    pooled: bool = False
+    device: str = "cpu"
+    known: KnownParameters | None = None
+
+    def networks(self, problem: Problem) -> list[LinearReadout]:
+        """One for every record."""
+        networks = [built(design, own) for design, own in zip(self.designs, problem.by_record, strict=True)]
+        assert all(isinstance(network, LinearReadout) for network in networks)
+        return networks  # type: ignore[return-value]
+
+    def evidence(self, problem: Problem, networks: Sequence[LinearReadout] | None = None) -> Evidence:
+        """What finds the solutions of a problem; with these networks, else with those of the designs."""
+        pairs = zip(problem.by_record, networks or self.networks(problem), strict=True)
+        each = [NormalEquations(network, own, self.device, self.known) for own, network in pairs]
+        history = self.history
+        return Evidence(each, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
+
+    def starting_noise(self, evidence: Evidence) -> NoiseLevels:
+        """Where the levels of all records start; the discrepancy is the force that acts."""
+        noise = NoiseLevels(tuple(map(starting_noise, evidence.equations.each)))
+        noise = noise.each(NoiseModel.pooled) if self.pooled else noise
+        return noise if self.known is None else replace(noise, spread=self.known.spread)
+
+    def settled(self, evidence: Evidence, trained: Trained, rounds: int = ROUNDS) -> Trained:
+        """The same solution under its own noise levels."""
+        return settled(evidence, trained, self.pooled, rounds)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRunning:
+    """A solution without any discrepancy, and how well its parameters are known, in prior standard deviations.
+
+    Attributes:
+        trained: The solution.
+        covariance: (p, p), over records that were made in the same way.
+        varying: (p,), standard deviation over the conditions of this record.
+    """
+
+    trained: Trained
+    covariance: np.ndarray
+    varying: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Inferred:
-    """A solution, what it was found with, others that explain the record as well, and what windows told so far.
+    """A solution, and what is known beside it.
 
-    How many times as large the deviation of an unknown parameter was before the features were last made finer. And
-    where the model does not quite hold, solutions whose structure runs free.
+    Attributes:
+        evidence: That it was found with.
+        trained: The solution.
+        solver: How it was looked for.
+        rivals: Others that explain the record as well.
+        told: What the windows of a record told so far of the discrepancy.
+        narrowed: How many times as large the deviation of an unknown parameter was before the features were last made
+            finer; of all the most.
+        free: Where the model does not quite hold, solutions whose structure runs free.
     """
 
     evidence: Evidence
     trained: Trained
+    solver: Solver
     rivals: tuple[Rival, ...] = ()
     told: DiscrepancyTold | None = None
     narrowed: float = 1.0
     free: Sequence[FreeRunning] = ()
+
+    @property
+    def problem(self) -> Problem:
+        """Of all records."""
+        return self.evidence.problem
 
     @property
     def by_record(self) -> list[tuple[NormalEquations, Point]]:
@@ -38,23 +123,7 @@ class Inferred:
         equations = self.evidence.equations
         return list(zip(equations.each, equations.split(self.trained.solution.point), strict=True))
 
-
-@dataclass(frozen=True)
-class InferenceSettings:
-    """How a problem is solved; see :class:`pinn_cli.training.gauss_newton.GaussNewton`.
-
-    Attributes:
-        known: Parameters that are told before, and held.
-    """
-
-    iterations: int
-    tolerance: float
-    learn_spread: bool
-    pooled: bool
-    known: KnownParameters | None = None
-
-    def solved_by(self, problem: Problem, networks: Sequence[LinearReadout], device: str, history: History) -> Evidence:
-        """What finds the solutions of one network for every record."""
-        pairs = zip(problem.by_record, networks, strict=True)
-        each = [NormalEquations(network, own, device, self.known) for own, network in pairs]
-        return Evidence(each, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
+    @property
+    def is_told(self) -> bool:
+        """Whether the parameters or the levels are known from elsewhere: from spectra, or from earlier records."""
+        return self.solver.known is not None or self.problem.prior is not None

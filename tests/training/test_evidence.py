@@ -21,7 +21,8 @@ from pinn_cli.training.levels import settled
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
-from pinn_cli.training.steps.discrepancy_search import scanned, widened_for_colour
+from pinn_cli.training.steps.discrepancy_search import scanned
+from pinn_cli.training.steps.widened import widened
 
 DURATION, SAMPLES, INTERVALS = 12.0, 513, 120
 
@@ -135,7 +136,7 @@ def test_colour_widens_a_narrow_discrepancy_and_leaves_a_white_one():
     for share in (0.1, 1.0):
         evidence, noise, _ = disturbed(0.1, 1, share=share)
         best = found_by(evidence, noise)
-        growth[share] = widened_for_colour(evidence, best).noise.discrepancy / best.noise.discrepancy
+        growth[share] = widened(evidence, best).noise.discrepancy / best.noise.discrepancy
     assert growth[1.0] < 1.4
     assert growth[0.1] > 1.5 * growth[1.0]
 

@@ -6,26 +6,24 @@ import numpy as np
 import torch
 
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
-from pinn_cli.training.history import History
-from pinn_cli.training.inferred import InferenceSettings, Inferred
+from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.point import Point
-from pinn_cli.training.steps.coloured import has_forces
 
 
-def scored_damping(found: Inferred, settings: InferenceSettings, device: str, history: History) -> DampingDoubt | None:
+def scored_damping(found: Inferred) -> DampingDoubt | None:
     """What the record of a solution says of another model of damping; None where it is not asked."""
     equations, point = found.by_record[0]
     if equations.known is not None:
         return equations.known.damping_doubt
     problem, trained = found.evidence.problem, found.trained
-    if has_forces(problem):  # that nobody measured: they are free to be whatever damping is not
+    if problem.has_unknown_forces:  # that nobody measured: they are free to be whatever damping is not
         return None
     values = {kind: x.cpu().numpy() for kind, x in equations.parameters(point).items()}
     extended = with_other_damping(problem, values)
     if extended is None:
         return None
     networks = [own.network for own in found.evidence.equations.each]
-    evidence = settings.solved_by(extended, networks, device, history)
+    evidence = found.solver.evidence(extended, networks)
     points = []
     for (own, at), more in zip(found.by_record, evidence.equations.each, strict=True):
         known = dict(zip(own.uncertain, at.parameters, strict=True))

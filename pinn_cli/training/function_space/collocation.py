@@ -22,8 +22,8 @@ from pinn_cli.record.evenly_spaced import evenly_spaced
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
-from pinn_cli.training.inference import inferred_sensor_noise
 from pinn_cli.training.noise_model import FeatureProjection, NoiseModel, first_output, output_features
+from pinn_cli.training.steps.first_solution import inferred_sensor_noise
 
 # Points per period of the record's band; below that a motion between the points is seen by nothing.
 FEWEST_PER_PERIOD = 2.5

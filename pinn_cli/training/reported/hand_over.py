@@ -16,22 +16,18 @@ import torch
 from pinn_cli.model.knowledge import HandOver
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.history import History
-from pinn_cli.training.inferred import InferenceSettings, Inferred
+from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.end_state import end_state
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
 from pinn_cli.training.steps.near_levels import softer_point
 
 
-def handed_over(found: Inferred, settings: InferenceSettings, device: str, history: History) -> HandOver:
+def handed_over(found: Inferred) -> HandOver:
     """Parameters and state at :attr:`pinn_cli.scheme.problem.Problem.hand_over`.
 
     Args:
         found: The solution from all samples, of one record.
-        settings: That it was found with.
-        device: Where it is solved.
-        history: Of the training.
 
     Raises:
         DivergenceError: The samples before that time have no solution.
@@ -49,7 +45,7 @@ def handed_over(found: Inferred, settings: InferenceSettings, device: str, histo
         network.ndof, network.start, network.start + intervals * network.spacing, intervals, network.degree,
         network.continuity, network.readout.dtype,
     )  # fmt: skip
-    evidence = replace(settings, known=equations.known).solved_by(early, [shorter], device, history)
+    evidence = found.solver.evidence(early, [shorter])
     point = found.trained.solution.point
     start = Point(point.unknowns[: evidence.equations.each[0].layout.size], point.parameters)
     if early.uncertain:

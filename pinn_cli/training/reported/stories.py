@@ -15,12 +15,11 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.training.inferred import Inferred
+from pinn_cli.training.inferred import FreeRunning, Inferred
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.parameter_posterior import parameter_posterior
 from pinn_cli.training.reported.posterior_estimate import with_parameters
-from pinn_cli.training.steps.free_running import FreeRunning
 
 OF_FORCE, OF_RESPONSE = "force", "free run"
 # Parts of a record that are simulated each from the estimated state at its beginning.

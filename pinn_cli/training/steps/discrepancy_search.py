@@ -9,7 +9,6 @@ from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.point import Point
-from pinn_cli.training.record_evidence import occupied_share
 
 # The scan over the discrepancy goes down by this factor, half a decade; all levels settle together afterwards.
 SCAN_FACTOR = 10.0**0.5
@@ -99,20 +98,6 @@ def scanned(evidence: Evidence, noise: NoiseLevels, largest: float, start: Point
             "the softest physics already has a singular normal matrix; use fewer knots or more sensors"
         )
     return best
-
-
-def widened_for_colour(evidence: Evidence, trained: Trained) -> Trained:
-    """Solve once more with the discrepancy that its own colour asks for.
-
-    The search takes the discrepancy for K independent values per DOF. A model error that fills only part of the
-    features' band has fewer, N_eff, and larger ones; counting K of them makes states look better known than they
-    are. N_eff / K is the bandwidth of the physics residual, (sum S)^2 / (M sum S^2), over the M frequencies that
-    the features follow.
-    """
-    levels = zip(trained.noise.records, evidence.each_record(occupied_share, trained), strict=True)
-    widened = tuple(level.widened(share) for level, share in levels)
-    wider = evidence.train(replace(trained.noise, records=widened), trained.solution.point)
-    return wider if wider is not None and wider.solution.converged else trained
 
 
 def _is_easy(before: Trained, after: Trained | None) -> bool:

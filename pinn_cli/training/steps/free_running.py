@@ -14,12 +14,13 @@ sums of it over parts of the record that are long enough to be independent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.inferred import FreeRunning, Inferred
 from pinn_cli.training.levels import floor
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.point import Point
@@ -38,44 +39,30 @@ CELLS, IN_A_ROW = 200, 20
 FREEDOM = 1.5 * CELLS / IN_A_ROW - 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class FreeRunning:
-    """A solution without any discrepancy, and how well its parameters are known, in prior standard deviations.
+def running_free(found: Inferred) -> Inferred | None:
+    """The same with solutions whose structure runs free, each with less of a discrepancy; None: the motion does that.
 
-    Attributes:
-        trained: The solution.
-        covariance: (p, p), over records that were made in the same way.
-        varying: (p,), standard deviation over the conditions of this record.
+    A spline does not follow every motion of a structure that runs free, so the last one need not be the best. Where a
+    force is free nothing tells it from what the model leaves out; windows and samplers go on from the solution itself.
     """
-
-    trained: Trained
-    covariance: np.ndarray
-    varying: np.ndarray
-
-
-def running_free(evidence: Evidence, trained: Trained) -> list[FreeRunning]:
-    """Solutions whose structure runs free, each with less of a discrepancy; none where the motion does already.
-
-    A spline does not follow every motion of a structure that runs free, so the last one need not be the best.
-
-    Args:
-        evidence: Of a problem whose forces were all measured.
-        trained: Its solution with a discrepancy.
-    """
-    floors = evidence.each_record(floor, trained)
-    out: list[FreeRunning] = []
-    if not _is_misled(evidence, trained, floors):
-        return out
-    first, found = trained.noise.records, trained
+    problem = found.problem
+    goes_on = found.is_told or problem.hand_over is not None or bool(problem.priors)
+    if goes_on or problem.has_unknown_forces or not problem.identifies:
+        return None
+    evidence, last = found.evidence, found.trained
+    floors = evidence.each_record(floor, last)
+    if not _is_misled(evidence, last, floors):
+        return None
+    first, free = last.noise.records, []
     for part in PARTS_LEFT:
         ends = [max(part * own.discrepancy, least.discrepancy) for own, least in zip(first, floors, strict=True)]
-        followed = _followed(evidence, found, ends, first)
+        followed = _followed(evidence, last, ends, first)
         if followed is None:
             break
-        found = followed
-        if found.solution.converged:
-            out.append(FreeRunning(found, *_deviations(evidence, found)))
-    return out
+        last = followed
+        if last.solution.converged:
+            free.append(FreeRunning(last, *_deviations(evidence, last)))
+    return replace(found, free=free) if free else None
 
 
 def _followed(evidence: Evidence, found: Trained, ends: list[float], first: tuple[NoiseModel, ...]) -> Trained | None:

@@ -14,30 +14,31 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import of_motion
 
-# Rounds at most, and the pull, in standard deviations that it moves a parameter, that is not worth one.
-ROUNDS, NEGLIGIBLE = 4, 0.1
+# The pull, in standard deviations that it moves a parameter, that is not worth a round.
+NEGLIGIBLE = 0.1
 # Most that it changes in one round, in the same unit: it is told by a step of a part of a deviation.
 LARGEST, STEP = 2.0, 0.1
 
 
-def at_marginal_peak(evidence: Evidence, trained: Trained) -> Trained:
-    """The solution whose parameters are the most probable ones with the motion integrated out."""
-    held = [np.zeros(0) for _ in evidence.records]
-    for _ in range(ROUNDS):
-        found = evidence.each_record(pull_on, trained)
-        if max((float(moved) for _, moved in found), default=0.0) < NEGLIGIBLE:
-            break
-        evidence.each_record(pulled, trained, [pull for pull, _ in found])
-        again = evidence.train(trained.noise, trained.solution.point)
-        if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence:
-            evidence.each_record(pulled, trained, held)
-            break
-        held, trained = [pull for pull, _ in found], again
-    return trained
+def at_marginal_peak(found: Inferred) -> Inferred | None:
+    """The solution with the most probable parameters, the motion integrated out; None where it has them."""
+    if found.is_told:
+        return None
+    evidence, trained = found.evidence, found.trained
+    pulls = evidence.each_record(pull_on, trained)
+    if max((float(moved) for _, moved in pulls), default=0.0) < NEGLIGIBLE:
+        return None
+    held = [own.pull for own in evidence.equations.each]
+    evidence.each_record(pulled, trained, [pull for pull, _ in pulls])
+    again = evidence.train(trained.noise, trained.solution.point)
+    if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence:
+        evidence.each_record(pulled, trained, held)
+        return None
+    return replace(found, trained=again)
 
 
 def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, float]:
@@ -66,6 +67,6 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
     return pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
 
 
-def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray) -> None:
-    """Let it pull at the parameters of one record from now on; nothing where it is empty."""
-    evidence.equations.pull = pull if len(pull) else None
+def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray | None) -> None:
+    """Let it pull at the parameters of one record from now on; None: nothing does."""
+    evidence.equations.pull = pull

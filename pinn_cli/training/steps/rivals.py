@@ -6,8 +6,8 @@ One search ends at one of them, whichever lies on its way, and standard deviatio
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.twins import Seen, twins
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.minimise import followed
 from pinn_cli.training.point import Point
 
@@ -34,35 +35,24 @@ AS_GOOD = 6.0
 LOWEST = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """The solution that is reported, and those that explain the record as well."""
-
-    trained: Trained
-    rivals: tuple[Rival, ...] = ()
-
-
-def weighed(evidence: Evidence, trained: Trained, settle: Callable[[Trained], Trained]) -> Choice:
-    """The solution that lies nearest to the start among those that are as probable as any.
-
-    Args:
-        evidence: Of the problem.
-        trained: One solution.
-        settle: From a solution to the same one under its own noise levels.
-    """
+def nearest_to_the_start(found: Inferred) -> Inferred | None:
+    """The solution that lies nearest to the start among those that are as probable as any; None: there is one alone."""
+    if found.is_told:
+        return None
+    evidence, trained = found.evidence, found.trained
     solutions = [trained]
     for values in _others(evidence, trained):
-        found = _solved(evidence, trained, values)
-        if found is not None and all(_differ(evidence, found, other) for other in solutions):
-            solutions.append(found)
+        other = _solved(evidence, trained, values)
+        if other is not None and all(_differ(evidence, other, one) for one in solutions):
+            solutions.append(other)
     if len(solutions) == 1:
-        return Choice(trained)
+        return None
     best = max(one.log_evidence for one in solutions)
     as_good = [one for one in solutions if one.log_evidence > best - AS_GOOD]
     as_good.sort(key=lambda one: _distance(evidence, one))
-    first = as_good[0] if as_good[0] is trained else settle(as_good[0])
+    first = as_good[0] if as_good[0] is trained else found.solver.settled(evidence, as_good[0])
     rivals = [_rival(evidence, one, one.log_evidence - as_good[0].log_evidence) for one in as_good[1:]]
-    return Choice(first, tuple(rivals))
+    return replace(found, trained=first, rivals=tuple(rivals))
 
 
 def _others(evidence: Evidence, trained: Trained) -> list[dict[Parameter, float]]:

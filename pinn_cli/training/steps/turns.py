@@ -35,11 +35,11 @@ def at_turns(found: Inferred, problem: Problem) -> Problem:
     """The problem with the turns of a solution of it; the same where all laws are smooth."""
     if not has_turns(problem):
         return problem
-    each = zip(problem.by_record, found.by_record, strict=True)
-    return Problem.together([replace(one, turns=_turns(*own)) for one, own in each])
+    each = zip(problem.by_record, found.by_record, found.trained.noise.records, strict=True)
+    return Problem.together([replace(one, turns=_turns(*own, noise.discrepancy)) for one, own, noise in each])
 
 
-def _turns(equations: NormalEquations, point: Point) -> Turns | None:
+def _turns(equations: NormalEquations, point: Point, discrepancy: float) -> Turns | None:
     """Those of one record, and how much larger the residual is about them; None where it is not."""
     if equations.averages is None:
         return None
@@ -55,7 +55,7 @@ def _turns(equations: NormalEquations, point: Point) -> Turns | None:
             turning |= (own.abs() < STRAIGHT * speed).any(1)
             turning[1:] |= (own[1:] * own[:-1] < 0).any(1)
     assert isinstance(equations.network, SplineNetwork)
-    turns = Turns(time[turning].cpu().numpy(), 1.0, 1.0)
+    turns = Turns(time[turning].cpu().numpy(), 1.0, 1.0, discrepancy)
     near = turns.near(equations.averages.times(time), equations.network.spacing)
     square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).cpu().numpy()
     if not 0.0 < near.mean() < MOST:

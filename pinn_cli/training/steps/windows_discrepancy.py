@@ -18,6 +18,7 @@ import numpy as np
 
 from pinn_cli.model.knowledge import DiscrepancyTold
 from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.levels import floor
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, NEGLIGIBLE_GAIN
@@ -32,6 +33,16 @@ FLAT = 0.05
 CONTRADICTION = 3.0
 # Relative decrease of the loss below which a solution under another discrepancy is near enough.
 NEAR = 1e-3
+
+
+def as_all_windows_say(found: Inferred) -> Inferred | None:
+    """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
+    problem, known = found.problem, found.solver.known
+    goes_on = problem.prior is not None and problem.prior.levels.told is not None
+    if known is not None or problem.has_unknown_forces or not (problem.hand_over is not None or goes_on):
+        return None
+    trained, told = of_all_windows(found.evidence, found.trained)
+    return replace(found, trained=trained, told=told)
 
 
 def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyTold]:

@@ -21,7 +21,8 @@ from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
-from pinn_cli.training.steps.discrepancy_search import scanned, widened_for_colour
+from pinn_cli.training.steps.discrepancy_search import scanned
+from pinn_cli.training.steps.widened import widened
 
 NINETY = norm.ppf(0.95)
 
@@ -231,7 +232,7 @@ def test_the_interval_of_a_stiffness_covers_it_where_the_model_forgets_the_cubic
     evidence = posed(small_chain(), small_chain("linear"), stiffnesses, duration=duration)
     (equations,) = evidence.equations.each
     noise = levels_of(shown_noise(equations.problem.record, 1.0, 1.0))
-    trained = widened_for_colour(evidence, scanned(evidence, noise, 1.0, equations.start()))
+    trained = widened(evidence, scanned(evidence, noise, 1.0, equations.start()))
     hessian = 200.0 * np.sqrt(np.diag(trained.factor.corner_covariance))
     estimates, _ = estimated(equations, trained)
     assert all(e.lower_90 < 15.0 < e.upper_90 for e in estimates)

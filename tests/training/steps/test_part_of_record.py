@@ -12,9 +12,9 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
-from pinn_cli.training import inference
 from pinn_cli.training.history import History
-from pinn_cli.training.inferred import InferenceSettings, Inferred
+from pinn_cli.training.inference import inferred
+from pinn_cli.training.inferred import Inferred, Solver
 from pinn_cli.training.steps import discrepancy_search, part_of_record
 
 SAMPLES, DURATION = 1500, 72.0
@@ -33,8 +33,7 @@ def problem() -> Problem:
 
 def solved(problem: Problem) -> tuple[Inferred, History]:
     history = History(False)
-    settings = InferenceSettings(inference.ITERATIONS, inference.TOLERANCE, True, False)
-    return inference.inferred(problem, Spline(), settings, "cpu", history), history
+    return inferred(problem, Solver((Spline(),), history)), history
 
 
 def in_parts(monkeypatch, samples: int = 400) -> None:

@@ -25,12 +25,12 @@ from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.structure import Structure
-from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
+from pinn_cli.training.steps import first_solution
 from pinn_cli.training.steps.discrepancy_search import scanned, searched
 from pinn_cli.training.steps.simulated_start import simulated_start
 
@@ -151,7 +151,7 @@ def test_a_strongly_nonlinear_chain_needs_it(monkeypatch):
     measurements = strongly_nonlinear()
     found = recovered(measurements)
     assert worst_fitness(found, measurements) > 97.0
-    monkeypatch.setattr(inference, "simulated_start", lambda equations: None)
+    monkeypatch.setattr(first_solution, "simulated_start", lambda equations: None)
     alone = recovered(measurements)
     assert worst_fitness(alone, measurements) < 50.0
     assert alone.summary["log_evidence"] < found.summary["log_evidence"] - 100.0

@@ -1,0 +1,135 @@
+"""The first solution of a problem: its noise levels and parameters found from soft physics to stiff."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from pinn_cli.network.linear_readout import LinearReadout
+from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.parameters import ParameterVector
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.evidence import Evidence, Trained
+from pinn_cli.training.history import History
+from pinn_cli.training.inferred import Inferred, Solver
+from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.point import Point
+from pinn_cli.training.steps.discrepancy_search import searched
+from pinn_cli.training.steps.near_levels import near_known_levels
+from pinn_cli.training.steps.part_of_record import is_trustworthy, part_of_record, whole_from
+from pinn_cli.training.steps.simulated_start import simulated_start
+from pinn_cli.training.whittle.whittle_estimate import known_parameters
+
+# A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
+# noisy as their spectra say.
+NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
+
+
+def told_by_spectra(problem: Problem, solver: Solver) -> tuple[Problem, Solver]:
+    """The problem and its solver, with the parameters that the spectra of its sensors tell, where these tell them."""
+    learn_spread = solver.learn_spread and problem.prior is None
+    every = [(start, known_parameters(start, learn_spread)) for start in problem.starts]
+    found = [(start, known) for start, known in every if known is not None and known.converged]
+    if not found:
+        return problem, solver
+    best, known = max(found, key=lambda one: one[1].log_likelihood)
+    vector = ParameterVector(best.structure.parameters_like(np.empty(0)), best.uncertain)
+    best = best.present(vector.values(known.distance * vector.each("prior_std")))
+    return best, replace(solver, known=known, learn_spread=False)
+
+
+def first_solution(problem: Problem, solver: Solver) -> Inferred:
+    """The most probable solution of all starts of the unknown parameters, under its own noise levels.
+
+    A long record is searched in a part of it first.
+
+    Raises:
+        DivergenceError: None could be solved.
+    """
+    found = _through_a_part(problem, solver) or _from_every_start(problem, solver)
+    return replace(found, trained=solver.settled(found.evidence, found.trained))
+
+
+def _through_a_part(problem: Problem, solver: Solver) -> Inferred | None:
+    """The solution next to that of a part of the record; None where no part is a picture of the whole."""
+    (network, *_), (start, *_) = solver.networks(problem), problem.starts
+    part = None if solver.known is not None else part_of_record(start, network)
+    if part is None:
+        return None
+    own, shorter = part
+    try:
+        of_part = _from_every_start(replace(problem, record=own.record), solver, [shorter])
+        largest = solver.starting_noise(of_part.evidence).discrepancy
+        if not is_trustworthy(of_part.trained, largest):
+            return None
+        evidence = solver.evidence(replace(of_part.problem, record=problem.record), [network])
+        noise = solver.starting_noise(evidence)
+        whole = whole_from(of_part.trained, of_part.evidence, largest, evidence, noise)
+    except DivergenceError:
+        return None
+    return None if whole is None else Inferred(evidence, whole, solver)
+
+
+def _from_every_start(problem: Problem, solver: Solver, networks: Sequence[LinearReadout] | None = None) -> Inferred:
+    """Of the solutions from every start the most probable one.
+
+    Raises:
+        DivergenceError: None could be solved.
+    """
+    solutions: list[Inferred] = []
+    failure = DivergenceError("there is no start")
+    for start in problem.starts:
+        evidence = solver.evidence(start, networks)
+        noise = solver.starting_noise(evidence)
+        try:
+            trained = near_known_levels(evidence, noise) or soft_to_stiff(evidence, noise)
+        except DivergenceError as error:
+            failure = error
+            continue
+        solutions.append(Inferred(evidence, trained, solver))
+    if not solutions:
+        raise failure
+    return max(solutions, key=lambda found: found.trained.log_evidence)
+
+
+def soft_to_stiff(evidence: Evidence, noise: NoiseLevels) -> Trained:
+    """The most probable discrepancy, under noisier sensors too where the model explains nothing under these.
+
+    Raises:
+        DivergenceError: Even the softest physics cannot be solved.
+    """
+    second = partial(_simulated_start, evidence)
+    best = searched(evidence, noise, noise.discrepancy, second)
+    for factor in NOISIER:
+        if best.solution.converged and best.noise.discrepancy < NOTHING_EXPLAINED * noise.discrepancy:
+            break
+        try:
+            again = searched(evidence, noise.each(NoiseModel.noisier, factor), noise.discrepancy, second)
+        except DivergenceError:
+            break
+        best = max(best, again, key=lambda trained: (trained.solution.converged, trained.log_evidence))
+    return best
+
+
+def _simulated_start(evidence: Evidence) -> Point | None:
+    """See :func:`simulated_start`; None where there is none of any record."""
+    points = [simulated_start(own) for own in evidence.equations.each]
+    return evidence.equations.joined(points) if all(points) else None  # type: ignore[arg-type]
+
+
+def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Noise of every response sensor and of every force sensor, each (n,), for estimators that infer none themselves.
+
+    That of a spline's solution of the same problem; where there is none, what the spectra show.
+    """
+    solver, (start, *_) = Solver((Spline(),), History(False), device=device), problem.starts
+    try:
+        noise = first_solution(start, solver).trained.noise.records[0]
+    except DivergenceError:
+        noise = solver.starting_noise(solver.evidence(start)).records[0]
+    return noise.response, noise.response.get(FORCE, noise.force[: problem.dynamics.ndof])

@@ -1,0 +1,111 @@
+"""The same solution with its problem posed again as it asks for, and carried over: modes, turns, features."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pinn_cli.network.base import NetworkDesign
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import FACTOR
+from pinn_cli.training.inferred import Inferred, Solver
+from pinn_cli.training.noise_model import NoiseLevels
+from pinn_cli.training.steps.near_levels import softer_point
+from pinn_cli.training.steps.resolution import carried_over, knots_wanted
+from pinn_cli.training.steps.turns import at_turns
+
+# Relative change of damping's matrix below which modes are the same: beside what else is uncertain of damping that is
+# nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
+SAME_MODES, SAME_FACTORS = 2e-3, 5e-3
+# Away from turns nothing is left to find where the discrepancy falls to no less than this part of it.
+SAME_LEVEL = 0.7
+# Factor on the number of features below which finer ones are not worth it.
+WORTHWHILE = 1.1
+# Finer features whose sensors come out so many times as noisy have not found the solution.
+SUSPECT = 2.0
+
+
+def in_present_modes(found: Inferred) -> Inferred | None:
+    """The solution in its own modes, which move with masses and stiffnesses: damping of the whole, and coordinates.
+
+    The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
+    equations: of the stiffness's part it is the damping ratio. None where they are the same.
+    """
+    before, now = found.problem.structure, _present(found).structure
+    moved = now.shapes is not before.shapes or now.damping_apart(before) > SAME_MODES
+    return _posed_again(found, _present(found), found.solver) if moved else None
+
+
+def apart_from_turns(found: Inferred) -> Inferred | None:
+    """The solution with a level of its own where contacts turn; None where what is left elsewhere falls no more."""
+    before, problem = found.problem.turns, at_turns(found, _present(found))
+    settled = before is not None and found.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
+    return None if problem.turns is None or settled else _posed_again(found, problem, found.solver)
+
+
+def in_finer_features(found: Inferred) -> Inferred | None:
+    """The solution in finer features for the records that want them; None where none does, or they find none.
+
+    Finer ones would reach further beyond the band, where forces that nobody measured are free.
+    """
+    if found.problem.has_unknown_forces:
+        return None
+    wanted = found.evidence.each_record(knots_wanted, found.trained)
+    each = zip(found.solver.designs, wanted, found.problem.by_record, strict=True)
+    finer = [design.finer(factor, own.record) if factor >= WORTHWHILE else None for design, factor, own in each]
+    if not any(finer):
+        return None
+    designs: tuple[NetworkDesign, ...] = tuple(new or old for new, old in zip(finer, found.solver.designs, strict=True))
+    again = _posed_again(found, at_turns(found, _present(found)), replace(found.solver, designs=designs))
+    return None if again is None else replace(again, narrowed=_narrowed(found, again))
+
+
+def _narrowed(coarse: Inferred, fine: Inferred) -> float:
+    """How many times as large the deviation of an unknown parameter was in coarser features; of all the most."""
+    unknown = fine.evidence.equations.unknown
+    before, after = (np.diag(found.trained.factor.corner_covariance)[unknown] for found in (coarse, fine))
+    return float(np.sqrt(np.max(before / after, initial=0.0)))
+
+
+def _present(found: Inferred) -> Problem:
+    """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
+    equations, point = found.by_record[0]
+    problem, values = found.problem, {k: x.cpu().numpy() for k, x in equations.parameters(point).items()}
+    # A state that is handed over has its coordinates, and so have parameters that spectra have told.
+    free = problem.prior is None and problem.hand_over is None and equations.known is None
+    if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
+        problem = problem.reduced_at(values[FACTOR])
+    return problem.present(values)
+
+
+def _posed_again(found: Inferred, problem: Problem, solver: Solver) -> Inferred | None:
+    """The same solution of a problem that is posed in another way; None where it cannot be solved."""
+    evidence = solver.evidence(replace(problem, alternatives=()))
+    levels, points = [], []
+    before, now = zip(found.by_record, found.trained.noise.records, strict=True), evidence.equations
+    for ((coarse, point), noise), fine in zip(before, now.each, strict=True):
+        more = (fine.refinement / coarse.refinement) ** 0.5
+        discrepancy, per_sample = more * noise.discrepancy, fine.refinement
+        levels.append(replace(noise, discrepancy=discrepancy, points_per_sample=per_sample))
+        points.append(carried_over(point, coarse, fine))
+    every, point = replace(found.trained.noise, records=tuple(levels)), now.joined(points)
+    if problem.structure.nonlinearity_name != "linear" or now.uncertain:
+        point = softer_point(evidence, every, point)
+    again = evidence.train(every, point)
+    # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
+    if again is None or not (again.solution.converged or problem.turns is not None):
+        return None
+    again = solver.settled(evidence, again)
+    if _is_noisier(again.noise, found.trained.noise):
+        return None
+    return replace(found, evidence=evidence, trained=again, solver=solver)
+
+
+def _is_noisier(fine: NoiseLevels, coarse: NoiseLevels) -> bool:
+    """Whether any response sensor is far noisier in finer features, which can only follow it better."""
+    return any(
+        bool((new.response[quantity] > SUSPECT * level).any())
+        for new, old in zip(fine.records, coarse.records, strict=True)
+        for quantity, level in old.response.items()
+    )
