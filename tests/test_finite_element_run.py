@@ -100,6 +100,33 @@ def test_a_record_that_begins_in_motion_with_modes_above_its_band(in_folder_with
     assert (pd.read_csv(outcome.directory / "residuals.csv")["free_run_nmse_percent"].dropna() < 1.0).all()
 
 
+def test_a_mass_on_a_dof_that_the_model_does_not_have_is_named(in_folder_with_a_beam: PinnRun):
+    rate, finer, random = 128.0, 16, np.random.default_rng(5)
+    moments = np.arange(0.0, 6.0, 1.0 / (finer * rate))
+    frequencies, phases = random.uniform(1.0, 30.0, 60), random.uniform(0.0, 2.0 * np.pi, 60)
+    force = np.sin(2.0 * np.pi * np.outer(moments, frequencies) + phases).sum(1)
+    M, K = beam(10)
+    M[DOFS["a"] - 1, DOFS["a"] - 1] += 0.2
+    _, _, acceleration = response(M, K, 0.02, (DOFS["b"], force), 1.0 / (finer * rate))
+    a = acceleration[::finer][:, [DOFS[name] - 1 for name in ("tip", "a", "b")]]
+    table = pd.DataFrame({"t": moments[::finer], "f": force[::finer], **dict(zip(("tip", "a", "b"), a.T, strict=True))})
+    noise = 0.01 * random.standard_normal(table.shape) * table.std().to_numpy()
+    noise[:, 0] = 0.0
+    (table + noise).to_csv("beam.csv", index=False)
+    outcome = in_folder_with_a_beam(
+        *SMALL[:3], "system.modes=6", "system.damping_ratio=0.02", "data=csv", "data.path=beam.csv",
+        "data.force={b: f}", "data.acceleration={tip: tip, a: a, b: b}", "scheme.parameter_uncertainty=0",
+        "figures=false",
+    )  # fmt: skip
+    assert outcome.status == 0, outcome.err
+    told = json.loads((outcome.directory / "run.json").read_text())
+    assert told["verdict"] != "sound"
+    (by, std) = re.search(
+        r"the mass of DOF a is another one, by (\S+) \+- (\S+) kg", " ".join(told["reasons"])
+    ).groups()
+    assert float(by) == pytest.approx(0.2, rel=0.25), (by, std)
+
+
 def test_the_stiffness_of_parts_is_updated(in_folder_with_a_beam: PinnRun):
     for name, own in (("root", range(5)), ("end", range(5, 10))):
         mmwrite(f"{name}.mtx", beam_part(10, own))

@@ -73,7 +73,7 @@ def damping(case: Case, rng: Generator) -> Case | None:
         if value is None or np.equal(value, None).any() or not np.any(value):
             continue
         place[key], found = np.array(value, float) * wrong, True
-    words = r"model of damping|damping ratio|quadratic damping|prescribed parameters (moved|are off)"
+    words = r"model of damping|damping ratio|quadratic damping|the damping of|prescribed parameters (moved|are off)"
     return _named(case, settings, words) if found else None
 
 

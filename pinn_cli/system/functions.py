@@ -197,10 +197,10 @@ class Functions:
         motion = (order, own if structure.shapes is None else csr_matrix(structure.shapes.matrix @ own))
         if not self._feels_ground(quantity):
             return (motion,)
-        return motion, (0, csr_matrix(csr_matrix(self._carried[:, None]) @ self.picked(self.ground)))
+        return motion, (0, csr_matrix(csr_matrix(self.carried[:, None]) @ self.picked(self.ground)))
 
     @property
-    def _carried(self) -> np.ndarray:
+    def carried(self) -> np.ndarray:
         """(dofs,), how far every DOF moves with the ground."""
         if self.structure.shapes is None:
             return self.structure.with_ground
@@ -231,4 +231,4 @@ class Functions:
             motion = self.structure.shapes.of_dofs(motion)
         if not self._feels_ground(quantity):
             return motion
-        return motion + jet.value[..., self.ground] * torch.as_tensor(self._carried).to(motion)
+        return motion + jet.value[..., self.ground] * torch.as_tensor(self.carried).to(motion)

@@ -11,6 +11,8 @@ import numpy as np
 CREEP = 0.05
 # Kinds of such forces, as people call them.
 CUBIC, QUADRATIC, FRICTION = "cubic term", "quadratic damping", "friction"
+# Those of its own parameters that are held.
+SPRING, DAMPER = "k", "c"
 ONE_SIDED, BACKLASH, HYSTERESIS, DRIFT = "one-sided spring", "backlash", "hysteresis", "drift"
 # An oscillator that is attached to a DOF.
 MODE = "mode"
@@ -35,6 +37,8 @@ class LeftOut:
 
 
 LEFT_OUT = (
+    LeftOut(SPRING, "N/m", lambda e, de, _: e),
+    LeftOut(DAMPER, "N s/m", lambda e, de, _: de),
     LeftOut(CUBIC, "N/m^3", lambda e, de, _: e**3),
     LeftOut(QUADRATIC, "N (s/m)^2", lambda e, de, _: abs(de) * de),
     LeftOut(FRICTION, "N", lambda e, de, _: np.tanh(de / (CREEP * max(float(np.sqrt(np.mean(de**2))), 1e-300)))),

@@ -171,12 +171,12 @@ def _by_kind(structure: Structure, kind: str) -> np.ndarray:
     return slope
 
 
-def frequency_with_oscillator(structure: Structure, dof: int, mass: float, alone: float) -> float:
+def frequency_with_oscillator(structure: Structure, place: np.ndarray, mass: float, alone: float) -> float:
     """Natural frequency, Hz, of the mode in which an oscillator moves most that is attached to a DOF.
 
     Args:
-        structure: Without it; its coordinates are its DOFs.
-        dof: Counted from 0.
+        structure: Without it.
+        place: (n,), how far the DOF moves with every coordinate.
         mass: Of the oscillator, kg; where it has none that is positive, its own frequency is told.
         alone: Its frequency while the DOF is held, Hz.
     """
@@ -185,10 +185,8 @@ def frequency_with_oscillator(structure: Structure, dof: int, mass: float, alone
     if mass <= 0.0 or (m <= 0.0).any() or not np.isfinite(stiffness).all():
         return alone
     spring, every = mass * (2.0 * np.pi * alone) ** 2, np.sqrt(np.append(m, mass))
-    k = np.zeros((n + 1, n + 1))
-    own = structure.incidence.matrix.toarray()
-    k[:n, :n] = own.T @ (stiffness[:, None] * own)
-    ends = [dof, n]
-    k[np.ix_(ends, ends)] += spring * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    own, stretch = structure.incidence.matrix.toarray(), np.append(place, -1.0)
+    k = spring * np.outer(stretch, stretch)
+    k[:n, :n] += own.T @ (stiffness[:, None] * own)
     squares, shapes = np.linalg.eigh(k / np.outer(every, every))
     return float(np.sqrt(max(squares[np.argmax(np.abs(shapes[n]))], 0.0))) / (2.0 * np.pi)

@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.system.left_out import BACKLASH, CUBIC, DRIFT, FRICTION, HYSTERESIS, MODE, ONE_SIDED, QUADRATIC
+from pinn_cli.system.left_out import (
+    BACKLASH,
+    CUBIC,
+    DAMPER,
+    DRIFT,
+    FRICTION,
+    HYSTERESIS,
+    MODE,
+    ONE_SIDED,
+    QUADRATIC,
+    SPRING,
+)
 from pinn_cli.verdict.finding import Finding
 
 if TYPE_CHECKING:
@@ -21,6 +32,8 @@ OTHER_DAMPING, RATIOS_APART = 6.0, 0.1
 
 # Share of what is left that is worth a word.
 LEAST_SHARE = 0.05
+# Numbers that are held.
+HELD = {"m": "mass", SPRING: "stiffness", DAMPER: "damping"}
 # What a connection lacks, with its size and its shape.
 LACKS = {
     CUBIC: "a cubic term of {number}",
@@ -93,6 +106,7 @@ def _finding(doubt: Doubt, held: set[str]) -> Finding:
 def _said(doubt: Doubt) -> tuple[str, str]:
     """What was found, and what to do."""
     number = f"{doubt.value:.3g} +- {doubt.std:.2g} {doubt.unit}".rstrip()
+    changed = f"{doubt.value:+.3g} +- {doubt.std:.2g} {doubt.unit}"
     if doubt.kind in LAWS:
         return f"the model of {doubt.of} lacks {LACKS[doubt.kind].format(number=number, shape=doubt.shape)}", (
             LAWS[doubt.kind].format(of=doubt.of)
@@ -102,7 +116,7 @@ def _said(doubt: Doubt) -> tuple[str, str]:
             f"a mode at {doubt.shape:.3g} Hz is not in the model: as if {abs(doubt.value):.2g} kg swung on {doubt.of}",
             "add its mass and spring (system=structure), or keep to the band below (data.decimate)",
         ),
-        "m": (f"the mass of {doubt.of} is another one, by {doubt.value:+.3g} +- {doubt.std:.2g} kg", "check it"),
+        **{kind: (f"the {word} of {doubt.of} is another one, by {changed}", "check it") for kind, word in HELD.items()},
         "gain": (
             f"the {doubt.of} shows {1.0 + doubt.value:.4g} +- {doubt.std:.2g} times what the model does",
             "check its gain",

@@ -70,7 +70,7 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
     equations, point = evidence.equations, solution.point
     problem = evidence.problem
     # Where nobody measured a force, it is free to be what the model lacks.
-    if equations.known is not None or problem.inputs.forces or not len(problem.structure.added):
+    if equations.known is not None or problem.inputs.forces:
         return ()
     reduced = _Solution.of(evidence, solution)
     forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
@@ -169,7 +169,7 @@ class _Solution:
         values = self.equations.parameters(Point(self.point.unknowns, self.point.parameters + by))
         structure = self.equations.dynamics.structure
         present = replace(structure, parameters={kind: values[kind].cpu() for kind in structure.parameters})
-        whole = frequency_with_oscillator(present, int(np.argmax(term.felt)), doubt.value, doubt.shape)
+        whole = frequency_with_oscillator(present, term.felt[: structure.coordinates], doubt.value, doubt.shape)
         return replace(doubt, shape=whole)
 
     def moved_most(self, asked: _Asked, by: np.ndarray, before: Fit, std: Response) -> tuple[float, str]:

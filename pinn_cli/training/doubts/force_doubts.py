@@ -18,7 +18,7 @@ from pinn_cli.record.channels import record_band
 from pinn_cli.record.gauge import WIDEST_DELAY
 from pinn_cli.record.spectrum import signal_band
 from pinn_cli.system.functions import Jet
-from pinn_cli.system.left_out import LEFT_OUT, MODE, LeftOut, resonance
+from pinn_cli.system.left_out import DAMPER, LEFT_OUT, MODE, SPRING, LeftOut, resonance
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE, MOTION
 from pinn_cli.training.doubts.sensor_doubts import DELAY, Term
@@ -78,10 +78,28 @@ class _Forces:
     time: np.ndarray
 
     @cached_property
-    def acceleration(self) -> np.ndarray:
-        """(P, n), of the coordinates, m/s^2."""
-        found: np.ndarray = self.equations.dynamics.inertial_acceleration(self.motion).cpu().numpy()
+    def place(self) -> np.ndarray:
+        """(dofs, n), how far every DOF moves with every coordinate, and how a force on it pulls at them."""
+        dynamics = self.equations.dynamics
+        ((_, functions),) = dynamics.sensing("displacement")
+        found: np.ndarray = functions.toarray()[:, : dynamics.ndof]
         return found
+
+    @cached_property
+    def acceleration(self) -> np.ndarray:
+        """(P, dofs), m/s^2, what a mass on every DOF feels."""
+        dynamics = self.equations.dynamics
+        moved = self.motion.curvature[:, : dynamics.ndof].cpu().numpy() @ self.place.T
+        if not dynamics.inputs.ground:
+            return moved
+        return moved + self.motion.value[:, dynamics.ground].cpu().numpy() * dynamics.carried
+
+    @cached_property
+    def mass(self) -> np.ndarray:
+        """(dofs,), kg, what moves with every DOF that a force on it moves alone."""
+        own = self.equations.prescribed[MASS].cpu().numpy()
+        light = np.divide(self.place**2, own, out=np.zeros_like(self.place), where=(self.place != 0.0) & (own > 0.0))
+        return np.divide(1.0, light.sum(1), out=np.zeros(len(light)), where=light.sum(1) > 0.0)
 
     def term(self, term: Term, pull: np.ndarray, unit: np.ndarray, size: float) -> ForceTerm:
         """With a prior standard deviation that makes its force so large, rms; ``pull`` is (coordinates,)."""
@@ -90,14 +108,24 @@ class _Forces:
         return ForceTerm(replace(term, scale=scale), felt, scale * unit)
 
     def of_connections(self, point: Point) -> Iterator[ForceTerm]:
-        """What a connection may have beside its law."""
+        """What a connection may have beside its law, and more or less of a spring or a damper that are held."""
         structure = self.equations.dynamics.structure
+        held = {kind: ~self._moves(kind)[structure.added] for kind in (SPRING, DAMPER)}
         pulls = structure.incidence.matrix[structure.added].toarray()
-        histories = (x.T for x in connection_force(self.equations, point, self.motion))
-        for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
+        histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
+        for i, (connection, pull, e, de, force) in enumerate(
+            zip(structure.added.tolist(), pulls, *histories, strict=True)
+        ):
             of, own = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
-            for kind in LEFT_OUT:
+            for kind in (kind for kind in LEFT_OUT if kind.kind not in held or held[kind.kind][i]):
                 yield from (self.of_connection(shape * _rms(e), kind, of, own) for shape in kind.shapes)
+
+    def _moves(self, kind: str) -> np.ndarray:
+        """(C,) bool: the connections whose parameter of a kind may move."""
+        structure = self.equations.dynamics.structure
+        connections, member = structure.carriers[kind]
+        of = [p.index for p in self.equations.uncertain if p.kind == kind]
+        return np.isin(np.arange(len(structure.parameters[SPRING])), connections[np.isin(member, of)])
 
     def of_connection(
         self, shape: float, kind: LeftOut, of: str, own: tuple[np.ndarray, np.ndarray, np.ndarray, float]
@@ -114,13 +142,14 @@ class _Forces:
         return replace(plain, reshaped=again, ratio=kind.shapes[1] / kind.shapes[0])
 
     def of_masses(self) -> Iterator[ForceTerm]:
-        """Masses that are held."""
+        """More or less mass on a DOF, but where its mass is a parameter that may move."""
         problem = self.equations.problem
-        for i, pull in enumerate(np.eye(problem.structure.coordinates)):
-            held, acceleration = problem.structure.parameter(MASS, i), self.acceleration[:, i]
-            if held not in problem.uncertain:
-                size = held.prescribed * _rms(acceleration)
-                yield self.term(Term(MASS, held.owner, held.unit, 1.0), pull, acceleration, size)
+        of_dofs = problem.structure.shapes is None
+        moving = {p.index for p in problem.uncertain if of_dofs and p.kind == MASS}
+        for dof in (dof for dof in range(len(self.place)) if dof not in moving):
+            name, acceleration = f"DOF {problem.record.dof_name(dof)}", self.acceleration[:, dof]
+            size = self.mass[dof] * _rms(acceleration)
+            yield self.term(Term(MASS, name, "kg", 1.0), self.place[dof], acceleration, size)
 
     def of_loads(self) -> Iterator[ForceTerm]:
         """Load cells that show a force late; what is above their band is noise, which a derivative makes more of."""
@@ -129,7 +158,7 @@ class _Forces:
             shown = self.equations.target.force[:, dof].cpu().numpy()
             rate = _rate(shown, self.step, signal_band(record.force[:, dof], record.step))
             late = Term(DELAY, f"force on DOF {record.dof_name(dof)}", "s", 1.0)
-            yield self.term(late, np.eye(record.ndof)[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
+            yield self.term(late, self.place[dof], -rate, WIDEST_DELAY * record.step * _rms(rate))
 
     def of_oscillators(self) -> Iterator[ForceTerm]:
         """One mode more, on a DOF with a sensor or under a force."""
@@ -149,8 +178,7 @@ class _Forces:
         moved, record = self.acceleration[:, dof], self.equations.problem.record
         mode = Term(MODE, f"DOF {record.dof_name(dof)}", "kg", 1.0, frequency)
         driven = resonance(moved, self.step, frequency, damping)
-        mass = float(self.equations.prescribed[MASS][dof])
-        plain = self.term(mode, np.eye(record.ndof)[dof], driven, mass * _rms(moved))
+        plain = self.term(mode, self.place[dof], driven, self.mass[dof] * _rms(moved))
 
         def again(finer: float) -> Iterator[ForceTerm]:
             yield from (self.of_oscillator(finer, dof, ratio, at) for at in DAMPED)
@@ -169,23 +197,20 @@ class _Forces:
 
 
 def force_terms(equations: NormalEquations, point: Point) -> list[ForceTerm]:
-    """Of connections, masses that are held, load cells and attached oscillators; of modes those of connections."""
+    """Of connections, masses, attached oscillators and load cells."""
     motion = Jet(*equations.flat_states(equations.physics, point)[:3])
     made = _Forces(equations, motion, equations.target.physics_time.cpu().numpy())
-    found = list(made.of_connections(point))
-    if equations.dynamics.structure.shapes is None:
-        found += [*made.of_masses(), *made.of_oscillators()]
-        found += [] if equations.problem.inputs.loads else made.of_loads()
-    return found
+    loads = () if equations.problem.inputs.loads else made.of_loads()  # or they are channels, see `sensor_terms`
+    return [*made.of_connections(point), *made.of_masses(), *made.of_oscillators(), *loads]
 
 
 def connection_force(equations: NormalEquations, point: Point, motion: Jet) -> tuple[np.ndarray, ...]:
-    """Elongation, its rate, and force of the connections that somebody wrote down, each (P, C)."""
+    """Elongation, its rate, and force of all connections, each (P, C)."""
     dynamics, structure = equations.dynamics, equations.dynamics.structure
     e, de = (structure.elongation(dynamics.stretching(x)) for x in (motion.value, motion.rate))
     z = motion.value[:, dynamics.hidden] if len(structure.memory) else None
     force = structure.connection_force(e, de, equations.parameters(point), z)
-    return tuple(x.cpu().numpy()[:, structure.added] for x in (e, de, force))
+    return tuple(x.cpu().numpy() for x in (e, de, force))
 
 
 def force_border(equations: NormalEquations, point: Point, noise: NoiseModel, terms: Sequence[ForceTerm]) -> np.ndarray:

@@ -58,14 +58,15 @@ class SensorTerm:
 
 
 def sensor_terms(channels: Sequence[ChannelAtPoint]) -> list[SensorTerm]:
-    """Of every channel of motion, ground or support, and of all sensors of a quantity together."""
+    """Of every channel but those of connections, and of all sensors of a quantity together."""
     found: list[SensorTerm] = []
     together: defaultdict[tuple[str, str, float], dict[int, tuple[Term, np.ndarray]]] = defaultdict(dict)
     for i, one in enumerate(channels):
-        if one.quantity in (FORCE, CONNECTION_FORCE):
+        if one.quantity == CONNECTION_FORCE:
             continue
         for kind, unit, scale, column in columns_of(one):
-            if kind in one.uncertain:
+            # A force that is larger is a structure that is softer.
+            if kind in one.uncertain or (one.quantity == FORCE and kind != DELAY):
                 continue
             term, counted = Term(kind, one.name, unit, scale), column * one.counted
             found.append(SensorTerm(term, {i: counted}))

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from lacking_records import RATE, K, high_passed, moved, posed, recorded, with_oscillator
+from lacking_records import RATE, C, K, high_passed, moved, posed, recorded, with_oscillator
 from scipy.interpolate import make_interp_spline
 from small_problems import measured as small_record
 from small_problems import small_chain
@@ -133,6 +133,19 @@ def test_a_wrong_mass_is_named(ground: bool):
     doubt, *_ = solved(posed(recorded(moved(ground, 1, ())), m=[9e3, 10.5e3, 8e3])).doubts
     assert (doubt.kind, doubt.of) == ("m", "DOF 2")
     assert doubt.value == pytest.approx(500.0, rel=0.2)
+
+
+@pytest.mark.parametrize(("kind", "place", "off"), [("k", 1, 0.1), ("c", 0, 0.5)])
+def test_a_spring_and_a_damper_that_are_held_are_named(kind: str, place: int, off: float):
+    """The other ones are unknown; `off` is the part of the value that the model lacks."""
+    values = {"k": K, "c": C}
+    held = values[kind].copy()
+    held[place] *= 1.0 - off
+    problem = posed(recorded(moved(True, 1, ())), **{kind: held.tolist()})
+    free = tuple(p for p in problem.uncertain if (p.kind, p.index) != (kind, place))
+    doubt, *_ = solved(replace(problem, uncertain=free)).doubts
+    assert (doubt.kind, doubt.of) == (kind, f"connection {place + 1}")
+    assert doubt.value == pytest.approx(off * values[kind][place], rel=0.2)
 
 
 @pytest.mark.slow
