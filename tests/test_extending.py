@@ -88,6 +88,13 @@ def rig(tmp_path, monkeypatch):
         runpy.run_path("script.py")
 
 
+def made(script, heading, monkeypatch, folder):
+    """What an example's own script makes, in the folder in which it then runs."""
+    monkeypatch.chdir(folder)
+    Path("script.py").write_text(EXAMPLES[heading][0][script], encoding="utf-8")
+    runpy.run_path("script.py")
+
+
 def fitness(directory, estimator="pinn"):
     """Of the displacement of all DOFs, by the printed formula."""
     rows = pd.read_csv(directory / "fitness.csv").set_index(["estimator", "group", "quantity"])
@@ -149,6 +156,31 @@ def test_a_file_format_of_records(example, rig):
     directory = example("A file format of records")
     parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
     assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
+
+
+def test_a_kind_of_sensor(example, monkeypatch, tmp_path):
+    made("make_tower.py", "A kind of sensor", monkeypatch, tmp_path)
+    directory = example("A kind of sensor")
+    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    assert parameters.loc["k_1", "estimate"] == pytest.approx(40e3, rel=0.01)
+    assert parameters.loc["k_2", "estimate"] == pytest.approx(30e3, rel=0.01)
+    sensors = pd.read_csv(directory / "residuals.csv").set_index("channel")
+    assert sensors.loc["displacement of sensor tilt", "free_run_nmse_percent"] < 1.0
+
+
+def test_a_sensor_of_one_s_own_says_by_itself_what_it_feels(installed, pinn_run, monkeypatch, tmp_path):
+    made("make_tower.py", "A kind of sensor", monkeypatch, tmp_path)
+    outcome = pinn_run("--config-dir", str(installed / "conf"), "data=tower", "data.channels.tilt.dof=1")
+    assert outcome.status == 2
+    assert "data.channels.tilt.dof" in outcome.err
+
+
+def test_a_force_that_moves(example, monkeypatch, tmp_path):
+    made("make_bridge.py", "A force that moves", monkeypatch, tmp_path)
+    directory = example("A force that moves")
+    parameters = pd.read_csv(directory / "parameters.csv").set_index("parameter")
+    assert parameters.loc["k_pier", "estimate"] == pytest.approx(2e6, rel=0.03)
+    assert json.loads((directory / "run.json").read_text())["verdict"] == "sound"
 
 
 def test_a_scheme(example):

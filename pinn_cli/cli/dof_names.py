@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.records import of_record
+from pinn_cli.record.own_sensor import as_channel
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.settings.suggestion import suggestion
@@ -79,10 +80,13 @@ def _number_setting(plain: dict[str, Any], setting: str, labels: Labels) -> None
 def _number_channels(group: str, data: Any, labels: Labels) -> None:
     """Give the DOFs in the long form of channels, ``data.channels``, their numbers."""
     channels = data.get("channels") if isinstance(data, dict) else None
-    for name, channel in channels.items() if isinstance(channels, dict) else ():
-        if not isinstance(channel, dict):
+    if not isinstance(channels, dict):
+        return
+    for name, given in channels.items():
+        if not isinstance(given, dict):
             continue  # refused by what reads it
         setting = f"{group}.channels.{name}"
+        channel = channels[name] = dict(as_channel(setting, given))
         if channel.get("support") is not None:
             channel["support"] = _support(f"{setting}.support", channel["support"], labels.supports)
         if channel.get("dof") is not None:
@@ -91,8 +95,8 @@ def _number_channels(group: str, data: Any, labels: Labels) -> None:
             ends = channel["between"]
             channel["between"] = [e if e in GROUND_NAMES else _number(f"{setting}.between", e, labels) for e in ends]
         if isinstance(channel.get("weights"), dict):
-            given = channel["weights"].items()
-            channel["weights"] = {_number(f"{setting}.weights", dof, labels): weight for dof, weight in given}
+            weights = channel["weights"].items()
+            channel["weights"] = {_number(f"{setting}.weights", dof, labels): weight for dof, weight in weights}
 
 
 def named(measure: Callable[[Any], Measurements], of: object, labels: Labels) -> Measurements:

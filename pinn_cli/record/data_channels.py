@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
+from pinn_cli.record.own_sensor import as_channel
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, finite_number, is_finite_number, is_whole_number, one_of
@@ -182,6 +183,7 @@ def _channel(name: str, node: Any) -> DataChannel:
     setting = f"data.channels.{name}"
     if not isinstance(node, Mapping):
         raise InputError(setting, node, "a map such as {sensor: acceleration, dof: 1, unit: g}")
+    node = as_channel(setting, node)
     for key in node:
         if key not in KEYS:
             raise InputError(

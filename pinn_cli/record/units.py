@@ -30,28 +30,44 @@ def si_factor(setting: str, unit: Any, quantity: str) -> float:
     Raises:
         InputError: An unknown unit, or one of another quantity.
     """
-    if unit is None or unit == UNITS[quantity]:
+    accelerates = SUPPORT.get(quantity, quantity) in (MOTION[2], GROUND)
+    if accelerates and isinstance(unit, str):
+        unit = GRAVITY.get(unit.strip(), unit)
+    return factor(setting, unit, UNITS[quantity], quantity)
+
+
+def factor(setting: str, unit: Any, own: str, sensor: str) -> float:
+    """How many of a unit of its own one of a sensor's unit is.
+
+    Args:
+        setting: Whose unit it is, for errors.
+        unit: As of :func:`si_factor`.
+        own: The unit that it is counted in.
+        sensor: What the sensor is called.
+
+    Raises:
+        InputError: As of :func:`si_factor`.
+    """
+    if unit is None or unit == own:
         return 1.0
     if isinstance(unit, int | float) and not isinstance(unit, bool):
         return float(positive_number(setting, unit))
-    allowed = f"a unit such as {UNITS[quantity]}, or the number of {UNITS[quantity]} that one is"
+    allowed = f"a unit such as {own}, or the number of {own} that one is"
     if not isinstance(unit, str) or not unit.strip():
         raise InputError(setting, unit, allowed)
     if NUMBER.fullmatch(unit.strip()):
         return float(positive_number(setting, float(unit)))
-    accelerates = SUPPORT.get(quantity, quantity) in (MOTION[2], GROUND)
-    name = GRAVITY.get(unit.strip(), unit) if accelerates else unit
     import pint
 
     try:
-        one = _registry().Quantity(1.0, name)
+        one = _registry().Quantity(1.0, unit)
     except (pint.errors.PintError, ValueError, TypeError, AttributeError, SyntaxError, AssertionError) as error:
         first = str(error).splitlines()[0] if str(error) else "pint cannot read it"
         raise InputError(setting, unit, allowed, first) from None
     try:
-        return float(one.to(UNITS[quantity]).magnitude)
+        return float(one.to(own).magnitude)
     except pint.errors.PintError:
-        hint = f"{unit} measures {_meaning(one)}, and the channel's sensor is one of {quantity}"
+        hint = f"{unit} measures {_meaning(one)}, and the channel's sensor is one of {sensor}"
         raise InputError(setting, unit, allowed, hint) from None
 
 

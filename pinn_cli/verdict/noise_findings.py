@@ -138,12 +138,23 @@ def _copied(record: Record, estimate: Estimate) -> list[Finding]:
     by_quantity = estimate.summary.get("effective_parameters")
     if not isinstance(by_quantity, Mapping):
         return []
-    counts = [count for values in by_quantity.values() for count in values if count is not None]
-    samples = len(counts) * len(record.time)
-    if not counts or sum(counts) < COPIED * samples:
+    counts = [(count, len(record.time)) for q in RESPONSE_QUANTITIES for count in by_quantity.get(q, ())]
+    counts += [
+        (count, len(gauge.time))
+        for gauge, count in zip(record.gauges, by_quantity.get(GAUGE, ()), strict=False)
+        if gauge.quantity in RESPONSE_QUANTITIES
+    ]
+    followed, samples = np.sum([each for each in counts if each[0] is not None] or [(0, 1)], axis=0)
+    if followed < COPIED * samples:
         return []
-    text = f"{sum(counts):.0f} effective parameters follow the {samples} samples of all sensors: they were copied"
-    return [Finding("copied", "sensors", f"{text}; check the model, or use fewer knots (network.knots_per_period)")]
+    text = f"{followed:.0f} effective parameters follow the {samples:.0f} samples of all response sensors"
+    return [
+        Finding(
+            "copied",
+            "sensors",
+            f"{text}: they were copied; check the model, or use fewer knots (network.knots_per_period)",
+        )
+    ]
 
 
 def _unfinished(estimate: Estimate) -> list[Finding]:
