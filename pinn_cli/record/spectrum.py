@@ -26,21 +26,6 @@ def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     return np.fft.rfftfreq(len(x), step), np.abs(spectrum) ** 2 / np.sum(window**2)
 
 
-def group_starts(first: int, stop: int, resolution: float) -> list[int]:
-    """Beginnings of groups of neighbouring bins, the first one's and on to ``stop``, wider the higher they lie.
-
-    Args:
-        first: Bin that the first group begins with.
-        stop: Bin behind the last one's.
-        resolution: Width of a group over its place.
-    """
-    starts, at = [], first
-    while at < stop:
-        starts.append(at)
-        at += max(1, int(resolution * at))
-    return starts
-
-
 def signal_band(x: np.ndarray, step: float) -> float:
     """Frequency up to which keeping a channel's content removes more error than the noise that comes with it, Hz.
 

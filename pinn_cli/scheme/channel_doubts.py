@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pinn_cli.record.channels import Channel
+from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.gauge import DELAYS_ALLOWED, WIDEST_DELAY
 from pinn_cli.record.record import Record
-from pinn_cli.record.response import GROUND
-from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.system.quantities import FORCE
 
 # Delays that are tried within one period of the highest frequency.
 PER_PERIOD = 8
@@ -48,14 +46,9 @@ class ChannelDoubts:
         doubted: A channel whose gain and delay are in doubt, whatever is said of it.
     """
 
-    def __init__(self, record: Record, spectra: CrossSpectra, doubted: Channel | None = None) -> None:
+    def __init__(self, record: Record, spectra: CrossSpectra[Channel], doubted: Channel | None = None) -> None:
         self.omega, self.sensors = spectra.omega, len(spectra.sensors)
-        channels = [
-            *spectra.channels,
-            *((FORCE, dof) for dof in spectra.forced),
-            *((order, "support") for order in spectra.carried),  # none of which is in doubt
-            *([(GROUND, 0)] if spectra.felt is not None else []),
-        ]
+        channels: list[tuple[str, int | None]] = [channel.place for channel in (*spectra.sensors, *spectra.acting)]
         self.count = len(channels)
         self.doubts = tuple(
             Doubt(kind, gauge.name, channels.index((gauge.quantity, gauge.dof)), number.value, number.std)
@@ -65,7 +58,7 @@ class ChannelDoubts:
             if not number.is_known
         )
         if doubted is not None:
-            place = channels.index((doubted.quantity, max(doubted.dof, 0)))
+            place = channels.index(doubted.place)
             late = WIDEST_DELAY * record.step
             self.doubts += (Doubt("gain", doubted.name, place, 1.0), Doubt("delay", doubted.name, place, 0.0, late))
 

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from pinn_cli.record.channels import Channel, channels, record_band
+from pinn_cli.record.cross_spectra import CrossSpectra, band_edges
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND
+from pinn_cli.record.spectrum import LOWEST_BINS
+from pinn_cli.record.supports import told_by
 from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.scheme.cross_spectra import CrossSpectra
+from pinn_cli.system.flexibility import Flexibility, Slopes
+from pinn_cli.system.quantities import FORCE, SUPPORT
 
+# Frequencies at most: a dense matrix is inverted at each.
+MOST_FREQUENCIES = 300
 # Relative width of the smoothing, to begin with.
 WIDEST = 0.15
 # Loss factor that every spring has at least: nothing is singular at a resonance then.
@@ -20,10 +30,46 @@ DAMPING = 0.02
 ABOVE_FLOOR = 10.0
 # How far one start and width may take a parameter, as a logarithm.
 FARTHEST = np.log(20.0)
-# Frequencies next to each other that a Hann window makes one.
-TOGETHER = 1.5
 # Evaluations of the misfit for one start and width, at most.
 EVALUATIONS = 30
+
+
+def what_acts(record: Record) -> list[Channel] | None:
+    """Load cells, supports, and last the ground; None where nothing acts, or where some of it is unknown."""
+    supports = {channel.place: channel for channel in channels(record, tuple(SUPPORT))}
+    moved = [supports[quantity, i] for i, (quantity, _) in enumerate(told_by(record))]
+    acting = [*channels(record, (FORCE,)), *moved, *channels(record, (GROUND,))]
+    return acting if acting and np.isfinite(record.force).all() else None
+
+
+def spectra_under(record: Record, acting: Sequence[Channel]) -> CrossSpectra[Channel]:
+    """Of the response and of what acts, up to the end of the record's band."""
+    stop = int(np.searchsorted(np.fft.rfftfreq(len(record.time), record.step), record_band(record), side="right"))
+    stop = min(max(stop, LOWEST_BINS + 8), len(record.time) // 2 + 1)
+    return CrossSpectra.of_bands(record, channels(record), acting, band_edges(LOWEST_BINS, stop, MOST_FREQUENCIES))
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """A linear structure under what acts.
+
+    Attributes:
+        parameters: See :meth:`LinearFit.parameters`.
+        flexibility: (B, n, n).
+        moved: (B, n, F), displacements for one of what acts.
+        shown: (B, S, 1), what sensors show of what they feel.
+        of_acting: (B, F, F), spectra of what acts with those that are shown of it.
+        parts: (F, B, S, F), what each of what acts adds to the cross spectra; empty where no channel is in doubt.
+        cross: (B, S, F), the cross spectra of what sensors and what acts show.
+    """
+
+    parameters: Mapping[str, np.ndarray]
+    flexibility: np.ndarray
+    moved: np.ndarray
+    shown: np.ndarray
+    of_acting: np.ndarray
+    parts: np.ndarray
+    cross: np.ndarray
 
 
 class LinearFit:
@@ -32,51 +78,69 @@ class LinearFit:
     A damping ratio of the whole structure is half a loss factor of its springs: at every resonance they do the same.
 
     Args:
-        spectra: Of the record.
+        record: What was measured; see :func:`what_acts`.
         stretch, known: See :func:`pinn_cli.scheme.screening.screened`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
         influence: See :func:`pinn_cli.scheme.screening.screened`.
-        doubts: What is in doubt of the channels; None: nothing.
-        width: Of the smoothing, to begin with.
+        doubted: A channel whose gain and delay are in doubt, whatever is said of it.
     """
 
     def __init__(
         self,
-        spectra: CrossSpectra,
+        record: Record,
         stretch: np.ndarray,
         known: Mapping[str, np.ndarray],
         typical: np.ndarray,
         influence: np.ndarray | None = None,
-        doubts: ChannelDoubts | None = None,
-        width: float = WIDEST,
+        doubted: Channel | None = None,
     ) -> None:
-        self.doubts = doubts if doubts is not None and len(doubts) else None
         n = len(known["m"])
-        self.influence = np.ones(n) if influence is None else influence
-        self.spectra, self.known = spectra, {"loss": np.zeros(1)} | dict(known)
-        self.stretch, self.by_supports = stretch[:, :n], stretch[:, n:]
+        self.spectra = s = spectra_under(record, what_acts(record) or [])
+        doubts = ChannelDoubts(record, s, doubted)
+        self.doubts = doubts if len(doubts) and s.acting else None
+        self.known = {"loss": np.zeros(1)} | dict(known)
+        self.stretch = stretch[:, :n]
         self.end, self.typical = last_ends(self.stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(self.known[kind])) for kind in ("m", "k", "c", "loss")}
         self.damped, self.lossy = len(self.free["c"]) > 0, len(self.free["loss"]) > 0
         self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped + self.lossy
-        self.smooth(width)
+        self.sensed = np.array([sensor.dof for sensor in s.sensors], dtype=int)
+        absolute = [sensor.quantity == "acceleration" and record.frame == "absolute" for sensor in s.sensors]
+        self.absolute = np.array(absolute)[:, None]
+        self.influence = np.ones(n) if influence is None else influence
+        self.act(s.acting, s.of_acting, stretch[:, n:])
+        self.smooth(WIDEST)
+
+    def act(self, acting: Sequence[Channel], spectra: np.ndarray, by_supports: np.ndarray) -> None:
+        """Choose what acts, and its spectra (B, F, F).
+
+        It pushes DOFs (n, F), moves supports, which stretches connections (B, C, F), or shakes all (n, F).
+        """
+        omega, self.of_acting = self.spectra.omega, spectra
+        self.pushed, self.shaken = np.zeros((2, len(self.influence), len(acting)))
+        self.carried = np.zeros((len(omega), len(self.stretch), len(acting)), complex)
+        for i, channel in enumerate(acting):
+            if channel.quantity == FORCE:
+                self.pushed[channel.dof, i] = 1.0
+            elif channel.quantity == GROUND:
+                self.shaken[:, i] = self.influence
+            else:
+                self.carried[:, :, i] = (1j * omega[:, None]) ** -channel.order * by_supports[:, channel.dof]
+        self.felt = self.absolute * self.shaken[self.sensed]
 
     def smooth(self, width: float) -> None:
         """Choose how widely the misfit is smoothed."""
-        s = self.spectra
+        s, count = self.spectra, len(self.spectra.sensors)
         self.kernel = s.smoothing(width)
-        sensed, driven = self.kernel @ s.of_sensors, self.kernel @ s.of_acting
-        size = sensed[:, :, None] * driven[:, None, :]
-        heard = (driven / np.maximum(driven + ABOVE_FLOOR * s.force_floor, 1e-300))[:, None, :]
-        seen = (sensed / np.maximum(sensed + ABOVE_FLOOR * s.sensor_floor, 1e-300))[:, :, None]
-        self.scale = heard * seen / np.sqrt(np.maximum(size, 1e-300))
+        power = self.kernel @ s.power
+        told = power / np.maximum(power + ABOVE_FLOOR * s.floor, 1e-300) / np.sqrt(np.maximum(power, 1e-300))
+        self.scale = told[:, :count, None] * told[:, None, count:]
         self.common = self.scale * self._smoothed(s.of_both)
         self.size = float(np.sum(np.abs(self.common) ** 2))
-        # The window makes neighbouring frequencies go together.
-        by_chance = (
-            0.0 if s.scatter is None else np.einsum("ob,bsf->osf", self.kernel**2 * TOGETHER / s.count, s.scatter)
-        )
-        self.scatter = float(np.sum(self.scale**2 * by_chance))
+        self.scatter = 0.0
+        if s.scatter is not None:
+            by_chance = np.einsum("ob,bsf->osf", self.kernel**2 / s.count, s.scatter[:, :count])
+            self.scatter = float(np.sum(self.scale**2 * by_chance))
 
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
@@ -106,7 +170,7 @@ class LinearFit:
 
     def outline(self, x: np.ndarray) -> float:
         """Squares of the misfit of sizes alone, each channel as large as it comes nearest, whatever is in doubt."""
-        cross, _, _, _ = self._cross(x, np.zeros(0))
+        cross = self._driven(x, doubted=False).cross
         size, common = np.abs(self.scale * self._smoothed(cross)), np.abs(self.common)
         gain = (size * common).sum(0) / np.maximum((size**2).sum(0), 1e-300)
         return float(np.sum((gain * size - common) ** 2))
@@ -120,10 +184,10 @@ class LinearFit:
         for channel in 2 * doubts.doubtful:
             places = {kind: self.count + i for kind, i in doubts.places(channel).items()}
             x[list(places.values())] = 0.0
-            cross, _, _, driven = self._cross(x, x[self.count :])
+            here = self._driven(x)
             acts, number = channel >= doubts.sensors, channel - doubts.sensors
-            own = self.scale * self._smoothed(driven[number] if acts else cross)
-            rest = self.scale * self._smoothed(cross) - own if acts else np.zeros_like(own)
+            own = self.scale * self._smoothed(here.parts[number] if acts else here.cross)
+            rest = self.scale * self._smoothed(here.cross) - own if acts else np.zeros_like(own)
             pick = np.ones(own.shape[1], bool) if acts else np.arange(own.shape[1]) == channel
             own, wanted = own[:, pick], (self.common - rest)[:, pick]
             together = (own.conj() * wanted).sum((1, 2))
@@ -149,85 +213,50 @@ class LinearFit:
 
     def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
-        s, p = self.spectra, self.parameters(x)
-        cross, flexibility, of_forces, driven_by = self._cross(x, x[self.count :])
-        residual = self.scale * self._smoothed(cross) - self.common
+        here = self._driven(x)
+        residual = self.scale * self._smoothed(here.cross) - self.common
         if not slopes:
             return residual, np.empty(0)
-        shown = 1.0 if self.doubts is None else self.doubts.factors(x[self.count :])[0][:, :, None]
-        seen = shown * s.differentiation[:, :, None] * flexibility[:, s.sensors]  # (B, S, n)
-        by = []
-        driven = self._moved(p, flexibility) @ of_forces
-        pull, stretched = seen @ self.stretch.T, self.stretch @ driven + self.by_supports @ self._carried() @ of_forces
-        for dof in self.free["m"]:
-            slope = p["m"][dof] * s.omega[:, None, None] ** 2 * seen[:, :, [dof]] * driven[:, [dof]]
-            if s.felt is not None:  # a heavier mass also feels more of the ground
-                slope = slope - p["m"][dof] * self.influence[dof] * seen[:, :, [dof]] * of_forces[:, [-1]]
-            # Critical damping grows with the mass.
-            for i in self.free["c"][self.end[self.free["c"]] == dof]:
-                slope = slope - 0.5j * s.omega[:, None, None] * p["c"][i] * pull[:, :, [i]] * stretched[:, [i]]
-            by.append(slope)
-        for i in self.free["k"]:
-            rate = p["k"][i] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + (
-                0.5j * s.omega * p["c"][i] if i in self.free["c"] else 0.0
-            )
-            by.append(-np.reshape(rate, (-1, 1, 1)) * pull[:, :, [i]] * stretched[:, [i]])
-        if self.damped:
-            c = self.free["c"]
-            by.append(-1j * s.omega[:, None, None] * (pull[:, :, c] * p["c"][c]) @ stretched[:, c])
-        if self.lossy:
-            by.append(-1j * (pull * p["loss"] * p["k"]) @ stretched)
-        if self.doubts is not None:
-            by += self.doubts.slopes(cross, driven_by)
+        by = [*self._slopes(here), *([] if self.doubts is None else self.doubts.slopes(here.cross, here.parts))]
         return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
 
-    def _cross(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Cross spectra of what sensors and forces show, and what they are made of.
+    def _slopes(self, here: Driven) -> Iterator[np.ndarray]:
+        """(B, S, F), of the cross spectra by every unknown of the structure."""
+        s, p = self.spectra, here.parameters
+        seen = here.shown * s.differentiation[:, :, None] * here.flexibility[:, self.sensed]
+        driven = here.moved @ here.of_acting
+        slopes = Slopes(
+            seen,
+            seen @ self.stretch.T,
+            s.omega[:, None, None] ** 2 * driven - self.shaken @ here.of_acting,
+            self.stretch @ driven + self.carried @ here.of_acting,
+        )
+        spring = 1.0 + (LEAST_LOSS + p["loss"]) * 1j
+        # Critical damping grows with the root of mass and stiffness.
+        damper = 1j * s.omega[:, None] * np.where(np.isnan(self.known["c"]), p["c"], 0.0)
+        masses, connections = np.arange(len(p["m"])), np.arange(len(p["k"]))
+        for dof in self.free["m"]:
+            yield slopes.by(p["m"] * (masses == dof), 0.5 * damper * (self.end == dof))
+        for i in self.free["k"]:
+            yield slopes.by(np.zeros(len(masses)), (p["k"] * spring + 0.5 * damper) * (connections == i))
+        for stiffer in [damper] * self.damped + [1j * p["loss"] * p["k"] + 0.0 * damper] * self.lossy:
+            yield slopes.by(np.zeros(len(masses)), stiffer)
 
-        Returns:
-            The cross spectra (B, S, F); the flexibility (B, n, n); the spectra of the forces that act with those that
-            are shown (B, F, F); what each force adds to the first (F, B, S, F), empty where no channel is in doubt.
-        """
+    def _driven(self, x: np.ndarray, doubted: bool = True) -> Driven:
+        """At the unknowns x, those of the channels included or not."""
         s, p = self.spectra, self.parameters(x)
-        connection = self._connection(p)
-        stiffness = np.einsum("ci,bc,cj->bij", self.stretch, connection, self.stretch)
-        stiffness[:, range(len(p["m"])), range(len(p["m"]))] -= s.omega[:, None] ** 2 * p["m"]
-        flexibility = np.linalg.inv(stiffness)
-        response = s.differentiation[:, :, None] * self._moved(p, flexibility)[:, s.sensors]
-        if s.felt is not None:
-            response[:, :, -1] += s.felt * self.influence[s.sensors]
-        if self.doubts is None or not len(y):
-            return response @ s.of_forces, flexibility, s.of_forces, np.empty(0)
-        of_sensors, of_acting = self.doubts.factors(y)
-        response, of_forces = of_sensors[:, :, None] * response, s.of_forces / of_acting[:, :, None]
-        driven = np.einsum("bsf,bfg->fbsg", response, of_forces)
-        return driven.sum(0), flexibility, of_forces, driven
-
-    def _connection(self, p: Mapping[str, np.ndarray]) -> np.ndarray:
-        """(B, C), dynamic stiffness of every connection."""
-        connection: np.ndarray = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j)
-        return connection + 1j * self.spectra.omega[:, None] * p["c"]
-
-    def _carried(self) -> np.ndarray:
-        """(B, S', F), displacements of supports for one of what acts."""
-        s = self.spectra
-        count, forced = len(s.carried), len(s.forced)
-        out = np.zeros((len(s.omega), self.by_supports.shape[1], forced + count + (s.felt is not None)), complex)
-        for i, order in enumerate(s.carried):
-            out[:, i, forced + i] = (1j * s.omega) ** -order
-        return out
-
-    def _moved(self, p: Mapping[str, np.ndarray], flexibility: np.ndarray) -> np.ndarray:
-        """(B, n, F), displacements for one of what acts."""
-        moved = flexibility[:, :, self.spectra.forced]
-        if self.spectra.carried:
-            own = slice(len(self.spectra.forced), len(self.spectra.forced) + len(self.spectra.carried))
-            pushed = self.stretch.T @ (self._connection(p)[:, :, None] * (self.by_supports @ self._carried()[..., own]))
-            moved = np.concatenate((moved, -flexibility @ pushed), axis=2)
-        if self.spectra.felt is None:
-            return moved
-        shaken = -flexibility @ (p["m"] * self.influence)
-        return np.concatenate((moved, shaken[:, :, None]), axis=2)
+        connection = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * s.omega[:, None] * p["c"]
+        flexibility = Flexibility(s.omega, self.stretch, p["m"], connection).matrix
+        pulled = self.stretch.T @ (connection[:, :, None] * self.carried)
+        moved = flexibility @ (self.pushed - p["m"][:, None] * self.shaken - pulled)
+        response = s.differentiation[:, :, None] * moved[:, self.sensed] + self.felt
+        shown, of_acting, parts = np.ones((1, 1, 1)), self.of_acting, np.empty(0)
+        if self.doubts is None or not doubted:
+            return Driven(p, flexibility, moved, shown, of_acting, parts, response @ of_acting)
+        of_sensors, of_inputs = self.doubts.factors(x[self.count :])
+        shown, of_acting = of_sensors[:, :, None], of_acting / of_inputs[:, :, None]
+        parts = np.einsum("bsf,bfg->fbsg", shown * response, of_acting)
+        return Driven(p, flexibility, moved, shown, of_acting, parts, parts.sum(0))
 
 
 class JointFit:

@@ -10,12 +10,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pinn_cli.record.channels import Channel
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, LinearFit
-
-# Of a logarithm, for slopes by differences.
-STEP = 1e-5
+from pinn_cli.system.quantities import FORCE
 
 
 class PowerFit(LinearFit):
@@ -23,23 +21,23 @@ class PowerFit(LinearFit):
 
     Args:
         record: Whose forces are not all measured.
-        records: See :meth:`CrossSpectra.of`.
         stretch, known, typical: See :class:`LinearFit`.
     """
 
     def __init__(
-        self, record: Record, records: int, stretch: np.ndarray, known: Mapping[str, np.ndarray], typical: np.ndarray
+        self, record: Record, stretch: np.ndarray, known: Mapping[str, np.ndarray], typical: np.ndarray
     ) -> None:
-        acting = np.flatnonzero(~record.unforced)
-        self.acting = acting if len(acting) else np.arange(record.ndof)
-        super().__init__(CrossSpectra.of_sensors_alone(record, records), stretch, known, typical)
+        super().__init__(record, stretch, known, typical)
+        dofs = np.arange(record.ndof) if record.unforced.all() else np.flatnonzero(~record.unforced)
+        forces = [Channel(FORCE, int(dof), record.force[:, dof]) for dof in dofs]
+        self.act(forces, np.eye(len(forces))[None], np.zeros((len(stretch), 0)))
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
         s = self.spectra
         self.kernel = s.smoothing(width)
-        sensed = self.kernel @ s.of_sensors
-        self.weight = sensed / (sensed + ABOVE_FLOOR * s.sensor_floor)
+        sensed = self.kernel @ s.power
+        self.weight = sensed / (sensed + ABOVE_FLOOR * s.floor)
         self.measured = np.log(np.maximum(sensed, 1e-300))
         at = np.log(self.kernel @ s.omega)
         together = np.stack((np.ones_like(at), at - at.mean()), axis=1)[:, None, :] * self.weight[..., None]
@@ -49,17 +47,14 @@ class PowerFit(LinearFit):
 
     def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
         """(O, S) misfit of the logarithms and, if wanted, its slopes (O, S, p)."""
-        residual = self._misfit(x)
+        here = self._driven(x)
+        power = np.maximum(self.kernel @ np.sum(np.abs(here.cross) ** 2, axis=2), 1e-300)
+        residual = self._without_spectrum(self.weight * (np.log(power) - self.measured))
         if not slopes:
             return residual, np.empty(0)
-        moved = [self._misfit(x + step) for step in STEP * np.eye(len(x))]
-        return residual, np.stack([(one - residual) / STEP for one in moved], axis=-1)
-
-    def _misfit(self, x: np.ndarray) -> np.ndarray:
-        _, flexibility, _, _ = self._cross(x, np.zeros(0))
-        response = self.spectra.differentiation[:, :, None] * flexibility[:, self.spectra.sensors][:, :, self.acting]
-        power = self.kernel @ np.sum(np.abs(response) ** 2, axis=2)
-        return self._without_spectrum(self.weight * (np.log(np.maximum(power, 1e-300)) - self.measured))
+        by = [2.0 * np.sum((here.cross.conj() * slope).real, axis=2) for slope in self._slopes(here)]
+        moved = [self._without_spectrum(self.weight / power * (self.kernel @ slope)) for slope in by]
+        return residual, np.stack(moved, axis=-1)
 
     def _without_spectrum(self, logarithms: np.ndarray) -> np.ndarray:
         """Weighed logarithms (O, S) without what the forces' spectrum can make up for."""

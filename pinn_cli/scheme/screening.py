@@ -14,9 +14,7 @@ import numpy as np
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit
+from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit, what_acts
 from pinn_cli.scheme.power_fit import PowerFit
 
 # Relative widths of the smoothing, one after the other, and how many starts go on to each.
@@ -68,21 +66,17 @@ def screened(
         further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
             are left out, unless all are.
     """
-    records = [record, *further]
-    found_spectra = [CrossSpectra.of(each, len(records)) for each in records]
-    seen = [(each, spectra) for each, spectra in zip(records, found_spectra, strict=True) if spectra is not None]
-    doubts = [ChannelDoubts(each, spectra) for each, spectra in seen]
-    if not (any(map(len, doubts)) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+    every = [each for each in (record, *further) if each.observed.any()]
+    records = [each for each in every if what_acts(each)]
+    fits = [LinearFit(each, stretch, known, guess["k"], influence) for each in records]
+    if not (any(fit.doubts for fit in fits) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
         return []
-    pairs = zip(seen, doubts, strict=True)
-    fits = [LinearFit(spectra, stretch, known, guess["k"], influence, own) for (_, spectra), own in pairs]
-    if not seen:  # resonances show in the sensors alone
-        records = [each for each in records if each.observed.any()]
-        fits = [PowerFit(each, len(records), stretch, known, guess["k"]) for each in records]
+    if not fits:  # resonances show in the sensors alone
+        records, fits = every, [PowerFit(each, stretch, known, guess["k"]) for each in every]
     if not fits:
         return []
     model = JointFit(fits)
-    return nearest(model, grid_of_starts(model, [each for each, _ in seen] or records, guess))
+    return nearest(model, grid_of_starts(model, records, guess))
 
 
 def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[int] = SURVIVORS) -> list[Candidate]:

@@ -13,8 +13,6 @@ from pinn_cli.record.gauge import WIDEST_DELAY, WIDEST_GAIN, Calibration, Gauge,
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
-from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.scheme.cross_spectra import CrossSpectra
 from pinn_cli.scheme.linear_fit import LinearFit
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
@@ -133,9 +131,8 @@ class TestScreening:
 
     def test_slopes_of_the_misfit(self):
         s, record = exact().structure, self.record()
-        spectra = CrossSpectra.of(record)
         known = {"m": s.m, "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
-        fit = LinearFit(spectra, STRETCH, known, s.k, None, ChannelDoubts(record, spectra))
+        fit = LinearFit(record, STRETCH, known, s.k)
         x = fit.start(s.m, s.k)
         x[fit.count :] = np.random.default_rng(0).normal(size=len(x) - fit.count) * 0.2
         _, slopes = fit.residual(x, slopes=True)
