@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -14,8 +13,8 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import LOWEST_BINS
 from pinn_cli.record.supports import told_by
-from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.system.flexibility import Flexibility, Slopes
+from pinn_cli.scheme.channel_doubts import ChannelDoubts, Doubt
+from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
 from pinn_cli.system.quantities import FORCE, SUPPORT
 
 # Frequencies at most: a dense matrix is inverted at each.
@@ -49,84 +48,93 @@ def spectra_under(record: Record, acting: Sequence[Channel]) -> CrossSpectra[Cha
     return CrossSpectra.of_bands(record, channels(record), acting, band_edges(LOWEST_BINS, stop, MOST_FREQUENCIES))
 
 
-@dataclass(frozen=True, eq=False)
-class Driven:
-    """A linear structure under what acts.
-
-    Attributes:
-        parameters: See :meth:`LinearFit.parameters`.
-        flexibility: (B, n, n).
-        moved: (B, n, F), displacements for one of what acts.
-        shown: (B, S, 1), what sensors show of what they feel.
-        of_acting: (B, F, F), spectra of what acts with those that are shown of it.
-        parts: (F, B, S, F), what each of what acts adds to the cross spectra; empty where no channel is in doubt.
-        cross: (B, S, F), the cross spectra of what sensors and what acts show.
-    """
-
-    parameters: Mapping[str, np.ndarray]
-    flexibility: np.ndarray
-    moved: np.ndarray
-    shown: np.ndarray
-    of_acting: np.ndarray
-    parts: np.ndarray
-    cross: np.ndarray
-
-
-class LinearFit:
-    """Masses, stiffnesses and the damping of a structure as logarithms, and the misfit of its frequency response.
+class LinearStructure:
+    """Masses, springs and dampers of which some are unknown: those as logarithms, unknown dampers as one damping ratio.
 
     A damping ratio of the whole structure is half a loss factor of its springs: at every resonance they do the same.
 
     Args:
-        record: What was measured; see :func:`what_acts`.
-        stretch, known: See :func:`pinn_cli.scheme.screening.screened`.
+        stretch, known, influence: See :func:`pinn_cli.scheme.screening.screened`.
         typical: (C,), stiffnesses, of which the median stands for that of a connection without a spring.
-        influence: See :func:`pinn_cli.scheme.screening.screened`.
-        doubted: A channel whose gain and delay are in doubt, whatever is said of it.
     """
 
     def __init__(
         self,
-        record: Record,
         stretch: np.ndarray,
         known: Mapping[str, np.ndarray],
         typical: np.ndarray,
         influence: np.ndarray | None = None,
-        doubted: Channel | None = None,
     ) -> None:
         n = len(known["m"])
-        self.spectra = s = spectra_under(record, what_acts(record) or [])
-        doubts = ChannelDoubts(record, s, doubted)
-        self.doubts = doubts if len(doubts) and s.acting else None
-        self.known = {"loss": np.zeros(1)} | dict(known)
-        self.stretch = stretch[:, :n]
+        self.known, self.influence = {"loss": np.zeros(1)} | dict(known), np.ones(n) if influence is None else influence
+        self.stretch, self.by_supports = stretch[:, :n], stretch[:, n:]
         self.end, self.typical = last_ends(self.stretch), float(np.median(typical))
         self.free = {kind: np.flatnonzero(np.isnan(self.known[kind])) for kind in ("m", "k", "c", "loss")}
         self.damped, self.lossy = len(self.free["c"]) > 0, len(self.free["loss"]) > 0
         self.count = len(self.free["m"]) + len(self.free["k"]) + self.damped + self.lossy
+
+    def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
+        m, k = np.log(mass[self.free["m"]]), np.log(stiffness[self.free["k"]])
+        return np.concatenate((m, k, [np.log(DAMPING)] * self.damped, [np.log(2.0 * DAMPING)] * self.lossy))
+
+    def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """``m`` (n,), ``c``, ``k`` (C,) and ``loss`` (1,) at the unknowns, with which x begins."""
+        m, k, c, loss = (self.known[kind].copy() for kind in ("m", "k", "c", "loss"))
+        split = len(self.free["m"])
+        m[self.free["m"]] = np.exp(x[:split])
+        k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
+        if self.damped:
+            critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
+            c[self.free["c"]] = np.exp(x[split + len(self.free["k"])]) * critical[self.free["c"]]
+        loss[self.free["loss"]] = np.exp(x[self.count - self.lossy : self.count])
+        return {"m": m, "c": c, "k": k, "loss": loss}
+
+    def slopes(self, omega: np.ndarray, p: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """What every unknown adds to masses (n,) and dynamic stiffnesses (B, C), where the parameters are p."""
+        lossy = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j)
+        # Critical damping grows with the roots of mass and stiffness.
+        damper = 1j * omega[:, None] * np.where(np.isnan(self.known["c"]), p["c"], 0.0)
+        masses, connections, nothing = np.arange(len(p["m"])), np.arange(len(p["k"])), np.zeros(len(p["m"]))
+        for dof in self.free["m"]:
+            yield p["m"] * (masses == dof), 0.5 * damper * (self.end == dof)
+        for i in self.free["k"]:
+            yield nothing, (lossy + 0.5 * damper) * (connections == i)
+        if self.damped:
+            yield nothing, damper
+        if self.lossy:
+            yield nothing, 1j * p["loss"] * p["k"] * np.ones((len(omega), 1))
+
+
+class LinearFit:
+    """The misfit of one record's cross spectra, as a function of the structure's unknowns and of the channels'.
+
+    Args:
+        record: What was measured; see :func:`what_acts`.
+        structure: With its unknowns.
+        doubts: What is in doubt of the channels of this record, and of others.
+    """
+
+    def __init__(self, record: Record, structure: LinearStructure, doubts: Sequence[Doubt] = ()) -> None:
+        self.structure, n = structure, len(structure.influence)
+        self.spectra = s = spectra_under(record, what_acts(record) or [])
+        self.doubts, self.of_acting = ChannelDoubts(record, s, doubts), s.of_acting
         self.sensed = np.array([sensor.dof for sensor in s.sensors], dtype=int)
-        absolute = [sensor.quantity == "acceleration" and record.frame == "absolute" for sensor in s.sensors]
-        self.absolute = np.array(absolute)[:, None]
-        self.influence = np.ones(n) if influence is None else influence
-        self.act(s.acting, s.of_acting, stretch[:, n:])
-        self.smooth(WIDEST)
-
-    def act(self, acting: Sequence[Channel], spectra: np.ndarray, by_supports: np.ndarray) -> None:
-        """Choose what acts, and its spectra (B, F, F).
-
-        It pushes DOFs (n, F), moves supports, which stretches connections (B, C, F), or shakes all (n, F).
-        """
-        omega, self.of_acting = self.spectra.omega, spectra
-        self.pushed, self.shaken = np.zeros((2, len(self.influence), len(acting)))
-        self.carried = np.zeros((len(omega), len(self.stretch), len(acting)), complex)
-        for i, channel in enumerate(acting):
+        self.sensing = s.differentiation[:, :, None] * np.eye(n)[self.sensed]
+        pushed, shaken = np.zeros((2, n, len(s.acting)))
+        carried = np.zeros((len(s.omega), len(structure.stretch), len(s.acting)), complex)
+        for i, channel in enumerate(s.acting):
             if channel.quantity == FORCE:
-                self.pushed[channel.dof, i] = 1.0
+                pushed[channel.dof, i] = 1.0
             elif channel.quantity == GROUND:
-                self.shaken[:, i] = self.influence
+                shaken[:, i] = structure.influence
             else:
-                self.carried[:, :, i] = (1j * omega[:, None]) ** -channel.order * by_supports[:, channel.dof]
-        self.felt = self.absolute * self.shaken[self.sensed]
+                back = (1j * s.omega[:, None]) ** -channel.order
+                carried[:, :, i] = back * structure.by_supports[:, channel.dof]
+        self.acting = Acting(pushed, shaken, carried)
+        absolute = [sensor.quantity == "acceleration" and record.frame == "absolute" for sensor in s.sensors]
+        self.felt = shaken[self.sensed] * np.array(absolute)[:, None]
+        self.smooth(WIDEST)
 
     def smooth(self, width: float) -> None:
         """Choose how widely the misfit is smoothed."""
@@ -142,59 +150,31 @@ class LinearFit:
             by_chance = np.einsum("ob,bsf->osf", self.kernel**2 / s.count, s.scatter[:, :count])
             self.scatter = float(np.sum(self.scale**2 * by_chance))
 
-    def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """The vector of unknowns at given masses (n,) and stiffnesses (C,)."""
-        m, k = (
-            np.where(np.isnan(self.known[kind]), value, self.known[kind])
-            for kind, value in (("m", mass), ("k", stiffness))
-        )
-        damping = [np.log(DAMPING)] * self.damped + [np.log(2.0 * DAMPING)] * self.lossy
-        in_doubt = np.zeros(0 if self.doubts is None else len(self.doubts))
-        return np.concatenate((np.log(m[self.free["m"]]), np.log(k[self.free["k"]]), damping, in_doubt))
-
-    def parameters(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """``m`` (n,), ``c``, ``k`` (C,) and ``loss`` (1,) at the unknowns x; unknown dampers have one damping ratio."""
-        m, k, c, loss = (self.known[kind].copy() for kind in ("m", "k", "c", "loss"))
-        split = len(self.free["m"])
-        m[self.free["m"]] = np.exp(x[:split])
-        k[self.free["k"]] = np.exp(x[split : split + len(self.free["k"])])
-        if self.damped:
-            critical = 2.0 * np.sqrt(np.where(k == 0, self.typical, np.maximum(k, 1e-300)) * m[self.end])
-            c[self.free["c"]] = np.exp(x[split + len(self.free["k"])]) * critical[self.free["c"]]
-        loss[self.free["loss"]] = np.exp(x[self.count - self.lossy : self.count])
-        return {"m": m, "c": c, "k": k, "loss": loss}
-
-    def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
-        """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        return {} if self.doubts is None else self.doubts.calibration(x[self.count :])
-
     def outline(self, x: np.ndarray) -> float:
         """Squares of the misfit of sizes alone, each channel as large as it comes nearest, whatever is in doubt."""
-        cross = self._driven(x, doubted=False).cross
+        cross = (self._response(x).value + self.felt) @ self.of_acting
         size, common = np.abs(self.scale * self._smoothed(cross)), np.abs(self.common)
         gain = (size * common).sum(0) / np.maximum((size**2).sum(0), 1e-300)
         return float(np.sum((gain * size - common) ** 2))
 
     def aligned(self, x: np.ndarray) -> np.ndarray:
         """The unknowns with every doubtful channel shifted and scaled to where the others want it, one by one."""
-        if self.doubts is None:
-            return x
-        x, doubts = x.copy(), self.doubts
+        x, doubts, count = x.copy(), self.doubts, self.structure.count
         omega = self.kernel @ self.spectra.omega
         for channel in 2 * doubts.doubtful:
-            places = {kind: self.count + i for kind, i in doubts.places(channel).items()}
+            places = {kind: count + i for kind, i in doubts.places(channel).items()}
             x[list(places.values())] = 0.0
-            here = self._driven(x)
+            parts = self._parts(x)
             acts, number = channel >= doubts.sensors, channel - doubts.sensors
-            own = self.scale * self._smoothed(here.parts[number] if acts else here.cross)
-            rest = self.scale * self._smoothed(here.cross) - own if acts else np.zeros_like(own)
+            own = self.scale * self._smoothed(parts[number] if acts else parts.sum(0))
+            rest = self.scale * self._smoothed(parts.sum(0)) - own if acts else np.zeros_like(own)
             pick = np.ones(own.shape[1], bool) if acts else np.arange(own.shape[1]) == channel
             own, wanted = own[:, pick], (self.common - rest)[:, pick]
             together = (own.conj() * wanted).sum((1, 2))
             sign = -1.0 if acts else 1.0
             gain = 1.0
             if "delay" in places:
-                doubt = doubts.doubts[places["delay"] - self.count]
+                doubt = doubts.doubts[places["delay"] - count]
                 tried = doubts.tried_delays(doubt)
                 shifted = (np.exp(1j * sign * np.outer(tried * doubt.std, omega)) @ together).real
                 best = int(np.argmax(shifted))
@@ -211,85 +191,49 @@ class LinearFit:
         flat = np.ascontiguousarray(values).reshape(len(values), -1).view(np.float64)
         return (self.kernel @ flat).view(np.complex128).reshape(-1, *values.shape[1:])
 
-    def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
-        """(O, S, F) misfit of the cross spectra and, if wanted, its slopes (O, S, F, p)."""
-        here = self._driven(x)
-        residual = self.scale * self._smoothed(here.cross) - self.common
-        if not slopes:
-            return residual, np.empty(0)
-        by = [*self._slopes(here), *([] if self.doubts is None else self.doubts.slopes(here.cross, here.parts))]
-        return residual, np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """(O, S, F) misfit of the cross spectra."""
+        misfit: np.ndarray = self.scale * self._smoothed(self._parts(x).sum(0)) - self.common
+        return misfit
 
-    def _slopes(self, here: Driven) -> Iterator[np.ndarray]:
-        """(B, S, F), of the cross spectra by every unknown of the structure."""
-        s, p = self.spectra, here.parameters
-        seen = here.shown * s.differentiation[:, :, None] * here.flexibility[:, self.sensed]
-        driven = here.moved @ here.of_acting
-        slopes = Slopes(
-            seen,
-            seen @ self.stretch.T,
-            s.omega[:, None, None] ** 2 * driven - self.shaken @ here.of_acting,
-            self.stretch @ driven + self.carried @ here.of_acting,
-        )
-        spring = 1.0 + (LEAST_LOSS + p["loss"]) * 1j
-        # Critical damping grows with the root of mass and stiffness.
-        damper = 1j * s.omega[:, None] * np.where(np.isnan(self.known["c"]), p["c"], 0.0)
-        masses, connections = np.arange(len(p["m"])), np.arange(len(p["k"]))
-        for dof in self.free["m"]:
-            yield slopes.by(p["m"] * (masses == dof), 0.5 * damper * (self.end == dof))
-        for i in self.free["k"]:
-            yield slopes.by(np.zeros(len(masses)), (p["k"] * spring + 0.5 * damper) * (connections == i))
-        for stiffer in [damper] * self.damped + [1j * p["loss"] * p["k"] + 0.0 * damper] * self.lossy:
-            yield slopes.by(np.zeros(len(masses)), stiffer)
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(O, S, F, p), of the residual by the unknowns of the structure and of the channels."""
+        of_sensors, of_inputs = self.doubts.factors(x[self.structure.count :])
+        shown, of_acting = of_sensors[:, :, None], self.of_acting / of_inputs[:, :, None]
+        by = [shown * slope @ of_acting for slope in self._response_slopes(x)]
+        by += self.doubts.slopes(self._parts(x)) if len(self.doubts) else []
+        return np.stack([self.scale * self._smoothed(slope) for slope in by], axis=-1)
 
-    def _driven(self, x: np.ndarray, doubted: bool = True) -> Driven:
-        """At the unknowns x, those of the channels included or not."""
-        s, p = self.spectra, self.parameters(x)
-        connection = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * s.omega[:, None] * p["c"]
-        flexibility = Flexibility(s.omega, self.stretch, p["m"], connection).matrix
-        pulled = self.stretch.T @ (connection[:, :, None] * self.carried)
-        moved = flexibility @ (self.pushed - p["m"][:, None] * self.shaken - pulled)
-        response = s.differentiation[:, :, None] * moved[:, self.sensed] + self.felt
-        shown, of_acting, parts = np.ones((1, 1, 1)), self.of_acting, np.empty(0)
-        if self.doubts is None or not doubted:
-            return Driven(p, flexibility, moved, shown, of_acting, parts, response @ of_acting)
-        of_sensors, of_inputs = self.doubts.factors(x[self.count :])
-        shown, of_acting = of_sensors[:, :, None], of_acting / of_inputs[:, :, None]
-        parts = np.einsum("bsf,bfg->fbsg", shown * response, of_acting)
-        return Driven(p, flexibility, moved, shown, of_acting, parts, parts.sum(0))
+    def _parts(self, x: np.ndarray) -> np.ndarray:
+        """(F, B, S, F), what each input adds to the cross spectra; all together, (1, B, S, F), without doubts."""
+        response = self._response(x).value + self.felt
+        if not len(self.doubts):
+            return (response @ self.of_acting)[None]
+        of_sensors, of_inputs = self.doubts.factors(x[self.structure.count :])
+        return np.einsum("bsf,bfg->fbsg", of_sensors[:, :, None] * response, self.of_acting / of_inputs[:, :, None])
+
+    def _response(self, x: np.ndarray) -> FrequencyResponse:
+        """Of the structure, but for what accelerometers feel of the ground itself."""
+        p, omega = self.structure.parameters(x), self.spectra.omega
+        connection = p["k"] * (1.0 + (LEAST_LOSS + p["loss"]) * 1j) + 1j * omega[:, None] * p["c"]
+        return FrequencyResponse(omega, self.structure.stretch, self.sensing, self.acting, p["m"], connection)
+
+    def _response_slopes(self, x: np.ndarray) -> Iterator[np.ndarray]:
+        """(B, S, F), by every unknown of the structure."""
+        response = self._response(x)
+        for mass, connection in self.structure.slopes(self.spectra.omega, self.structure.parameters(x)):
+            yield response.slope(mass, connection)
 
 
 class JointFit:
-    """The same of several records of one structure: one vector of unknowns, and the misfits of all of them.
-
-    Gain and delay of a sensor that has one name in two records are one gain and one delay.
+    """The misfits of several records of one structure: its unknowns, then gains and delays of their sensors.
 
     Args:
-        each: Of every record; they differ in their spectra and in what is in doubt of their channels.
-
-    Attributes:
-        doubts: Kind and name of the gauge, of everything that is in doubt.
+        each: Of every record, with the same doubts.
     """
 
     def __init__(self, each: Sequence[LinearFit]) -> None:
-        self.each = each
-        self.known, self.free, self.stretch, self.count = each[0].known, each[0].free, each[0].stretch, each[0].count
-        self.parameters = each[0].parameters
-        of_each = [() if fit.doubts is None else fit.doubts.doubts for fit in each]
-        std: dict[tuple[str, str], float] = {}
-        for doubt in (doubt for own in of_each for doubt in own):
-            std.setdefault((doubt.kind, doubt.gauge), doubt.std)
-        self.doubts = list(std)
-        # Of every record's own unknowns the places among all of them, and one over their unit, that of the first.
-        structure = np.arange(self.count)
-        self.places = [
-            np.append(structure, [self.count + self.doubts.index((d.kind, d.gauge)) for d in own]).astype(int)
-            for own in of_each
-        ]
-        self.rates = [
-            np.append(np.ones(self.count), [std[d.kind, d.gauge] / d.std if d.kind == "delay" else 1.0 for d in own])
-            for own in of_each
-        ]
+        self.each, self.structure, self.doubts = each, each[0].structure, each[0].doubts
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
@@ -302,36 +246,26 @@ class JointFit:
         return max(sum(fit.size for fit in self.each), 1e-300)
 
     def start(self, mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """See :meth:`LinearFit.start`."""
-        return np.append(self.each[0].start(mass, stiffness)[: self.count], np.zeros(len(self.doubts)))
-
-    def _own(self, x: np.ndarray) -> list[tuple[LinearFit, np.ndarray]]:
-        """Every record's fit and its own unknowns."""
-        return [(fit, x[at] * rate) for fit, at, rate in zip(self.each, self.places, self.rates, strict=True)]
+        """See :meth:`LinearStructure.start`; sensors are as they are believed to be."""
+        return np.append(self.structure.start(mass, stiffness), np.zeros(len(self.doubts)))
 
     def aligned(self, x: np.ndarray) -> np.ndarray:
         """See :meth:`LinearFit.aligned`; a sensor of two records is where the last of them wants it."""
-        x = x.copy()
-        for (fit, own), at, rate in zip(self._own(x), self.places, self.rates, strict=True):
-            x[at] = fit.aligned(own) / rate
+        for fit in self.each:
+            x = fit.aligned(x)
         return x
 
     def outline(self, x: np.ndarray) -> float:
         """See :meth:`LinearFit.outline`, over all that there is to explain."""
-        return sum(fit.outline(own) for fit, own in self._own(x)) / self.size
+        return sum(fit.outline(x) for fit in self.each) / self.size
 
     def misfit(self, x: np.ndarray) -> float:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        residuals = [fit.residual(own, slopes=False)[0] for fit, own in self._own(x)]
-        return sum(float(np.sum(np.abs(residual) ** 2)) for residual in residuals) / self.size
+        return sum(float(np.sum(np.abs(fit.residual(x)) ** 2)) for fit in self.each) / self.size
 
     def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        out: dict[str, dict[str, float]] = {}
-        for fit, own in self._own(x):
-            for name, numbers in fit.calibration(own).items():
-                out[name] = numbers | out.get(name, {})
-        return out
+        return self.doubts.calibration(x[self.structure.count :])
 
     @property
     def scatter(self) -> float:
@@ -344,28 +278,17 @@ class JointFit:
             return self.misfit(x), x
 
         def residual(x: np.ndarray) -> np.ndarray:
-            return _real(np.concatenate([fit.residual(own, slopes=False)[0].reshape(-1) for fit, own in self._own(x)]))
+            return real_rows(np.concatenate([fit.residual(x).reshape(-1) for fit in self.each]))
 
         def jacobian(x: np.ndarray) -> np.ndarray:
-            return _real(np.concatenate([self._slopes(i, own, len(x)) for i, (_, own) in enumerate(self._own(x))]))
+            return real_rows(np.concatenate([fit.slopes(x).reshape(-1, len(x)) for fit in self.each]))
 
         bounds = (x - FARTHEST, x + FARTHEST)
         found = least_squares(residual, x, jacobian, bounds, loss="soft_l1", f_scale=0.3, max_nfev=EVALUATIONS)
         return self.misfit(found.x), found.x
-
-    def _slopes(self, record: int, own: np.ndarray, unknowns: int) -> np.ndarray:
-        """Of one record's residuals, by all unknowns."""
-        slopes = self.each[record].residual(own, slopes=True)[1].reshape(-1, len(own)) * self.rates[record]
-        out = np.zeros((len(slopes), unknowns), complex)
-        out[:, self.places[record]] = slopes
-        return out
 
 
 def last_ends(stretch: np.ndarray) -> np.ndarray:
     """(C,), of every connection, a row of (C, n), the last coordinate that stretches it; of a chain its own mass."""
     last: np.ndarray = stretch.shape[1] - 1 - np.argmax(stretch[:, ::-1] != 0, axis=1)
     return last
-
-
-def _real(values: np.ndarray) -> np.ndarray:
-    return np.concatenate((values.real, values.imag))

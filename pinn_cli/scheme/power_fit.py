@@ -6,14 +6,11 @@ decay. The level c and the slope p are those that fit best; what is left tells f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from pinn_cli.record.channels import Channel
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, LinearFit
-from pinn_cli.system.quantities import FORCE
+from pinn_cli.scheme.linear_fit import ABOVE_FLOOR, LinearFit, LinearStructure
+from pinn_cli.system.frequency_response import Acting
 
 
 class PowerFit(LinearFit):
@@ -21,16 +18,13 @@ class PowerFit(LinearFit):
 
     Args:
         record: Whose forces are not all measured.
-        stretch, known, typical: See :class:`LinearFit`.
+        structure: With its unknowns.
     """
 
-    def __init__(
-        self, record: Record, stretch: np.ndarray, known: Mapping[str, np.ndarray], typical: np.ndarray
-    ) -> None:
-        super().__init__(record, stretch, known, typical)
-        dofs = np.arange(record.ndof) if record.unforced.all() else np.flatnonzero(~record.unforced)
-        forces = [Channel(FORCE, int(dof), record.force[:, dof]) for dof in dofs]
-        self.act(forces, np.eye(len(forces))[None], np.zeros((len(stretch), 0)))
+    def __init__(self, record: Record, structure: LinearStructure) -> None:
+        super().__init__(record, structure)
+        every = np.eye(record.ndof)
+        self.acting = Acting.forces(every if record.unforced.all() else every[:, ~record.unforced])
 
     def smooth(self, width: float) -> None:
         """See :meth:`LinearFit.smooth`."""
@@ -45,16 +39,17 @@ class PowerFit(LinearFit):
         self.size = float(np.sum(self._without_spectrum(self.weight * self.measured) ** 2))
         self.scatter = 0.0
 
-    def residual(self, x: np.ndarray, slopes: bool) -> tuple[np.ndarray, np.ndarray]:
-        """(O, S) misfit of the logarithms and, if wanted, its slopes (O, S, p)."""
-        here = self._driven(x)
-        power = np.maximum(self.kernel @ np.sum(np.abs(here.cross) ** 2, axis=2), 1e-300)
-        residual = self._without_spectrum(self.weight * (np.log(power) - self.measured))
-        if not slopes:
-            return residual, np.empty(0)
-        by = [2.0 * np.sum((here.cross.conj() * slope).real, axis=2) for slope in self._slopes(here)]
-        moved = [self._without_spectrum(self.weight / power * (self.kernel @ slope)) for slope in by]
-        return residual, np.stack(moved, axis=-1)
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """(O, S) misfit of the logarithms."""
+        power = np.maximum(self.kernel @ np.sum(np.abs(self._response(x).value) ** 2, axis=2), 1e-300)
+        return self._without_spectrum(self.weight * (np.log(power) - self.measured))
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(O, S, p), of the residual by the structure's unknowns."""
+        value = self._response(x).value
+        weight = self.weight / np.maximum(self.kernel @ np.sum(np.abs(value) ** 2, axis=2), 1e-300)
+        by = [2.0 * np.sum((value.conj() * slope).real, axis=2) for slope in self._response_slopes(x)]
+        return np.stack([self._without_spectrum(weight * (self.kernel @ slope)) for slope in by], axis=-1)
 
     def _without_spectrum(self, logarithms: np.ndarray) -> np.ndarray:
         """Weighed logarithms (O, S) without what the forces' spectrum can make up for."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit, what_acts
+from pinn_cli.scheme.channel_doubts import doubts_of
+from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.power_fit import PowerFit
 
 # Relative widths of the smoothing, one after the other, and how many starts go on to each.
@@ -68,15 +69,14 @@ def screened(
     """
     every = [each for each in (record, *further) if each.observed.any()]
     records = [each for each in every if what_acts(each)]
-    fits = [LinearFit(each, stretch, known, guess["k"], influence) for each in records]
-    if not (any(fit.doubts for fit in fits) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+    doubts = doubts_of(records)
+    if not every or not (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
         return []
-    if not fits:  # resonances show in the sensors alone
-        records, fits = every, [PowerFit(each, stretch, known, guess["k"]) for each in every]
-    if not fits:
-        return []
-    model = JointFit(fits)
-    return nearest(model, grid_of_starts(model, records, guess))
+    structure = LinearStructure(stretch, known, guess["k"], influence)
+    fits = [LinearFit(each, structure, doubts) for each in records]
+    # Where nobody measured what acts, resonances show in the sensors alone.
+    model = JointFit(fits or [PowerFit(each, structure) for each in every])
+    return nearest(model, grid_of_starts(model, records or every, guess))
 
 
 def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[int] = SURVIVORS) -> list[Candidate]:
@@ -90,16 +90,20 @@ def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[i
         found = sorted((model.fitted(x) for x in starts[:most]), key=lambda pair: pair[0])
         found = _distinct(found)
         starts = [x for _, x in found]
-    return [Candidate(model.parameters(x), misfit, model.scatter, model.calibration(x)) for misfit, x in found]
+    return [
+        Candidate(model.structure.parameters(x), misfit, model.scatter, model.calibration(x)) for misfit, x in found
+    ]
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """The guess, and the best of many with a common factor on its stiffnesses or masses that the record can tell."""
-    mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
-    stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
-    if not len(model.free["m"]) and not len(model.free["k"]):
+    known, free = model.structure.known, model.structure.free
+    mass, stiffness = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
+    if not len(free["m"]) and not len(free["k"]):
         return [model.start(mass, stiffness)]
-    rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
+    rates = np.linalg.eigvalsh(
+        model.structure.stretch.T @ (stiffness[:, None] * model.structure.stretch) / np.sqrt(np.outer(mass, mass))
+    )
     # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
     stiff = rates[rates > LOOSE * rates[-1]]
     if not stiff.size:
@@ -109,9 +113,9 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
     least, most = 2.0 * np.log10(SLOWEST / duration / fast), 2.0 * np.log10(FASTEST * band / slow)
     factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
-    lighter = np.ones_like(factors) if len(model.free["k"]) else factors
+    lighter = np.ones_like(factors) if len(free["k"]) else factors
     tried = [model.start(mass / by, factor * stiffness) for factor, by in zip(factors, lighter, strict=True)]
-    misfits = np.array([model.outline(x) if model.doubts else model.misfit(x) for x in tried])
+    misfits = np.array([model.outline(x) if len(model.doubts) else model.misfit(x) for x in tried])
     valleys = [
         i
         for i in range(len(tried))

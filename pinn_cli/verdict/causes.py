@@ -17,9 +17,11 @@ import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.scheme.linear_fit import JointFit, LinearFit, what_acts
+from pinn_cli.scheme.channel_doubts import doubts_about
+from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.screening import WIDTHS, Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
+from pinn_cli.system.frequency_response import real_rows
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.verdict.channel_faults import factor_finding, late_finding, misplaced_finding, swap_finding
@@ -172,12 +174,12 @@ class _Fits:
             known[p.kind][p.index] = np.nan
         fit = self._fit(record, known)
         fit.smooth(WIDTHS[-1])
-        left, slopes = fit.residual(fit.start(found.parameters[MASS], found.parameters["k"]), slopes=True)
+        x = fit.structure.start(found.parameters[MASS], found.parameters["k"])
+        left, slopes = fit.residual(x), fit.slopes(x)
         missed = (np.abs(left) ** 2).sum((0, 2))
         sensors = list(fit.spectra.sensors)
         worst = [sensors[i] for i in np.argsort(-missed, kind="stable")[:SUSPECTED]]
-        columns, rest = slopes.reshape(left.size, -1), left.reshape(-1)
-        columns, rest = np.concatenate((columns.real, columns.imag)), np.concatenate((rest.real, rest.imag))
+        columns, rest = real_rows(slopes.reshape(left.size, -1)), real_rows(left.reshape(-1))
         held = np.array([not np.isnan(self.known[p.kind][p.index]) for p in given], dtype=bool)
         basis, _ = np.linalg.qr(columns[:, ~held])
         own = columns[:, held] - basis @ (basis.T @ columns[:, held])
@@ -189,7 +191,8 @@ class _Fits:
     def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
         """Of the record's spectra."""
         stretch = self.structure.stretch.matrix[self.structure.added].toarray()
-        return LinearFit(record, stretch, known, self.guess["k"], self.structure.with_ground, doubted)
+        structure = LinearStructure(stretch, known, self.guess["k"], self.structure.with_ground)
+        return LinearFit(record, structure, [] if doubted is None else doubts_about(doubted, record.step))
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import LOWEST_BINS, signal_edges
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.connection.linear import Linear
-from pinn_cli.system.flexibility import Flexibility, Slopes
+from pinn_cli.system.frequency_response import Acting, FrequencyResponse
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
@@ -106,11 +106,12 @@ class SpectralModel:
         self.vector = ParameterVector(nominal, problem.uncertain)
         self.spread = self.vector.each("prior_std")
         n, sensors, loads = dynamics.ndof, spectrum.sensors, [load.dof for load in spectrum.acting]
-        self.sensed = np.array([dynamics.sensing(c.quantity)[0][1].toarray()[c.dof, :n] for c in sensors])
+        sensed = np.array([dynamics.sensing(c.quantity)[0][1].toarray()[c.dof, :n] for c in sensors])
+        self.sensing = spectrum.differentiation[:, :, None] * sensed
         self.stretch = problem.structure.incidence.matrix.toarray()
         acting = [*problem.inputs.forces, *loads]
         shapes = problem.structure.shapes
-        self.pushed = np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T
+        self.acting = Acting.forces(np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T)
         self.unknown_forces = len(problem.inputs.forces)
         samples = [SensorSamples.of_column(problem.record, *sensor.place) for sensor in sensors]
         self.first_noise = np.array([sample.first for sample in samples])
@@ -139,18 +140,17 @@ class SpectralModel:
         """(q,): prescribed parameters, forces that give the sensors their power, and the noise that spectra show."""
         x = np.zeros(self.size)
         x[self.places["noise"]] = np.log(self.first_noise)
-        _, _, at_sensors = self._transfer(x)
+        at_sensors = self._response(x).value
         every = np.einsum("gsf,gsf->g", at_sensors, at_sensors.conj()).real
         power = self.spectrum.power[:, : len(self.first_noise)].sum(1)
         x[self.places["shape"]] = 0.5 * np.log(np.median(power / every))
         return x
 
-    def _transfer(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """From the coordinates' equations to the sensors (G, S, n), from the forces to the coordinates, to sensors."""
+    def _response(self, x: np.ndarray) -> FrequencyResponse:
+        """Of the sensors to the forces (G, S, F)."""
         omega, (mass, damping, stiffness) = self.spectrum.omega, self.coefficients(x[self.places["parameters"]])
-        flexibility = Flexibility(omega, self.stretch, mass, stiffness + 1j * omega[:, None] * damping).matrix
-        sensed = self.spectrum.differentiation[:, :, None] * (self.sensed @ flexibility)
-        return sensed, flexibility @ self.pushed, sensed @ self.pushed
+        connection = stiffness + 1j * omega[:, None] * damping
+        return FrequencyResponse(omega, self.stretch, self.sensing, self.acting, mass, connection)
 
     def coefficients(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Masses (n,), and damping and stiffness (C,) of the connections; parameters (p,) in prior deviations."""
@@ -177,8 +177,8 @@ class SpectralModel:
 
     def covariance(self, x: np.ndarray) -> Covariance:
         """At the unknowns (q,)."""
-        sensed, at_coordinates, at_sensors = self._transfer(x)
-        places, omega = self.places, self.spectrum.omega[:, None]
+        response = self._response(x)
+        at_sensors, places, omega = response.value, self.places, self.spectrum.omega[:, None]
         unknown = self.shape @ x[places["shape"]][:, None] + x[places["forces"]]
         loads = np.broadcast_to(self.load_noise, (len(omega), len(self.load_noise)))
         level = np.concatenate((np.exp(unknown), loads), axis=1)
@@ -192,10 +192,8 @@ class SpectralModel:
         slopes = np.empty((self.size, *value.shape), dtype=complex)
         seen = slice(self.unknown_forces, None)
         seen_slopes = np.empty((len(self.spread), *at_sensors[:, :, seen].shape), dtype=complex)
-        inertia, stretched = omega[..., None] ** 2 * at_coordinates, self.stretch @ at_coordinates
-        by = Slopes(sensed, sensed @ self.stretch.T, inertia, stretched)
         for i, (mass, damping, stiffness) in enumerate(self._by_parameter):
-            moved = by.by(mass, stiffness + 1j * omega * damping)
+            moved = response.slope(mass, stiffness + 1j * omega * damping)
             product = moved @ weighed
             slopes[i], seen_slopes[i] = product + product.conj().transpose(0, 2, 1), moved[:, :, seen]
         own = at_sensors[:, :, : self.unknown_forces, None] * weighed[:, None, : self.unknown_forces]  # (G, S, U, S)
