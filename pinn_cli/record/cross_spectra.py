@@ -57,11 +57,9 @@ class CrossSpectra(Generic[S]):
         values: (N, S + F), the channels.
         step: From sample to sample, s.
         frequency: (B,), Hz.
-        count: (B,), independent products of which each is the mean.
+        count: (B,), independent products of which each is the mean: one in so many is the relative variance of a power.
         cross: (B, S + F, R), channel times conjugate channel, the latter the last R ones.
         power: (B, S + F), of every channel; where samples are missing, with the scatter that this brings.
-        scatter: (B, S + F, R), variance that missing samples bring to one of the products of which ``cross`` is the
-            mean; None: none is missing.
     """
 
     sensors: Sequence[S]
@@ -72,7 +70,6 @@ class CrossSpectra(Generic[S]):
     count: np.ndarray
     cross: np.ndarray
     power: np.ndarray
-    scatter: np.ndarray | None = None
 
     @classmethod
     def of_pieces(cls, sensors: Sequence[S], acting: Sequence[S], values: np.ndarray, step: float) -> CrossSpectra[S]:
@@ -118,7 +115,6 @@ class CrossSpectra(Generic[S]):
             return sums / size.reshape(-1, *[1] * (lines.ndim - 1))
 
         gaps = {(g.quantity, g.dof): g for g in record.gauges if g.dof is not None and misses_samples(g, record)}
-        power, scatter = averaged(np.abs(_lines(values, window)) ** 2), None
         if references and gaps.keys() & {channel.place for channel in channels}:
             samples = [
                 Samples.of_gauge(gaps[channel.place], record, window)
@@ -129,15 +125,11 @@ class CrossSpectra(Generic[S]):
             lines = np.stack([[cross_spectrum(a, b) for b in samples[-references:]] for a in samples])
             cross = averaged(np.moveaxis(lines, 2, 0))
             power = averaged(np.stack([x.power() for x in samples], axis=1))
-            complete = averaged(np.stack([cross_spectrum(x, x).real for x in samples], axis=1))
-            both = [x[:, :, None] * x[:, None, len(channels) - references :] for x in (power, complete)]
-            scatter = np.maximum(both[0] - both[1], 0.0)
         else:
             cross = averaged(_products(values, window, references))
+            power = averaged(np.abs(_lines(values, window)) ** 2)
         frequency, count = np.fft.rfftfreq(len(values), record.step), independent_part(window) * size
-        return CrossSpectra(
-            sensors, acting, values, record.step, averaged(frequency), count, cross, power, scatter
-        )  # fmt: skip
+        return CrossSpectra(sensors, acting, values, record.step, averaged(frequency), count, cross, power)
 
     @cached_property
     def omega(self) -> np.ndarray:

@@ -19,8 +19,8 @@ from pinn_cli.system.quantities import FORCE, SUPPORT
 
 # Frequencies at most: a dense matrix is inverted at each.
 MOST_FREQUENCIES = 300
-# Relative width of the smoothing, to begin with.
-WIDEST = 0.15
+# Relative widths of the smoothing, one after the other.
+WIDTHS = 0.15, 0.05, 0.015
 # Loss factor that every spring has at least: nothing is singular at a resonance then.
 LEAST_LOSS = 1e-5
 # Damping ratio at which damping starts where it is unknown.
@@ -134,7 +134,7 @@ class LinearFit:
         self.acting = Acting(pushed, shaken, carried)
         absolute = [sensor.quantity == "acceleration" and record.frame == "absolute" for sensor in s.sensors]
         self.felt = shaken[self.sensed] * np.array(absolute)[:, None]
-        self.smooth(WIDEST)
+        self.smooth(WIDTHS[0])
 
     def smooth(self, width: float) -> None:
         """Choose how widely the misfit is smoothed."""
@@ -145,10 +145,6 @@ class LinearFit:
         self.scale = told[:, :count, None] * told[:, None, count:]
         self.common = self.scale * self._smoothed(s.of_both)
         self.size = float(np.sum(np.abs(self.common) ** 2))
-        self.scatter = 0.0
-        if s.scatter is not None:
-            by_chance = np.einsum("ob,bsf->osf", self.kernel**2 / s.count, s.scatter[:, :count])
-            self.scatter = float(np.sum(self.scale**2 * by_chance))
 
     def outline(self, x: np.ndarray) -> float:
         """Squares of the misfit of sizes alone, each channel as large as it comes nearest, whatever is in doubt."""
@@ -266,11 +262,6 @@ class JointFit:
     def calibration(self, x: np.ndarray) -> dict[str, dict[str, float]]:
         """See :class:`pinn_cli.scheme.screening.Candidate`."""
         return self.doubts.calibration(x[self.structure.count :])
-
-    @property
-    def scatter(self) -> float:
-        """See :class:`pinn_cli.scheme.screening.Candidate`."""
-        return min(sum(fit.scatter for fit in self.each) / self.size, 1.0)
 
     def fitted(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """The misfit and the unknowns at the bottom of the valley that x lies in."""

@@ -37,7 +37,6 @@ class PowerFit(LinearFit):
         together = np.stack((np.ones_like(at), at - at.mean()), axis=1)[:, None, :] * self.weight[..., None]
         self.basis, _ = np.linalg.qr(together.reshape(-1, 2))  # of level and slope, the same of all sensors
         self.size = float(np.sum(self._without_spectrum(self.weight * self.measured) ** 2))
-        self.scatter = 0.0
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """(O, S) misfit of the logarithms."""

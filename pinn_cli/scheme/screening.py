@@ -15,17 +15,16 @@ import numpy as np
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.channel_doubts import doubts_of
-from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit, LinearStructure, what_acts
+from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.power_fit import PowerFit
+from pinn_cli.system.modes import RIGID
 
-# Relative widths of the smoothing, one after the other, and how many starts go on to each.
-WIDTHS, SURVIVORS = (WIDEST, 0.05, 0.015), (6, 4, 3)
+# Starts that go on to each width of the smoothing.
+SURVIVORS = (6, 4, 3)
 # Common factors on the stiffnesses that are tried per decade.
 PER_DECADE = 8
-# Squared frequencies below this part of the highest are those of a chain that is loose somewhere.
-LOOSE = 1e-8
-# Starts whose stiffnesses differ by less are one.
-SAME = 0.02
+# Starts whose masses and springs differ by less, as logarithms, are one.
+SAME = 0.1
 # Frequencies of a start: the highest lies above this part of the lowest that the record can tell, the lowest below so
 # many times its highest.
 SLOWEST, FASTEST = 0.5, 3.0
@@ -38,13 +37,11 @@ class Candidate:
     Attributes:
         parameters: ``m`` to (n,); ``c``, ``k`` to (C,); ``loss``, of all springs, to (1,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
-        scatter: Part that missing samples alone leave unexplained, 0 to 1.
         calibration: Name of a gauge to its gain and its delay, s, where those are in doubt.
     """
 
     parameters: dict[str, np.ndarray]
     misfit: float
-    scatter: float = 0.0
     calibration: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
@@ -90,9 +87,7 @@ def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[i
         found = sorted((model.fitted(x) for x in starts[:most]), key=lambda pair: pair[0])
         found = _distinct(found)
         starts = [x for _, x in found]
-    return [
-        Candidate(model.structure.parameters(x), misfit, model.scatter, model.calibration(x)) for misfit, x in found
-    ]
+    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x)) for misfit, x in found]
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
@@ -105,7 +100,7 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
         model.structure.stretch.T @ (stiffness[:, None] * model.structure.stretch) / np.sqrt(np.outer(mass, mass))
     )
     # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
-    stiff = rates[rates > LOOSE * rates[-1]]
+    stiff = rates[rates > RIGID * rates[-1]]
     if not stiff.size:
         return [model.start(mass, stiffness)]
     slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)

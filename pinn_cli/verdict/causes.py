@@ -18,8 +18,8 @@ import numpy as np
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
 from pinn_cli.scheme.channel_doubts import doubts_about
-from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure, what_acts
-from pinn_cli.scheme.screening import WIDTHS, Candidate, grid_of_starts, nearest
+from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
+from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
 from pinn_cli.system.frequency_response import real_rows
 from pinn_cli.system.parameters import MASS, Parameter

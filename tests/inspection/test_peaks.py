@@ -97,3 +97,10 @@ def test_peaks_beside_those_of_a_structure(chain):
     np.testing.assert_allclose(table["difference_percent"], 2.0, atol=0.2)
     assert peak_table(peaks, None)["structure_hz"].isna().all()
     assert peak_table(peaks, np.array([np.nan, 0.0]))["mode"].isna().all()
+
+
+def test_a_short_record_of_slow_motion_keeps_its_samples_and_their_step():
+    time = np.arange(300) / 100.0
+    spectra = spectra_of([Signal("a", np.sin(3.0 * time), "acceleration", "1")], Sampling(time), highest=1.0)
+    assert len(spectra.values) == 300
+    assert spectra.step == pytest.approx(0.01)
