@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pinn_cli.record.frequency_response import Spectra, chance_coherence, piece_length
+from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.peaks import Peak
-from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
+from pinn_cli.record.response import GROUND
 from pinn_cli.record.signal import Sampling, Signal
 
 # Two sensors of one DOF agree within this part; less coherent than this, they say nothing of each other.
@@ -27,7 +27,9 @@ _RATIOS = {
 }
 
 
-def disagreements(signals: Sequence[Signal], sampling: Sampling, spectra: Spectra, peaks: Sequence[Peak]) -> list[str]:
+def disagreements(
+    signals: Sequence[Signal], sampling: Sampling, spectra: CrossSpectra[Signal], peaks: Sequence[Peak]
+) -> list[str]:
     """Sentences, of offsets first.
 
     Args:
@@ -58,31 +60,26 @@ def _offsets(signals: Sequence[Signal], sampling: Sampling) -> Iterator[str]:
             )
 
 
-def _of_one_dof(spectra: Spectra) -> Iterator[str]:
+def _of_one_dof(spectra: CrossSpectra[Signal]) -> Iterator[str]:
     """An acceleration against the displacement or velocity of the same DOF."""
-    for i, a in enumerate(spectra.outputs):
-        for j, other in enumerate(spectra.outputs):
-            order = {"displacement": 2, "velocity": 1}.get(other.quantity)
-            if a.quantity != "acceleration" or order is None or a.place != other.place:
+    for i, a in enumerate(spectra.sensors):
+        for j, other in enumerate(spectra.sensors):
+            if a.quantity != "acceleration" or other.order == a.order or a.place != other.place:
                 continue
-            ratio, coherence = _ratio(spectra.y[:, j], spectra.y[:, i], order, spectra.step)
+            ratio, coherence = _ratio(spectra, j, i)
             if coherence < COHERENT:
                 yield f"{a.name} and {other.name} have little in common (coherence {coherence:.2f})"
             elif abs(ratio - 1.0) > AGREE:
                 yield f"{a.name} is {ratio:.3g} times what {other.name} says{_cause(ratio)}"
 
 
-def _ratio(x: np.ndarray, a: np.ndarray, order: int, step: float) -> tuple[float, float]:
+def _ratio(spectra: CrossSpectra[Signal], x: int, a: int) -> tuple[float, float]:
     """What an acceleration is of a signal's derivative, by least squares over the band of both; and their coherence."""
-    from scipy.signal import csd
-
-    options = {"fs": 1.0 / step, "nperseg": piece_length(len(x)), "detrend": "constant"}
-    f, cross = csd(x, a, **options)
-    power_x, power_a = (csd(z, z, **options)[1].real for z in (x, a))
-    turn = (2j * np.pi * f) ** order
+    cross, power_x, power_a = spectra.cross[:, a, x], spectra.power[:, x], spectra.power[:, a]
+    turn = (1j * spectra.omega) ** (spectra.orders[a] - spectra.orders[x])
     with np.errstate(divide="ignore", invalid="ignore"):
         coherence = np.nan_to_num(np.abs(cross) ** 2 / (power_x * power_a))
-    seen = (coherence > 0.5) & (f > 0)
+    seen = (coherence > 0.5) & (spectra.frequency > 0)
     if not seen.any():
         return np.nan, float(np.max(coherence[1:], initial=0.0))
     along = np.sum((np.conj(turn) * cross)[seen].real)
@@ -98,29 +95,28 @@ def _cause(ratio: float) -> str:
     return f"; {unit}" if unit else "; a gain or a unit is wrong?"
 
 
-def _opposed(spectra: Spectra, peaks: Sequence[Peak]) -> Iterator[str]:
+def _opposed(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
     """At a resonance, an accelerometer where the force acts moves ahead of it by a quarter period, never behind."""
-    for j, force in enumerate(spectra.inputs):
-        for i, sensor in enumerate(spectra.outputs):
+    for j, force in enumerate(spectra.acting):
+        for i, sensor in enumerate(spectra.sensors):
             if force.quantity != "force" or sensor.place != force.place or not sensor.quantity:
                 continue
-            order = 2 - RESPONSE_QUANTITIES.index(sensor.quantity)
             ahead = []
             for peak in peaks:
                 k = int(np.argmin(np.abs(spectra.frequency - peak.frequency)))
-                if spectra.coherence[k, i] > max(COHERENT, chance_coherence(len(spectra.y))):
-                    response = spectra.response[k, i, j] * (2j * np.pi * spectra.frequency[k]) ** order
+                if spectra.coherence[k, i] > max(COHERENT, spectra.chance_coherence()):
+                    response = spectra.response[k, i, j] * (1j * spectra.omega[k]) ** (2 - sensor.order)
                     ahead.append(float(response.imag / abs(response)))
             if ahead and np.mean(ahead) < -0.5:
                 yield f"{sensor.name} moves against {force.name}: the sign of one of them is wrong?"
 
 
-def _against_the_ground(spectra: Spectra, peaks: Sequence[Peak]) -> Iterator[str]:
+def _against_the_ground(spectra: CrossSpectra[Signal], peaks: Sequence[Peak]) -> Iterator[str]:
     """Far below the first natural frequency the structure moves as the ground does."""
-    if [signal.quantity for signal in spectra.inputs] != [GROUND] or not peaks:
+    if [signal.quantity for signal in spectra.acting] != [GROUND] or not peaks:
         return
     f, first = spectra.frequency, peaks[0].frequency
-    for i, sensor in enumerate(spectra.outputs):
+    for i, sensor in enumerate(spectra.sensors):
         slow = (f > 0) & (f < first / 4.0) & (spectra.coherence[:, i] > 0.8)
         if sensor.quantity != "acceleration" or slow.sum() < 3:
             continue

@@ -30,8 +30,8 @@ _MODE: dict[str, Any] = {"color": style.ORANGE, "linewidth": 0.9, "linestyle": "
 
 def inspection_figure(found: Inspection) -> Figure:
     """Histories and power spectra; shaded, the band; dashed, the noise. Peaks are grey, the structure's dotted."""
-    shown = [*found.spectra.inputs, *found.spectra.outputs][:ROWS]
-    responses = bool(found.spectra.inputs) and bool(found.spectra.outputs)
+    shown = [*found.spectra.acting, *found.spectra.sensors][:ROWS]
+    responses = bool(found.spectra.acting) and bool(found.spectra.sensors)
     with style.look():
         figure, panels = style.panels(
             len(shown) + responses, 2, 0.95, margins=(0.66, 0.1, 0.4, 0.5), gaps=(0.6, 0.34), width_ratios=(1.2, 1.0)
@@ -69,9 +69,8 @@ def _draw_history(axes: Axes, found: Inspection, signal: Signal) -> None:
 
 def _draw_spectrum(axes: Axes, found: Inspection, signal: Signal) -> None:
     spectra = found.spectra
-    every = [*spectra.inputs, *spectra.outputs]
-    i = next(i for i, other in enumerate(every) if other is signal)
-    power = np.concatenate([spectra.power_x, spectra.power_y], axis=1)[1:, i]
+    i = next(i for i, other in enumerate([*spectra.sensors, *spectra.acting]) if other is signal)
+    power = 2.0 * spectra.step * spectra.power[1:, i]  # one-sided density
     kept = _spectral_indices(power)
     axes.plot(spectra.frequency[1:][kept], np.where(power > 0.0, power, np.nan)[kept], **_LINE)
     row = found.channels.iloc[next(j for j, other in enumerate(found.signals) if other is signal)]
@@ -86,7 +85,7 @@ def _draw_spectrum(axes: Axes, found: Inspection, signal: Signal) -> None:
 def _draw_responses(magnitude: Axes, coherence: Axes, found: Inspection) -> None:
     spectra = found.spectra
     size = np.sqrt(np.sum(np.abs(spectra.response[1:]) ** 2, axis=2))
-    for k, sensor in enumerate(spectra.outputs[:ROWS]):
+    for k, sensor in enumerate(spectra.sensors[:ROWS]):
         look: dict[str, Any] = {"color": style.CYCLE[k % len(style.CYCLE)], "linewidth": 0.7, "label": _label(sensor)}
         for axes, values in ((magnitude, size[:, k]), (coherence, spectra.coherence[1:, k])):
             kept = _spectral_indices(values)

@@ -11,11 +11,11 @@ import pandas as pd
 from pinn_cli.inspection.channel_table import channel_table
 from pinn_cli.inspection.consistency import disagreements
 from pinn_cli.inspection.proposal import as_typed, guessed, proposed_command
-from pinn_cli.record.frequency_response import Spectra, spectra_of
+from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.record.peaks import Peak, find_peaks
 from pinn_cli.record.record import MINIMUM_SAMPLES
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.signal import Sampling, Signal
+from pinn_cli.record.signal import Sampling, Signal, spectra_of
 from pinn_cli.settings.errors import InputError
 
 PEAK_COLUMNS = (
@@ -43,7 +43,7 @@ class Inspection:
     sampling: Sampling
     signals: Sequence[Signal]
     channels: pd.DataFrame
-    spectra: Spectra
+    spectra: CrossSpectra[Signal]
     peaks: pd.DataFrame
     notes: Sequence[str]
     command: Sequence[str]

@@ -9,11 +9,8 @@ import numpy as np
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import periodogram
+from pinn_cli.record.spectrum import LOWEST_BINS, periodogram
 from pinn_cli.system.quantities import SUPPORT
-
-# The Hann window spreads a channel's mean over the two lowest bins.
-LOWEST_BIN = 2
 
 
 def motion_amplitudes(record: Record) -> dict[str, float]:
@@ -68,6 +65,6 @@ def _rms(channel: np.ndarray, step: float, band: float, derivatives: int) -> flo
     if derivatives == 0:
         return float(np.sqrt(np.mean(channel**2)))
     frequency, power = periodogram(channel, step)
-    kept = slice(LOWEST_BIN, max(LOWEST_BIN + 1, int(np.searchsorted(frequency, band, side="right"))))
+    kept = slice(LOWEST_BINS, max(LOWEST_BINS + 1, int(np.searchsorted(frequency, band, side="right"))))
     gain = (2.0 * np.pi * frequency[kept]) ** (2 * derivatives)
     return float(np.sqrt(2.0 * np.sum(gain * power[kept]) / len(channel)))

@@ -55,6 +55,11 @@ class Channel:
         return self.label or str(self.dof + 1)
 
     @property
+    def place(self) -> tuple[str, int]:
+        """Quantity and column among those of the quantity, from 0."""
+        return self.quantity, max(self.dof, 0)
+
+    @property
     def setting(self) -> str:
         """Where a user gave it: ``data.acceleration, DOF 3``."""
         if self.gauge is not None:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.record.frequency_response import Spectra, chance_coherence
+from pinn_cli.record.cross_spectra import CrossSpectra, independent_part, taper
+from pinn_cli.record.signal import Signal
 from pinn_cli.record.spectrum import periodogram, signal_band
 
 # A peak stands out by so many dB; as many are looked for at most.
@@ -25,8 +26,6 @@ LINES, WIDTHS, DEGREE = 24, 2.0, 3
 MOST_DAMPED, MOST_UNCERTAIN, MOST_UNCERTAIN_DAMPING = 0.3, 0.02, 0.6
 # A peak's coherence exceeds what chance reaches so often; in the end it is no less than this.
 CHANCE, LEAST_COHERENCE = 0.02, 0.2
-# Variance of means over a periodogram with a Hann window, whose neighbours go together: 35/18 of independent lines.
-HANN = 35.0 / 18.0
 
 
 @dataclass(frozen=True)
@@ -50,12 +49,12 @@ class Peak:
     prominence_db: float = np.nan
 
 
-def find_peaks(spectra: Spectra) -> list[Peak]:
+def find_peaks(spectra: CrossSpectra[Signal]) -> list[Peak]:
     """In order of their frequency; those that a fit does not bear out are left out."""
-    if not spectra.y.shape[1]:
+    if not spectra.sensors:
         return []
     candidates, prominences = _candidates(spectra)
-    fit = _fit_response if spectra.x.shape[1] else _fit_power
+    fit = _fit_response if spectra.acting else _fit_power
     found: list[Peak] = []
     for i, (place, prominence) in enumerate(zip(candidates, prominences, strict=True)):
         low = 0.5 * (place + candidates[i - 1]) if i else 0.3 * place
@@ -67,7 +66,7 @@ def find_peaks(spectra: Spectra) -> list[Peak]:
     return found
 
 
-def _candidates(spectra: Spectra) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(spectra: CrossSpectra[Signal]) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies of the strongest peaks of all sensors together, Hz, ascending, and their prominences, dB.
 
     Sensors of all kinds count as accelerometers, each against its own median.
@@ -75,14 +74,13 @@ def _candidates(spectra: Spectra) -> tuple[np.ndarray, np.ndarray]:
     from scipy import signal
 
     f = spectra.frequency
-    order = np.array([{"displacement": 2, "velocity": 1}.get(s.quantity, 0) for s in spectra.outputs])
-    level = np.sum(np.abs(spectra.response) ** 2, axis=2) if spectra.x.shape[1] else spectra.power_y
-    level = level * f[:, None] ** (2 * order)
-    highest = max(signal_band(column, spectra.step) for column in spectra.y.T)
+    level = np.sum(np.abs(spectra.response) ** 2, axis=2) if spectra.acting else spectra.power
+    level = level * f[:, None] ** (4 - 2 * spectra.orders)
+    highest = max(signal_band(column, spectra.step) for column in spectra.shown.T)
     usable = (f > 2.0 * f[1]) & (f <= min(highest, 0.9 * f[-1]))
-    if spectra.x.shape[1]:  # what the input does not explain is noise
+    if spectra.acting:  # what the input does not explain is noise
         level = level * np.clip(spectra.coherence, 1e-3, 1.0)
-        usable &= spectra.coherence.max(axis=1) > chance_coherence(len(spectra.y), CHANCE)
+        usable &= spectra.coherence.max(axis=1) > spectra.chance_coherence(CHANCE)
     if not usable.any():
         return np.zeros(0), np.zeros(0)
     with np.errstate(divide="ignore"):
@@ -94,17 +92,17 @@ def _candidates(spectra: Spectra) -> tuple[np.ndarray, np.ndarray]:
     return f[[i for i, _ in strongest]], np.array([p for _, p in strongest])
 
 
-def _fit_response(spectra: Spectra, place: float, low: float, high: float) -> Peak | None:
+def _fit_response(spectra: CrossSpectra[Signal], place: float, low: float, high: float) -> Peak | None:
     """The local rational method around one peak, by least squares of the output's error."""
     from scipy.fft import rfft, rfftfreq
     from scipy.optimize import least_squares
 
-    f = rfftfreq(len(spectra.y), spectra.step)
+    f = rfftfreq(len(spectra.values), spectra.step)
     width = max(WIDTHS * 0.05 * place, LINES * f[1])
     lines = np.flatnonzero((f >= max(low, place - width)) & (f <= min(high, place + width)))
     if len(lines) < LINES:
         lines = np.flatnonzero((f >= place - 0.5 * LINES * f[1]) & (f <= place + 0.5 * LINES * f[1]) & (f > 0))
-    u, y = (rfft(z, axis=0)[lines] for z in (spectra.x, spectra.y))
+    y, u = np.split(rfft(spectra.values, axis=0)[lines], [len(spectra.sensors)], axis=1)
     s, local = 1j * f[lines] / place, (f[lines] - place) / max(np.ptp(f[lines]), 1e-300)
     powers = local[:, None] ** np.arange(DEGREE + 1)
     basis = np.concatenate([powers * u[:, j : j + 1] for j in range(u.shape[1])] + [powers], axis=1)
@@ -136,9 +134,9 @@ def _fit_response(spectra: Spectra, place: float, low: float, high: float) -> Pe
     return _peak(spectra, place, covariance, best, (f[lines[0]], f[lines[-1]]))
 
 
-def _fit_power(spectra: Spectra, place: float, low: float, high: float) -> Peak | None:
+def _fit_power(spectra: CrossSpectra[Signal], place: float, low: float, high: float) -> Peak | None:
     """The sensors' periodogram around one peak, by Fisher scoring of Whittle's likelihood."""
-    spectrum = [periodogram(column, spectra.step) for column in spectra.y.T]
+    spectrum = [periodogram(column, spectra.step) for column in spectra.shown.T]
     f = spectrum[0][0]
     width = max(WIDTHS * 0.05 * place, LINES * f[1])
     lines = np.flatnonzero((f >= max(low, place - width)) & (f <= min(high, place + width)) & (f > 0))
@@ -164,7 +162,9 @@ def _fit_power(spectra: Spectra, place: float, low: float, high: float) -> Peak 
         if size < 1e-6:
             break
     left = ((power - level) / level)[:, None]
-    covariance = HANN * _covariance(jacobian[:, None], left, 1.0 - 5.0 / len(lines))
+    covariance = _covariance(jacobian[:, None], left, 1.0 - 5.0 / len(lines)) / independent_part(
+        taper(len(spectra.values))
+    )
     return _peak(spectra, place, covariance, found, (f[lines[0]], f[lines[-1]]))
 
 
@@ -185,7 +185,7 @@ def _covariance(jacobian: np.ndarray, residual: np.ndarray, free: float) -> np.n
 
 
 def _peak(
-    spectra: Spectra, place: float, covariance: np.ndarray, found: np.ndarray, within: Sequence[float]
+    spectra: CrossSpectra[Signal], place: float, covariance: np.ndarray, found: np.ndarray, within: Sequence[float]
 ) -> Peak | None:
     """From A's coefficients, if they are those of a lightly damped mode within the lines of the fit."""
     damping, square = map(float, found[:2])
@@ -196,12 +196,12 @@ def _peak(
     damping_std = 0.5 * covariance[0, 0] ** 0.5 / square**0.5
     inside = within[0] < frequency < within[1] and 0.0 < zeta < MOST_DAMPED
     # Narrower than a line of the spectrum, a peak is a line: a sine, or chance.
-    inside = inside and 2.0 * zeta * frequency * len(spectra.y) * spectra.step > 0.5
+    inside = inside and 2.0 * zeta * frequency * len(spectra.values) * spectra.step > 0.5
     inside = inside and frequency_std > 0.0 and damping_std > 0.0
     if not inside or frequency_std > MOST_UNCERTAIN * frequency or damping_std > MOST_UNCERTAIN_DAMPING * zeta:
         return None
     coherence = np.nan
-    if spectra.x.shape[1]:
+    if spectra.acting:
         nearest = int(np.argmin(np.abs(spectra.frequency - frequency)))
         coherence = float(np.median(spectra.coherence[max(nearest - 1, 0) : nearest + 2]))
         if coherence < LEAST_COHERENCE:

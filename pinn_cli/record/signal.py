@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.record.cross_spectra import CrossSpectra
+from pinn_cli.record.decimation import decimate
 from pinn_cli.record.response import GROUND, UNITS
+from pinn_cli.record.spectrum import signal_band
 from pinn_cli.record.units import si_factor
 from pinn_cli.settings.errors import InputError
-from pinn_cli.system.quantities import SUPPORT
+from pinn_cli.system.quantities import MOTION, SUPPORT
 
 # Times off the regular axis by more than this part of a step are put onto it.
 EVEN = 0.05
 # What acts on a structure.
 INPUTS = ("force", GROUND, *SUPPORT)
+# A record keeps this many times the highest frequency of its content, and so many samples.
+OVERSAMPLED, FEWEST_SAMPLES = 4.0, 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +54,11 @@ class Signal:
     def is_input(self) -> bool:
         """Whether it is what acts."""
         return self.quantity in INPUTS
+
+    @property
+    def order(self) -> int:
+        """How often the displacement is differentiated; a sensor of which nobody has said anything counts as others."""
+        return MOTION.index(self.quantity) if self.quantity in MOTION else 2
 
     @property
     def shown_unit(self) -> str:
@@ -127,3 +138,22 @@ class Sampling:
         if axis is self.time and there.all():
             return values
         return np.interp(axis, self.time[there], values[there])
+
+
+def spectra_of(signals: Sequence[Signal], sampling: Sampling, highest: float | None = None) -> CrossSpectra[Signal]:
+    """Of a record's columns after decimation to its band; those of which nobody has said anything count as sensors.
+
+    Args:
+        signals: With numbers that vary.
+        sampling: Of their values.
+        highest: Frequency of any channel's content, Hz; None: it is looked for.
+    """
+    sensors = [signal for signal in signals if not signal.is_input]
+    acting = [signal for signal in signals if signal.is_input]
+    values = np.stack([sampling.on_regular(signal.values) for signal in (*sensors, *acting)], axis=1)
+    values, step = values - values.mean(axis=0), 1.0 / sampling.rate
+    if highest is None:
+        highest = max(signal_band(column, step) for column in values.T)
+    factor = max(1, int(1.0 / (step * OVERSAMPLED * highest))) if highest > 0.0 else 1
+    factor = min(factor, max(1, len(values) // FEWEST_SAMPLES))
+    return CrossSpectra.of_pieces(sensors, acting, decimate(values, factor), step * factor)

@@ -11,6 +11,8 @@ FINEST_FLOOR = 1e-7
 AVERAGED_PIECES = 8
 # Parts of a spectrum among which its emptiest is looked for; the Hann window spreads a mean over the lowest bins.
 SPECTRUM_PARTS, LOWEST_BINS = 16, 2
+# Lines next to zero frequency whose power says how far a mean may be off.
+LOW_LINES = 8
 # Narrow parts of a spectrum, of so many frequencies at least; one that has so little of the upper half's power shows
 # that content reaches there.
 NARROW_PARTS, FEWEST_IN_PART, FAR_BELOW = 32, 8, 0.1
@@ -26,19 +28,11 @@ def periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     return np.fft.rfftfreq(len(x), step), np.abs(spectrum) ** 2 / np.sum(window**2)
 
 
-def group_starts(first: int, stop: int, resolution: float) -> list[int]:
-    """Beginnings of groups of neighbouring bins, the first one's and on to ``stop``, wider the higher they lie.
-
-    Args:
-        first: Bin that the first group begins with.
-        stop: Bin behind the last one's.
-        resolution: Width of a group over its place.
-    """
-    starts, at = [], first
-    while at < stop:
-        starts.append(at)
-        at += max(1, int(resolution * at))
-    return starts
+def usable_periodogram(x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same up to where anti-alias filters may begin."""
+    frequency, power = periodogram(x, step)
+    usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
+    return frequency[usable], power[usable]
 
 
 def signal_band(x: np.ndarray, step: float) -> float:
@@ -50,8 +44,7 @@ def signal_band(x: np.ndarray, step: float) -> float:
     few hundred samples it comes out at half its value once in a while (257: in one channel of 300), and then all of
     that noise would pass for signal: what reaches into the half that the floor is read from must be three floors high.
     """
-    frequency, power = periodogram(x, step)
-    frequency, power = _usable(frequency, power)
+    frequency, power = usable_periodogram(x, step)
     floor = _noise_floor(power)
 
     def least(floors: float) -> int:
@@ -68,7 +61,7 @@ def signal_edges(x: np.ndarray, step: float) -> tuple[float, float]:
     signal.
     """
     high = signal_band(x, step)
-    frequency, power = _usable(*periodogram(x, step))
+    frequency, power = usable_periodogram(x, step)
     if not high > 0.0 or not power.any():
         return np.nan, np.nan
     gained = np.cumsum(power[frequency <= high] - 2.0 * _noise_floor(power))
@@ -85,11 +78,6 @@ def band_share(x: np.ndarray, step: float, low: float, high: float) -> float:
     return float(power[within].sum()) / total if total > 0.0 else 0.0
 
 
-def _usable(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    usable = frequency <= USABLE_NYQUIST_FRACTION * frequency[-1]
-    return frequency[usable], power[usable]
-
-
 def _noise_floor(power: np.ndarray) -> float:
     """Mean square of the white noise that the upper half of a usable periodogram shows."""
     floor = float(np.median(power[len(power) // 2 :]) / np.log(2.0))
@@ -99,17 +87,21 @@ def _noise_floor(power: np.ndarray) -> float:
     return max(emptiest if emptiest < FAR_BELOW * floor else floor, FINEST_FLOOR * float(power.mean()))
 
 
+def mean_deviation(x: np.ndarray) -> float:
+    """Standard deviation of the mean of a channel (N,), as its lowest frequencies have it."""
+    power = periodogram(x, 1.0)[1][LOWEST_BINS : LOWEST_BINS + LOW_LINES]
+    return float(np.sqrt(np.mean(power) / len(x)))
+
+
 def white_level(residual: np.ndarray, step: float, above: float) -> float:
     """Standard deviation of the white noise of a residual (N,), read above a frequency (Hz)."""
-    frequency, power = periodogram(residual, step)
-    top = USABLE_NYQUIST_FRACTION * frequency[-1]
-    window = (frequency > min(above, 0.9 * top)) & (frequency <= top)
-    return float(np.sqrt(np.mean(power[window])))
+    frequency, power = usable_periodogram(residual, step)
+    return float(np.sqrt(np.mean(power[frequency > min(above, 0.9 * frequency[-1])])))
 
 
 def noise_level(x: np.ndarray, step: float) -> float:
     """Standard deviation of the white noise that a channel (N,) shows, see :func:`signal_band`."""
-    return _noise_floor(_usable(*periodogram(x, step))[1]) ** 0.5
+    return _noise_floor(usable_periodogram(x, step)[1]) ** 0.5
 
 
 def lowest_level(x: np.ndarray, step: float) -> float:
@@ -118,8 +110,7 @@ def lowest_level(x: np.ndarray, step: float) -> float:
     Whatever else a channel holds adds to its noise, so the least mean power of any of `SPECTRUM_PARTS` parts of the
     usable spectrum bounds it from above, but for the scatter of that mean.
     """
-    frequency, power = periodogram(x, step)
-    usable = power[LOWEST_BINS : np.searchsorted(frequency, USABLE_NYQUIST_FRACTION * frequency[-1], side="right")]
+    usable = usable_periodogram(x, step)[1][LOWEST_BINS:]
     return float(np.sqrt(min(np.mean(part) for part in np.array_split(usable, min(SPECTRUM_PARTS, len(usable))))))
 
 
@@ -129,16 +120,15 @@ def visible_floor(x: np.ndarray, step: float) -> float | None:
     What lies above the band passes for noise if its lower half has the power of its upper half, within a quarter and
     what chance allows.
     """
-    frequency, power = periodogram(x, step)
-    top = USABLE_NYQUIST_FRACTION * frequency[-1]
-    above = power[(frequency > signal_band(x, step)) & (frequency <= top)][LOWEST_BINS:]
+    frequency, power = usable_periodogram(x, step)
+    above = power[frequency > signal_band(x, step)][LOWEST_BINS:]
     if len(above) < FEWEST_BINS:
         return None
     lower, upper = np.array_split(above, 2)
     chance = _by_chance(lower, upper)
     if upper.mean() <= 0 or abs(np.log(lower.mean() / upper.mean())) > np.log(1.25) + chance:
         return None
-    if above.mean() > MOST_OF_POWER * power.mean():
+    if above.mean() > MOST_OF_POWER * periodogram(x, step)[1].mean():
         return None
     return float(np.sqrt(above.mean()))
 

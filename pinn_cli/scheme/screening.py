@@ -14,19 +14,17 @@ import numpy as np
 
 from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.linear_fit import WIDEST, JointFit, LinearFit
+from pinn_cli.scheme.channel_doubts import doubts_of
+from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
 from pinn_cli.scheme.power_fit import PowerFit
+from pinn_cli.system.modes import RIGID
 
-# Relative widths of the smoothing, one after the other, and how many starts go on to each.
-WIDTHS, SURVIVORS = (WIDEST, 0.05, 0.015), (6, 4, 3)
+# Starts that go on to each width of the smoothing.
+SURVIVORS = (6, 4, 3)
 # Common factors on the stiffnesses that are tried per decade.
 PER_DECADE = 8
-# Squared frequencies below this part of the highest are those of a chain that is loose somewhere.
-LOOSE = 1e-8
-# Starts whose stiffnesses differ by less are one.
-SAME = 0.02
+# Starts whose masses and springs differ by less, as logarithms, are one.
+SAME = 0.1
 # Frequencies of a start: the highest lies above this part of the lowest that the record can tell, the lowest below so
 # many times its highest.
 SLOWEST, FASTEST = 0.5, 3.0
@@ -39,13 +37,11 @@ class Candidate:
     Attributes:
         parameters: ``m`` to (n,); ``c``, ``k`` to (C,); ``loss``, of all springs, to (1,).
         misfit: Part of what forces and sensors have in common that it leaves unexplained, 0 to 1 and more.
-        scatter: Part that missing samples alone leave unexplained, 0 to 1.
         calibration: Name of a gauge to its gain and its delay, s, where those are in doubt.
     """
 
     parameters: dict[str, np.ndarray]
     misfit: float
-    scatter: float = 0.0
     calibration: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
@@ -68,21 +64,16 @@ def screened(
         further: Other records of the same structure, which a candidate must fit as well; those whose forces are unknown
             are left out, unless all are.
     """
-    records = [record, *further]
-    found_spectra = [CrossSpectra.of(each, len(records)) for each in records]
-    seen = [(each, spectra) for each, spectra in zip(records, found_spectra, strict=True) if spectra is not None]
-    doubts = [ChannelDoubts(each, spectra) for each, spectra in seen]
-    if not (any(map(len, doubts)) or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
+    every = [each for each in (record, *further) if each.observed.any()]
+    records = [each for each in every if what_acts(each)]
+    doubts = doubts_of(records)
+    if not every or not (doubts or any(np.isnan(known[kind]).any() for kind in ("m", "k"))):
         return []
-    pairs = zip(seen, doubts, strict=True)
-    fits = [LinearFit(spectra, stretch, known, guess["k"], influence, own) for (_, spectra), own in pairs]
-    if not seen:  # resonances show in the sensors alone
-        records = [each for each in records if each.observed.any()]
-        fits = [PowerFit(each, len(records), stretch, known, guess["k"]) for each in records]
-    if not fits:
-        return []
-    model = JointFit(fits)
-    return nearest(model, grid_of_starts(model, [each for each, _ in seen] or records, guess))
+    structure = LinearStructure(stretch, known, guess["k"], influence)
+    fits = [LinearFit(each, structure, doubts) for each in records]
+    # Where nobody measured what acts, resonances show in the sensors alone.
+    model = JointFit(fits or [PowerFit(each, structure) for each in every])
+    return nearest(model, grid_of_starts(model, records or every, guess))
 
 
 def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[int] = SURVIVORS) -> list[Candidate]:
@@ -96,18 +87,20 @@ def nearest(model: JointFit, starts: Sequence[np.ndarray], survivors: Sequence[i
         found = sorted((model.fitted(x) for x in starts[:most]), key=lambda pair: pair[0])
         found = _distinct(found)
         starts = [x for _, x in found]
-    return [Candidate(model.parameters(x), misfit, model.scatter, model.calibration(x)) for misfit, x in found]
+    return [Candidate(model.structure.parameters(x), misfit, model.calibration(x)) for misfit, x in found]
 
 
 def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     """The guess, and the best of many with a common factor on its stiffnesses or masses that the record can tell."""
-    mass = np.where(np.isnan(model.known["m"]), guess["m"], model.known["m"])
-    stiffness = np.where(np.isnan(model.known["k"]), guess["k"], model.known["k"])
-    if not len(model.free["m"]) and not len(model.free["k"]):
+    known, free = model.structure.known, model.structure.free
+    mass, stiffness = (np.where(np.isnan(known[kind]), guess[kind], known[kind]) for kind in ("m", "k"))
+    if not len(free["m"]) and not len(free["k"]):
         return [model.start(mass, stiffness)]
-    rates = np.linalg.eigvalsh(model.stretch.T @ (stiffness[:, None] * model.stretch) / np.sqrt(np.outer(mass, mass)))
+    rates = np.linalg.eigvalsh(
+        model.structure.stretch.T @ (stiffness[:, None] * model.structure.stretch) / np.sqrt(np.outer(mass, mass))
+    )
     # A chain that is loose somewhere has frequencies of zero, which say nothing about its stiffness.
-    stiff = rates[rates > LOOSE * rates[-1]]
+    stiff = rates[rates > RIGID * rates[-1]]
     if not stiff.size:
         return [model.start(mass, stiffness)]
     slow, fast = np.sqrt(stiff[[0, -1]]) / (2.0 * np.pi)
@@ -115,9 +108,9 @@ def grid_of_starts(model: JointFit, records: Sequence[Record], guess: Mapping[st
     least, most = 2.0 * np.log10(SLOWEST / duration / fast), 2.0 * np.log10(FASTEST * band / slow)
     factors = 10.0 ** np.linspace(least, most, max(2, int(PER_DECADE * (most - least))))
     # Frequencies go with the root of either; where no stiffness is free it is the masses that are too large or small.
-    lighter = np.ones_like(factors) if len(model.free["k"]) else factors
+    lighter = np.ones_like(factors) if len(free["k"]) else factors
     tried = [model.start(mass / by, factor * stiffness) for factor, by in zip(factors, lighter, strict=True)]
-    misfits = np.array([model.outline(x) if model.doubts else model.misfit(x) for x in tried])
+    misfits = np.array([model.outline(x) if len(model.doubts) else model.misfit(x) for x in tried])
     valleys = [
         i
         for i in range(len(tried))

@@ -16,7 +16,7 @@ import numpy as np
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import DAMPING, last_ends
-from pinn_cli.scheme.screening import Candidate, screened
+from pinn_cli.scheme.screening import SAME, Candidate, screened
 from pinn_cli.scheme.starting_values import parameter_scales, starting_value, unit_forces
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
@@ -26,17 +26,11 @@ from pinn_cli.system.parameters import FACTOR, LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.structure import Structure
 
 AUTO, GIVEN = "auto", "given"
-# Of the factor of a part of a finite-element model.
-FACTOR_SCALE = 1.0
 # Damping ratios of structures that may start.
 RATIOS = 1e-3, 0.3
-# Of linear chains with a misfit above this one nothing can be said; those with one that many times the least are worth
-# a start of their own, so many at most.
-HOPELESS, RIVAL, MOST_RIVALS = 0.9, 2.0, 3
-# What the user says is a start of its own where a mass or spring lies further from all others, as a logarithm.
-ELSEWHERE = 0.1
-# Where missing samples scatter everything, the right chain explains a little only. One that does not move has 1.
-NEARLY_NOTHING = 0.98
+# A linear chain that explains nothing has a misfit of one; where missing samples scatter everything, the right one
+# explains a little. Those with so many times the least misfit are worth a start of their own, so many at most.
+NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.98, 2.0, 3
 
 
 @dataclass(frozen=True)
@@ -85,7 +79,7 @@ def parameter_starts(
     known, guess = linear_parts(prescribed, unknown), _guess(prescribed, records, unknown, given)
     stretch, moved = prescribed.stretch.matrix[prescribed.added].toarray(), prescribed.with_ground
     every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
-    candidates = [c for c in every if c.misfit < HOPELESS + (NEARLY_NOTHING - HOPELESS) * c.scatter]
+    candidates = [c for c in every if c.misfit < NEARLY_NOTHING]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     own = Candidate(_unscreened(known, guess), np.inf, calibration=candidates[0].calibration if candidates else {})
@@ -108,7 +102,7 @@ def _is_said(unknown: Collection[Parameter], given: Mapping[Parameter, float]) -
 def _apart(one: Candidate, other: Candidate, unknown: Collection[Parameter]) -> bool:
     """Whether two starts are two."""
     places = [(p.kind, p.index) for p in unknown if p.kind in (MASS, "k")]
-    return any(abs(np.log(one.parameters[k][i] / other.parameters[k][i])) > ELSEWHERE for k, i in places)
+    return any(abs(np.log(one.parameters[k][i] / other.parameters[k][i])) > SAME for k, i in places)
 
 
 def _of_sensors(calibration: Mapping[str, Mapping[str, float]]) -> dict[Parameter, Start]:
@@ -205,7 +199,7 @@ def _starts(
             out[parameter] = Start(value, max(value, of_whole[kind] * max(DAMPING / ratio, 1.0)))
             continue
         if kind == FACTOR:  # the matrix is the start: nobody updates a model that is wrong by orders of magnitude
-            out[parameter] = Start(given.get(parameter, 1.0), FACTOR_SCALE)
+            out[parameter] = Start(given.get(parameter, 1.0), 1.0)
             continue
         remembered = {} if kind == MASS else _of_memory(prescribed, parameter, linear["k"], typical["k"], size)
         if kind in remembered:

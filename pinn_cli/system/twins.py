@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
 from pinn_cli.system.natural_modes import at_rest
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.structure import Structure
@@ -40,19 +41,14 @@ class Seen:
 
     Attributes:
         sensing: (S, n), the displacements that every sensor feels, whatever derivative of them.
-        acting: (n, F), the forces that every input exerts; of the ground's motion those for masses of one.
-        by_mass: (F,) bool, the inputs that pull at every mass in proportion to it: the ground's.
+        acting: F inputs.
         low, high: Between which it shows anything, Hz.
-        stretching: (C, F), how far every input stretches each connection by itself: the displacement of a support;
-            None: no support moves.
     """
 
     sensing: np.ndarray
-    acting: np.ndarray
-    by_mass: np.ndarray
+    acting: Acting
     low: float
     high: float
-    stretching: np.ndarray | None = None
 
 
 def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int) -> list[dict[Parameter, float]]:
@@ -65,7 +61,7 @@ def twins(structure: Structure, free: Sequence[Parameter], seen: Seen, most: int
         most: How many at most; those that come nearest.
     """
     free = [p for p in free if p.kind in (MASS, STIFFNESS) and _positive(structure, p)]
-    if not free or not seen.sensing.size or not seen.acting.size or not seen.low < seen.high:
+    if not free or not seen.sensing.size or not seen.acting.pushed.size or not seen.low < seen.high:
         return []
     match = _Match(structure, free, seen)
     ends = match.starts()
@@ -97,8 +93,6 @@ class _Match:
     def __init__(self, structure: Structure, free: Sequence[Parameter], seen: Seen) -> None:
         parameters = structure.parameters_like(np.empty(0))
         self.seen, self.stretch = seen, structure.incidence.matrix.toarray()
-        own = np.zeros((len(self.stretch), seen.acting.shape[1]))
-        self.carried = own if seen.stretching is None else seen.stretching
         self.mass, self.stiffness = parameters[MASS].copy(), at_rest(structure)[0]
         self.masses = np.array([p.kind == MASS for p in free])
         self.index = np.array([p.index for p in free])
@@ -110,7 +104,7 @@ class _Match:
         count = max(PER_MODE * len(self.mass), 2 * len(self.values) + 2)
         omega = 2.0 * np.pi * np.geomspace(self.seen.low, self.seen.high, count)
         self.s = omega * (1j + off_axis)
-        self.wanted = self._response(np.zeros(len(self.values)))[0]
+        self.wanted = self._response(np.zeros(len(self.values))).value
         size = np.abs(self.wanted)
         # Next to a zero of a response a difference may be large relative to it, and still nobody sees it.
         # Through springs of no stiffness nothing is felt at all.
@@ -130,9 +124,9 @@ class _Match:
         if not np.isfinite(self.apart(x)):
             return x
         best = least_squares(
-            lambda x: _real(self._response(x)[0] - self.wanted, self.size),
+            lambda x: real_rows(self._difference(x).reshape(-1)),
             x,
-            lambda x: _real(self._response(x)[1], self.size[..., None]),
+            lambda x: real_rows((self.slopes(x) / self.size[..., None]).reshape(-1, len(x))),
             (-FARTHEST, FARTHEST),
             max_nfev=EVALUATIONS,
         )
@@ -141,38 +135,27 @@ class _Match:
 
     def apart(self, x: np.ndarray) -> float:
         """Relative rms difference of the responses."""
-        return float(np.sqrt(np.sum(np.abs((self._response(x)[0] - self.wanted) / self.size) ** 2)))
+        return float(np.sqrt(np.sum(np.abs(self._difference(x)) ** 2)))
 
-    def _response(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements at the sensors for one of every input, (B, S, F), and their slopes, (B, S, F, p)."""
+    def _difference(self, x: np.ndarray) -> np.ndarray:
+        difference: np.ndarray = (self._response(x).value - self.wanted) / self.size
+        return difference
+
+    def _response(self, x: np.ndarray) -> FrequencyResponse:
+        """Displacements at the sensors for one of every input."""
         mass, stiffness = self.mass.copy(), self.stiffness.copy()
-        values = self.values * np.exp(x)
+        values, springs = self.values * np.exp(x), ~self.masses
         mass[self.index[self.masses]] = values[self.masses]
-        springs = ~self.masses
         stiffness[self.index[springs]] += values[springs] - self.values[springs]
-        stretch = self.stretch / np.sqrt(mass)
-        squares, shapes = np.linalg.eigh(stretch.T @ (stiffness[:, None] * stretch))
-        shapes = shapes / np.sqrt(mass)[:, None]
-        acting = np.where(self.seen.by_mass, mass[:, None] * self.seen.acting, self.seen.acting)
-        acting = acting - self.stretch.T @ (stiffness[:, None] * self.carried)
-        gain = 1.0 / (self.s[:, None] ** 2 + squares)  # (B, modes)
-        sensed, driven = self.seen.sensing @ shapes, shapes.T @ acting
-        response = np.einsum("sr,br,rf->bsf", sensed, gain, driven)
-        # What every free parameter feels: its mass's acceleration, its connection's elongation.
-        felt = np.where(self.masses[:, None], shapes[np.where(self.masses, self.index, 0)], 0.0)
-        felt[springs] = (self.stretch @ shapes)[self.index[springs]]
-        left, right = np.einsum("sr,br,pr->bsp", sensed, gain, felt), np.einsum("pr,br,rf->bpf", felt, gain, driven)
-        right[:, springs] += self.carried[self.index[springs]]
-        rate = np.where(self.masses, self.s[:, None] ** 2, 1.0) * values  # (B, p)
-        slopes = -np.einsum("bsp,bpf,bp->bsfp", left, right, rate)
-        for column in np.flatnonzero(self.masses):  # a heavier mass also feels more of the ground
-            more = np.where(self.seen.by_mass, values[column] * self.seen.acting[self.index[column]], 0.0)
-            slopes[..., column] += left[:, :, column, None] * more
-        return response, slopes
+        every = np.tile(stiffness, (len(self.s), 1))
+        return FrequencyResponse(-1j * self.s, self.stretch, self.seen.sensing[None], self.seen.acting, mass, every)
 
-
-def _real(values: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """(..., p) or (...) complex as real rows."""
-    scaled = values / size
-    rows = scaled.reshape(-1, values.shape[-1]) if values.ndim == 4 else scaled.reshape(-1)
-    return np.concatenate((rows.real, rows.imag))
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(B, S, F, p), of the displacements by x."""
+        response, values = self._response(x), self.values * np.exp(x)
+        masses, connections = np.arange(len(self.mass)), np.arange(len(self.stiffness))
+        by = [
+            response.slope(value * (is_mass & (masses == i)), value * np.atleast_2d(~is_mass & (connections == i)))
+            for value, is_mass, i in zip(values, self.masses, self.index, strict=True)
+        ]
+        return np.stack(by, axis=-1)

@@ -17,11 +17,11 @@ import numpy as np
 
 from pinn_cli.record.channels import Channel, channels
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.linear_fit import JointFit, LinearFit
-from pinn_cli.scheme.screening import WIDTHS, Candidate, grid_of_starts, nearest
+from pinn_cli.scheme.channel_doubts import doubts_about
+from pinn_cli.scheme.linear_fit import WIDTHS, JointFit, LinearFit, LinearStructure, what_acts
+from pinn_cli.scheme.screening import Candidate, grid_of_starts, nearest
 from pinn_cli.scheme.starts import linear_parts
+from pinn_cli.system.frequency_response import real_rows
 from pinn_cli.system.parameters import MASS, Parameter
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.verdict.channel_faults import factor_finding, late_finding, misplaced_finding, swap_finding
@@ -47,9 +47,8 @@ WRONG = 1.5
 LEAST_FACTOR, LEAST_DELAY = 1.1, 0.5
 # Part of itself to which a fit to spectra tells a factor.
 TOLD = 0.01
-# A dense matrix is inverted at every frequency, for every cause; and so many times fewer frequencies tell causes apart
-# than start an estimate.
-MOST_COORDINATES, COARSER = 12, 4
+# A dense matrix is inverted at every frequency, for every cause.
+MOST_COORDINATES = 12
 # Starts of each cause that go on to each width of the smoothing; at first one, which tells which causes are followed.
 AT_FIRST, SURVIVORS, FOLLOWED = (1,), (2, 1, 1), 8
 MOVES, ACTS = "what the structure does", "what acts"
@@ -122,7 +121,7 @@ def _in_columns(record: Record, excused: Sequence[str]) -> Record | None:
     if not acts or not seen or any(gauge.quantity in (FORCE, GROUND) for gauge in doubted):
         return None
     own = replace(record, gauges=(), missing={}, **values)
-    return None if CrossSpectra.of(own) is None else own
+    return own if what_acts(own) else None
 
 
 def _told(found: list[tuple[float, Finding]]) -> list[Finding]:
@@ -175,13 +174,12 @@ class _Fits:
             known[p.kind][p.index] = np.nan
         fit = self._fit(record, known)
         fit.smooth(WIDTHS[-1])
-        left, slopes = fit.residual(fit.start(found.parameters[MASS], found.parameters["k"]), slopes=True)
+        x = fit.structure.start(found.parameters[MASS], found.parameters["k"])
+        left, slopes = fit.residual(x), fit.slopes(x)
         missed = (np.abs(left) ** 2).sum((0, 2))
-        places = fit.spectra.channels
-        sensors = channels(record)
-        worst = sorted(sensors, key=lambda c: -missed[places.index((c.quantity, c.dof))])[:SUSPECTED]
-        columns, rest = slopes.reshape(left.size, -1), left.reshape(-1)
-        columns, rest = np.concatenate((columns.real, columns.imag)), np.concatenate((rest.real, rest.imag))
+        sensors = list(fit.spectra.sensors)
+        worst = [sensors[i] for i in np.argsort(-missed, kind="stable")[:SUSPECTED]]
+        columns, rest = real_rows(slopes.reshape(left.size, -1)), real_rows(left.reshape(-1))
         held = np.array([not np.isnan(self.known[p.kind][p.index]) for p in given], dtype=bool)
         basis, _ = np.linalg.qr(columns[:, ~held])
         own = columns[:, held] - basis @ (basis.T @ columns[:, held])
@@ -192,10 +190,9 @@ class _Fits:
 
     def _fit(self, record: Record, known: dict[str, np.ndarray], doubted: Channel | None = None) -> LinearFit:
         """Of the record's spectra."""
-        spectra, stretch = CrossSpectra.of(record, COARSER), self.structure.stretch.matrix[self.structure.added]
-        assert spectra is not None
-        doubts = None if doubted is None else ChannelDoubts(record, spectra, doubted)
-        return LinearFit(spectra, stretch.toarray(), known, self.guess["k"], self.structure.with_ground, doubts)
+        stretch = self.structure.stretch.matrix[self.structure.added].toarray()
+        structure = LinearStructure(stretch, known, self.guess["k"], self.structure.with_ground)
+        return LinearFit(record, structure, [] if doubted is None else doubts_about(doubted, record.step))
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:

@@ -13,14 +13,13 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 
 from pinn_cli.record.channels import Channel, channels
+from pinn_cli.record.spectrum import mean_deviation
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pinn_cli.verdict.prediction import Prediction
 
-# Lines next to zero frequency whose power says how far the mean of a residual may be off.
-LOW_LINES = 8
 # A delay is looked for up to this share of the record.
 LONGEST_DELAY = 1 / 16
 NEWTON_STEPS = 8
@@ -137,8 +136,7 @@ class Comparison:
             return Reading(0.0, np.inf, self._nmse(residual))
         value = float(self.constant @ residual / (self.constant @ self.constant))
         residual = residual - value * self.constant
-        low = np.mean(np.abs(rfft(residual)[1 : LOW_LINES + 1]) ** 2)
-        return Reading(value, float(np.sqrt(low)) / len(residual), self._nmse(residual))
+        return Reading(value, mean_deviation(residual), self._nmse(residual))
 
     @cached_property
     def _predicted_lines(self) -> np.ndarray:

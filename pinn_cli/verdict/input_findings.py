@@ -8,9 +8,8 @@ import numpy as np
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import is_linear
-from pinn_cli.record.frequency_response import spectra_of
 from pinn_cli.record.peaks import find_peaks
-from pinn_cli.record.signal import Sampling, Signal
+from pinn_cli.record.signal import Sampling, Signal, spectra_of
 from pinn_cli.system.connection.base import Hysteresis
 from pinn_cli.system.modes import modes_of
 from pinn_cli.verdict.finding import Finding, failed_if

@@ -11,7 +11,7 @@ from pinn_cli.record.channels import Channel, every_channel
 from pinn_cli.record.gauge import GAUGE
 from pinn_cli.record.input_force import input_force
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION, periodogram
+from pinn_cli.record.spectrum import usable_periodogram
 from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.verdict.finding import Finding, failed_if
 
@@ -79,9 +79,7 @@ def _colour(channel: Channel, record: Record, estimate: Estimate) -> Finding | N
     residual = channel.measured - channel.of(estimate.response)
     if not np.isfinite(residual).all() or not np.std(channel.measured) > 0:
         return None
-    frequency, power = periodogram(residual, record.step)
-    usable = (frequency > 0) & (frequency <= USABLE_NYQUIST_FRACTION * frequency[-1])
-    frequency, power = frequency[usable], power[usable]
+    frequency, power = (x[1:] for x in usable_periodogram(residual, record.step))
     pieces = np.array_split(np.arange(len(power)), min(BANDS, max(1, len(power) // 8)))
     level = np.array([power[piece].mean() for piece in pieces])
     high = level > COLOURED * np.median(level)

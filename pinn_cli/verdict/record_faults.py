@@ -8,7 +8,7 @@ import numpy as np
 
 from pinn_cli.record.channels import Channel, channels, equal_runs
 from pinn_cli.record.response import GROUND, MEASURED_QUANTITIES, RESPONSE_QUANTITIES
-from pinn_cli.record.spectrum import periodogram
+from pinn_cli.record.spectrum import mean_deviation
 from pinn_cli.system.quantities import SUPPORT
 from pinn_cli.verdict.finding import Finding
 
@@ -27,7 +27,7 @@ COARSE = 0.1
 # Share of its rms that some other channel must have meanwhile: else the structure may be at rest.
 OTHERS_MOVE = 0.2
 # An offset, over the channel's rms and over what its lowest frequencies leave open.
-LEAST_OFFSET, DEVIATIONS, LOW_LINES = 0.05, 10.0, 8
+LEAST_OFFSET, DEVIATIONS = 0.05, 10.0
 
 
 def record_faults(record: Record) -> list[Finding]:
@@ -106,9 +106,7 @@ def _off_zero(channel: Channel, record: Record) -> Finding | None:
         return None
     x, rms = channel.measured, float(np.std(channel.measured))
     mean = float(np.mean(x))
-    power = periodogram(x, record.step)[1][2 : LOW_LINES + 2]  # the window spreads the mean over lines 0 and 1
-    std = np.sqrt(np.mean(power) / len(x))
-    if abs(mean) < LEAST_OFFSET * rms or abs(mean) < DEVIATIONS * std:
+    if abs(mean) < LEAST_OFFSET * rms or abs(mean) < DEVIATIONS * mean_deviation(x):
         return None
     text = f"the {channel.name} has an offset of {mean:.4g} ({100 * abs(mean) / rms:.0f} % of its rms)"
     return Finding("offset", channel.name, f"{text}; subtract it from its column")

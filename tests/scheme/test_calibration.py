@@ -13,9 +13,8 @@ from pinn_cli.record.gauge import WIDEST_DELAY, WIDEST_GAIN, Calibration, Gauge,
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
-from pinn_cli.scheme.channel_doubts import ChannelDoubts
-from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.linear_fit import LinearFit
+from pinn_cli.scheme.channel_doubts import doubts_of
+from pinn_cli.scheme.linear_fit import JointFit, LinearFit, LinearStructure
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
@@ -133,15 +132,14 @@ class TestScreening:
 
     def test_slopes_of_the_misfit(self):
         s, record = exact().structure, self.record()
-        spectra = CrossSpectra.of(record)
         known = {"m": s.m, "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
-        fit = LinearFit(spectra, STRETCH, known, s.k, None, ChannelDoubts(record, spectra))
-        x = fit.start(s.m, s.k)
-        x[fit.count :] = np.random.default_rng(0).normal(size=len(x) - fit.count) * 0.2
-        _, slopes = fit.residual(x, slopes=True)
+        fit = LinearFit(record, LinearStructure(STRETCH, known, s.k), doubts_of([record]))
+        x, count = JointFit([fit]).start(s.m, s.k), fit.structure.count
+        x[count:] = np.random.default_rng(0).normal(size=len(x) - count) * 0.2
+        slopes = fit.slopes(x)
         for i in range(len(x)):
             step = 1e-6 * (np.arange(len(x)) == i)
-            change = (fit.residual(x + step, False)[0] - fit.residual(x - step, False)[0]) / 2e-6
+            change = (fit.residual(x + step) - fit.residual(x - step)) / 2e-6
             np.testing.assert_allclose(slopes[..., i], change, atol=1e-6 * np.abs(change).max())
 
 

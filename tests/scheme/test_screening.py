@@ -11,8 +11,7 @@ from independent_records import IndependentRecord, frame_record
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import simulate
-from pinn_cli.scheme.cross_spectra import CrossSpectra
-from pinn_cli.scheme.linear_fit import LinearFit
+from pinn_cli.scheme.linear_fit import LinearFit, LinearStructure, spectra_under, what_acts
 from pinn_cli.scheme.screening import screened
 from pinn_cli.system.chain import chain_of
 from pinn_cli.system.connection import Linear
@@ -88,7 +87,7 @@ def test_nothing_is_screened_without_anything_unknown():
 )
 def test_resonances_tell_springs_where_nobody_measured_a_force(first_frequency, corner, seed, factor):
     made = ambient_record(first_frequency, 50.0, 60.0, 20.0, corner, seed=seed)
-    assert CrossSpectra.of(made.record) is None
+    assert what_acts(made.record) is None
     values = {kind: made.structure.parameters[kind].numpy() for kind in ("m", "c", "k")}
     unknown = {"m": values["m"], "c": np.full(3, np.nan), "k": np.full(3, np.nan)}
     guessed = {"m": values["m"], "k": np.full(3, factor * values["k"][0])}
@@ -107,12 +106,12 @@ def test_slopes_of_the_misfit_are_those_of_its_values(stretch):
     free, count = known(made, "m", "c", "k"), len(stretch)
     stiffness = 1.3 * np.resize(guess(made)["k"], count)
     free |= {"c": np.full(count, np.nan), "k": np.where(np.arange(count) < 5, np.nan, 0.0)}
-    fit = LinearFit(CrossSpectra.of(made.record), stretch, free, stiffness)
-    x = fit.start(guess(made)["m"], stiffness)
-    _, slopes = fit.residual(x, slopes=True)
+    fit = LinearFit(made.record, LinearStructure(stretch, free, stiffness))
+    x = fit.structure.start(guess(made)["m"], stiffness)
+    slopes = fit.slopes(x)
     assert slopes.shape[-1] == len(x) == 3 + min(count, 5) + 1
     for i, move in enumerate(1e-6 * np.eye(len(x))):
-        ends = [fit.residual(x + s * move, slopes=False)[0] for s in (1.0, -1.0)]
+        ends = [fit.residual(x + s * move) for s in (1.0, -1.0)]
         rise = (ends[0] - ends[1]) / 2e-6
         np.testing.assert_allclose(slopes[..., i], rise, atol=1e-6 * np.abs(rise).max())
 
@@ -120,8 +119,8 @@ def test_slopes_of_the_misfit_are_those_of_its_values(stretch):
 def test_spectra_hold_what_force_and_response_have_in_common():
     """Response over force is the structure's own frequency response, at its resonances and between them."""
     made = linear(snr_db=60.0)
-    spectra, s = CrossSpectra.of(made.record), made.structure
-    given = spectra.of_both[:, :, 0] / spectra.of_forces[:, 0, :]
+    spectra, s = spectra_under(made.record, what_acts(made.record)), made.structure
+    given = spectra.of_both[:, :, 0] / spectra.of_acting[:, 0, :]
     below = np.eye(3) - np.eye(3, k=-1)
     expected = []
     for omega in spectra.omega:
@@ -146,10 +145,11 @@ def test_an_earthquake_tells_stiffnesses_as_a_force_does(frame):
     guess = {"m": masses, "k": np.full(3, 1.0e5)}
     best = screened(record.keep({"acceleration": [3]}), np.eye(3) - np.eye(3, k=-1), free, guess)[0]
     np.testing.assert_allclose(best.parameters["k"], springs, rtol=0.05)
-    fit = LinearFit(CrossSpectra.of(record), np.eye(3) - np.eye(3, k=-1), {**free, "m": np.full(3, np.nan)}, guess["k"])
-    x = fit.start(1.2 * masses, 0.9 * springs)
-    residual, slopes = fit.residual(x, slopes=True)
+    free |= {"m": np.full(3, np.nan)}
+    fit = LinearFit(record, LinearStructure(np.eye(3) - np.eye(3, k=-1), free, guess["k"]))
+    x = fit.structure.start(1.2 * masses, 0.9 * springs)
+    residual, slopes = fit.residual(x), fit.slopes(x)
     for i, step in enumerate(1e-6 * np.eye(len(x))):
-        numerical = (fit.residual(x + step, False)[0] - fit.residual(x - step, False)[0]) / 2e-6
+        numerical = (fit.residual(x + step) - fit.residual(x - step)) / 2e-6
         np.testing.assert_allclose(slopes[..., i], numerical, atol=1e-6 * np.abs(numerical).max())
     assert residual.shape[-1] == 1

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from pinn_cli.system import build_chain
 from pinn_cli.system.connection import Linear
+from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.twins import Seen, _Match, twins
 
@@ -17,8 +20,8 @@ ROOF, EVERY = np.eye(3)[[2]], np.eye(3)
 
 
 def seen(sensing: np.ndarray, shaken: bool = True) -> Seen:
-    acting = np.ones((3, 1)) if shaken else np.eye(3)[:, [0]]
-    return Seen(sensing, acting, np.array([shaken]), 0.3, 20.0)
+    one, nothing = np.ones(3) * shaken, np.zeros(3)
+    return Seen(sensing, Acting.of([(np.eye(3)[0] * (not shaken), one, nothing)], 3), 0.3, 20.0)
 
 
 def frequencies(k: list[float]) -> np.ndarray:
@@ -37,8 +40,8 @@ def test_the_roof_of_a_shaken_frame_has_a_twin_with_the_same_frequencies():
 
 def test_on_a_support_that_moves_it_has_the_twin_that_it_has_on_moving_ground():
     """The roof moves as the support does and as the frame does beside it: both are told by the same frequencies."""
-    still, low, high = np.zeros((3, 1)), seen(ROOF).low, seen(ROOF).high
-    carried = Seen(ROOF, still, np.array([False]), low, high, np.array([[-1.0], [0.0], [0.0]]))
+    acting = Acting.of([(np.zeros(3), np.zeros(3), np.array([-1.0, 0.0, 0.0]))], 3)
+    carried = replace(seen(ROOF), acting=acting)
     ((on_support,), (on_ground,)) = (twins(FRAME, SPRINGS, one, 3) for one in (carried, seen(ROOF)))
     np.testing.assert_allclose([on_support[p] for p in SPRINGS], [on_ground[p] for p in SPRINGS], rtol=1e-4)
 
@@ -58,13 +61,15 @@ def test_dampers_alone_have_no_twin():
 
 def test_slopes_are_those_of_the_responses():
     free = [Parameter("k", 0), Parameter("m", 1), Parameter("m", 0)]
-    inputs, by_mass = np.column_stack((np.ones(3), EVERY[0], np.zeros(3))), np.array([True, False, False])
-    carried = np.column_stack((np.zeros((3, 2)), [-1.0, 0.0, 0.4]))
-    both = Seen(EVERY[1:], inputs, by_mass, 0.5, 17.0, carried)
+    nothing = np.zeros(3)
+    inputs = [
+        (nothing, np.ones(3), nothing), (EVERY[0], nothing, nothing), (nothing, nothing, np.array([-1.0, 0.0, 0.4])),
+    ]  # fmt: skip
+    both = Seen(EVERY[1:], Acting.of(inputs, 3), 0.5, 17.0)
     match, at, h = _Match(FRAME, free, both), np.array([0.1, -0.2, 0.3]), 1e-6
-    _, slopes = match._response(at)
+    slopes = match.slopes(at)
     for column, step in enumerate(h * np.eye(3)):
-        difference = (match._response(at + step)[0] - match._response(at - step)[0]) / (2.0 * h)
+        difference = (match._response(at + step).value - match._response(at - step).value) / (2.0 * h)
         np.testing.assert_allclose(slopes[..., column], difference, atol=1e-6 * np.abs(difference).max())
 
 
@@ -72,6 +77,6 @@ def test_behind_a_spring_of_no_stiffness_nothing_is_felt_and_nothing_breaks():
     springs = torch.tensor([100.0, 1e-320, 80.0], dtype=torch.float64)  # of a solution at its lower bound
     structure = build_chain(3, Linear(), m=1.0, c=0.1, k=100.0).with_parameters(k=springs)
     one = np.eye(3)
-    seen = Seen(one[[0, 2]], one[:, [0]], np.array([False]), 0.5, 4.0)
+    seen = Seen(one[[0, 2]], Acting.forces(one[:, [0]]), 0.5, 4.0)
     free = [p for p in structure.every_parameter() if p.kind == "k"]
     assert all(np.isfinite(list(other.values())).all() for other in twins(structure, free, seen, 3))

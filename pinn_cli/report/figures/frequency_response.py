@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.record.channels import channels
+from pinn_cli.record.cross_spectra import CrossSpectra
 from pinn_cli.report.figures import style
 from pinn_cli.system.modes import modes_of
+from pinn_cli.system.quantities import FORCE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,44 +29,28 @@ def frequency_response_figure(record: Record, structure: Structure) -> Figure:
         record: With a band and one measured force.
         structure: With the estimated parameters.
     """
-    sensors = [(q, int(dof)) for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))][:MOST]
-    frequency, measured, estimated = frequency_responses(record, structure, sensors)
+    assert record.band is not None
+    sensors, load = channels(record)[:MOST], channels(record, (FORCE,))
+    first, stop = np.searchsorted(np.fft.rfftfreq(len(record.time), record.step), record.band.edges)
+    spectra = CrossSpectra.of_bands(record, sensors, load, range(first, stop + 1, AVERAGED))
+    modes = modes_of(structure)
+    at = modes.shapes[[sensor.dof for sensor in sensors]] * modes.pushed[:, load[0].dof]
+    estimated = (1.0 / (1j * spectra.omega[:, None] - modes.poles)) @ at.T * spectra.differentiation
+    shown = (spectra.response[..., 0], style.DOTS | {"color": style.GREY}), (estimated, {"color": style.BLUE})
     with style.look():
         figure, panels = style.panels(
             2, len(sensors), 1.5, margins=(0.55, 0.08, 0.45, 0.4), gaps=(0.5, 0.12), sharex="col"
         )
-        for i, (quantity, dof) in enumerate(sensors):
+        for i, sensor in enumerate(sensors):
             above, below = panels[:, i]
-            for values, look in ((measured, style.DOTS | {"color": style.GREY}), (estimated, {"color": style.BLUE})):
-                above.semilogy(frequency, np.abs(values[:, i]), **look)
-                below.plot(frequency, np.degrees(np.angle(values[:, i])), **look)
-            above.set_title(f"{style.SYMBOLS[quantity]} of {record.dof_names([dof])}, {style.unit(quantity)}/N", pad=3)
+            for values, look in shown:
+                above.semilogy(spectra.frequency, np.abs(values[:, i]), **look)
+                below.plot(spectra.frequency, np.degrees(np.angle(values[:, i])), **look)
+            title = f"{style.SYMBOLS[sensor.quantity]} of {record.dof_names([sensor.dof])}"
+            above.set_title(f"{title}, {style.unit(sensor.quantity)}/N", pad=3)
             below.set_yticks([-180, -90, 0, 90, 180])
             below.set_xlabel("Frequency (Hz)", labelpad=2)
         panels[0, 0].set_ylabel("Amplitude")
         panels[1, 0].set_ylabel("Phase (°)")
         figure.legend([*panels[0, 0].lines], ["measured", "estimated"], loc="upper center", ncols=2)
     return figure
-
-
-def frequency_responses(
-    record: Record, structure: Structure, sensors: list[tuple[str, int]]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hz (F,), and responses (F, sensors) per newton: measured (averages over neighbouring lines), and estimated."""
-    assert record.band is not None
-    driven = int(np.flatnonzero(record.sensors("force"))[0])
-    columns = np.stack([record.force[:, driven], *(getattr(record, q)[:, dof] for q, dof in sensors)], axis=1)
-    spectra = np.fft.rfft(columns * np.hanning(len(columns))[:, None], axis=0)
-    average = np.ones(AVERAGED) / AVERAGED
-    cross, power = (
-        np.stack([np.convolve(x, average, mode="same") for x in (y * spectra[:, :1].conj()).T], axis=1)
-        for y in (spectra[:, 1:], spectra[:, :1])
-    )
-    frequency = np.fft.rfftfreq(len(columns), record.step)
-    low, high = record.band.edges
-    within = (frequency >= low) & (frequency <= high)
-    s, modes = 2j * np.pi * frequency[within], modes_of(structure)
-    orders = np.array([RESPONSE_QUANTITIES.index(quantity) for quantity, _ in sensors])
-    at = modes.shapes[[dof for _, dof in sensors]] * modes.pushed[:, driven]
-    estimated = (1.0 / (s[:, None] - modes.poles)) @ at.T * s[:, None] ** orders
-    return frequency[within], (cross / power.real)[within], estimated

@@ -20,6 +20,7 @@ from scipy.optimize import least_squares, minimize
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.modal.band_spectra import BandSpectra
+from pinn_cli.system.frequency_response import real_rows
 
 # Damping ratios that a mode may have.
 LEAST_RATIO, LARGEST_RATIO = 1e-4, 0.3
@@ -355,8 +356,3 @@ def _denominators(s: np.ndarray, omega: np.ndarray, zeta: np.ndarray) -> np.ndar
     """(B, R)."""
     found: np.ndarray = s[:, None] ** 2 + 2.0 * zeta * omega * s[:, None] + omega**2
     return found
-
-
-def real_rows(values: np.ndarray) -> np.ndarray:
-    """Real and imaginary parts, one below the other."""
-    return np.concatenate((values.real, values.imag))

@@ -15,6 +15,7 @@ from pinn_cli.record.channels import record_band
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.settings.errors import DivergenceError
+from pinn_cli.system.frequency_response import Acting
 from pinn_cli.system.parameters import LINEAR_UNITS, MASS, Parameter
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE
 from pinn_cli.system.structure import Structure
@@ -74,37 +75,27 @@ def _dampers(values: dict[Parameter, float], other: dict[Parameter, float]) -> d
 
 def seen_by(structure: Structure, records: Sequence[Record]) -> Seen:
     """What sensors see of a structure and what acts on it, in all records together."""
-    one = np.eye(structure.ndof)
+    one, by_supports = np.eye(structure.ndof), structure.stretch.matrix[:, structure.coordinates :].toarray()
+    nothing, still = np.zeros(structure.ndof), np.zeros(len(by_supports))
     sensing: list[np.ndarray] = []
-    acting: list[np.ndarray] = []
-    by_mass: list[bool] = []
-    stretching: list[np.ndarray] = []
-    by_supports = structure.stretch.matrix[:, structure.coordinates :].toarray()
+    inputs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for record in records:
         sensing += [one[dof] for q in RESPONSE_QUANTITIES for dof in np.flatnonzero(record.sensors(q))]
-        acting += [one[dof] for dof in np.flatnonzero(record.sensors(FORCE))]
+        inputs += [(one[dof], nothing, still) for dof in np.flatnonzero(record.sensors(FORCE))]
         for gauge in (gauge for gauge in record.gauges if gauge.dof is None):  # one of a single DOF has a column, too
             weights = np.zeros(structure.ndof)
             weights[list(gauge.weights)] = list(gauge.weights.values())
             if gauge.quantity in RESPONSE_QUANTITIES:
                 sensing.append(weights)
             elif gauge.quantity == FORCE:
-                acting.append(weights)
-        by_mass += [False] * (len(acting) - len(by_mass))
+                inputs.append((weights, nothing, still))
         if record.ground_acceleration is not None:
-            acting.append(structure.with_ground)
-            by_mass.append(True)
-        stretching += [np.zeros(len(by_supports))] * (len(acting) - len(stretching))
+            inputs.append((nothing, structure.with_ground, still))
         if record.supports:
-            acting += [np.zeros(structure.ndof)] * structure.supports
-            by_mass += [False] * structure.supports
-            stretching += list(by_supports.T)
+            inputs += [(nothing, nothing, stretching) for stretching in by_supports.T]
     high = max(map(record_band, records))
     low = max(LOWEST * high, 1.0 / max(record.duration for record in records))
-    shape = (-1, structure.ndof)
-    carried = np.reshape(stretching, (-1, len(by_supports))).T
-    pushed, of_mass = np.reshape(acting, shape).T, np.array(by_mass, dtype=bool)
-    return Seen(np.reshape(sensing, shape), pushed, of_mass, low, high, carried)
+    return Seen(np.reshape(sensing, (-1, structure.ndof)), Acting.of(inputs, structure.ndof), low, high)
 
 
 def _solved(evidence: Evidence, trained: Trained, values: dict[Parameter, float]) -> Trained | None:

@@ -17,14 +17,23 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from pinn_cli.record.response import RESPONSE_QUANTITIES
+from pinn_cli.record.channels import Channel, channels, record_band
+from pinn_cli.record.cross_spectra import CrossSpectra, band_edges
+from pinn_cli.record.record import Record
+from pinn_cli.record.spectrum import LOWEST_BINS, signal_edges
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.connection.linear import Linear
+from pinn_cli.system.frequency_response import Acting, FrequencyResponse
 from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
-from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
 
+# Part of the record that the taper takes at both ends together: what resonances leak falls off steeply then.
+TAPERED = 0.1
+# What is left of the band: at its edge an anti-alias filter, or the forces themselves, have begun to fall off.
+BELOW_EDGE = 0.9
+# Lines of the least band that is worth a look.
+FEWEST_LINES = 32
 # The power of unknown forces is told at frequencies that grow by this factor: much more than a resonance is wide.
 KNOT_RATIO = 1.6
 
@@ -45,6 +54,20 @@ def is_spectral(problem: Problem) -> bool:
     )
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
     return bool(inputs.forces) and linear and alone and plain and not problem.further
+
+
+def spectra_in_band(record: Record) -> CrossSpectra[Channel] | None:
+    """Of all pairs of sensors and load cells, over the record's own band; None where that holds too little."""
+    sensors, frequency = channels(record), np.fft.rfftfreq(len(record.time), record.step)
+    edges = np.array([signal_edges(sensor.measured, record.step)[0] for sensor in sensors])
+    lowest = np.min(edges, initial=np.inf, where=np.isfinite(edges))
+    first = max(LOWEST_BINS, int(np.searchsorted(frequency, lowest)))
+    stop = int(np.searchsorted(frequency, BELOW_EDGE * record_band(record), side="right"))
+    if stop - first < FEWEST_LINES:
+        return None
+    loads = channels(record, (FORCE,))
+    every = len(sensors) + len(loads)
+    return CrossSpectra.of_bands(record, sensors, loads, band_edges(first, stop), every, TAPERED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,24 +99,24 @@ class SpectralModel:
         spectrum: Of its record.
     """
 
-    def __init__(self, problem: Problem, spectrum: CrossSpectrum) -> None:
+    def __init__(self, problem: Problem, spectrum: CrossSpectra[Channel]) -> None:
         self.problem, self.spectrum, dynamics = problem, spectrum, problem.dynamics
         self.dynamics, self.structure = dynamics, problem.structure
         nominal = {kind: values.double() for kind, values in problem.structure.parameters.items()}
         self.vector = ParameterVector(nominal, problem.uncertain)
         self.spread = self.vector.each("prior_std")
-        n, omega = dynamics.ndof, spectrum.omega
-        order = np.array([RESPONSE_QUANTITIES.index(quantity) for quantity, _ in spectrum.sensors])
-        rows = [dynamics.sensing(quantity)[0][1].toarray()[dof, :n] for quantity, dof in spectrum.sensors]
-        self.sensing = (1j * omega[:, None]) ** order, np.array(rows)
-        acting = [*problem.inputs.forces, *spectrum.loads]
+        n, sensors, loads = dynamics.ndof, spectrum.sensors, [load.dof for load in spectrum.acting]
+        sensed = np.array([dynamics.sensing(c.quantity)[0][1].toarray()[c.dof, :n] for c in sensors])
+        self.sensing = spectrum.differentiation[:, :, None] * sensed
+        self.stretch = problem.structure.incidence.matrix.toarray()
+        acting = [*problem.inputs.forces, *loads]
         shapes = problem.structure.shapes
-        self.pushed = np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T
+        self.acting = Acting.forces(np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T)
         self.unknown_forces = len(problem.inputs.forces)
-        sensors = [SensorSamples.of_column(problem.record, *sensor) for sensor in spectrum.sensors]
-        self.first_noise = np.array([sensor.first for sensor in sensors])
-        self.load_noise = starting_levels(problem.record, FORCE)[list(spectrum.loads)]
-        self.shape = _hats(omega)
+        samples = [SensorSamples.of_column(problem.record, *sensor.place) for sensor in sensors]
+        self.first_noise = np.array([sample.first for sample in samples])
+        self.load_noise = starting_levels(problem.record, FORCE)[loads]
+        self.shape = _hats(spectrum.omega)
 
     @property
     def places(self) -> dict[str, slice]:
@@ -117,30 +140,24 @@ class SpectralModel:
         """(q,): prescribed parameters, forces that give the sensors their power, and the noise that spectra show."""
         x = np.zeros(self.size)
         x[self.places["noise"]] = np.log(self.first_noise)
-        _, _, at_sensors = self._transfer(x)
+        at_sensors = self._response(x).value
         every = np.einsum("gsf,gsf->g", at_sensors, at_sensors.conj()).real
-        sensors = len(self.first_noise)
-        power = np.einsum("gss->g", self.spectrum.power[:, :sensors, :sensors]).real
+        power = self.spectrum.power[:, : len(self.first_noise)].sum(1)
         x[self.places["shape"]] = 0.5 * np.log(np.median(power / every))
         return x
 
-    def _transfer(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """From the coordinates' equations to the sensors (G, S, n), from the forces to the coordinates, to sensors."""
-        mass, damping, stiffness = self.matrices(x[self.places["parameters"]])
-        omega = self.spectrum.omega[:, None, None]
-        receptance = np.linalg.inv(-(omega**2) * mass + 1j * omega * damping + stiffness)
-        derivative, weights = self.sensing
-        sensed = derivative[:, :, None] * (weights @ receptance)
-        return sensed, receptance @ self.pushed, sensed @ self.pushed
+    def _response(self, x: np.ndarray) -> FrequencyResponse:
+        """Of the sensors to the forces (G, S, F)."""
+        omega, (mass, damping, stiffness) = self.spectrum.omega, self.coefficients(x[self.places["parameters"]])
+        connection = stiffness + 1j * omega[:, None] * damping
+        return FrequencyResponse(omega, self.stretch, self.sensing, self.acting, mass, connection)
 
-    def matrices(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mass, damping and stiffness (n, n) of parameters (p,), in prior standard deviations."""
+    def coefficients(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Masses (n,), and damping and stiffness (C,) of the connections; parameters (p,) in prior deviations."""
         values = self.vector.values(torch.as_tensor(parameters * self.spread))
         still = torch.zeros(self.dynamics.ndof, dtype=torch.float64)
         slope = self.structure.linearise(still, still, values)
-        stretch = self.structure.incidence.matrix.toarray()
-        of_connections = (stretch.T @ (x.numpy()[:, None] * stretch) for x in (slope.damping, slope.stiffness))
-        return np.diag(values[MASS].numpy()), *of_connections
+        return values[MASS].numpy(), slope.damping.numpy(), slope.stiffness.numpy()
 
     def follow_modes(self, x: np.ndarray) -> None:
         """Take the damping of the whole to the modes of the masses and stiffnesses at the unknowns (q,)."""
@@ -151,17 +168,17 @@ class SpectralModel:
 
     @cached_property
     def _by_parameter(self) -> list[tuple[np.ndarray, ...]]:
-        """What one prior standard deviation of each parameter adds to the three matrices: they are linear in them."""
-        none = self.matrices(np.zeros(len(self.spread)))
+        """What one prior standard deviation of each parameter adds to the coefficients: they are linear in it."""
+        none = self.coefficients(np.zeros(len(self.spread)))
         return [
-            tuple(more - own for more, own in zip(self.matrices(unit), none, strict=True))
+            tuple(more - own for more, own in zip(self.coefficients(unit), none, strict=True))
             for unit in np.eye(len(self.spread))
         ]
 
     def covariance(self, x: np.ndarray) -> Covariance:
         """At the unknowns (q,)."""
-        sensed, at_coordinates, at_sensors = self._transfer(x)
-        places, omega = self.places, self.spectrum.omega[:, None, None]
+        response = self._response(x)
+        at_sensors, places, omega = response.value, self.places, self.spectrum.omega[:, None]
         unknown = self.shape @ x[places["shape"]][:, None] + x[places["forces"]]
         loads = np.broadcast_to(self.load_noise, (len(omega), len(self.load_noise)))
         level = np.concatenate((np.exp(unknown), loads), axis=1)
@@ -176,7 +193,7 @@ class SpectralModel:
         seen = slice(self.unknown_forces, None)
         seen_slopes = np.empty((len(self.spread), *at_sensors[:, :, seen].shape), dtype=complex)
         for i, (mass, damping, stiffness) in enumerate(self._by_parameter):
-            moved = -sensed @ (-(omega**2) * mass + 1j * omega * damping + stiffness) @ at_coordinates
+            moved = response.slope(mass, stiffness + 1j * omega * damping)
             product = moved @ weighed
             slopes[i], seen_slopes[i] = product + product.conj().transpose(0, 2, 1), moved[:, :, seen]
         own = at_sensors[:, :, : self.unknown_forces, None] * weighed[:, None, : self.unknown_forces]  # (G, S, U, S)

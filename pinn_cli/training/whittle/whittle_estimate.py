@@ -21,8 +21,7 @@ from scipy.special import chdtrc
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
-from pinn_cli.training.whittle.cross_spectrum import CrossSpectrum
-from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral
+from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral, spectra_in_band
 
 # Steps of Fisher scoring at most, and the decrease of -log p below which nothing is gained.
 STEPS, NEGLIGIBLE = 60, 1e-3
@@ -166,8 +165,8 @@ class Whittle:
             return None
         unit = np.linalg.inv(root)
         sensors = model.value.shape[-1]
-        whole = self.spectrum.power
-        own, cross, loads = whole[:, :sensors, :sensors], whole[:, sensors:, :sensors], whole[:, sensors:, sensors:]
+        own, loads = self.spectrum.cross[:, :sensors, :sensors], self.spectrum.of_acting
+        cross = self.spectrum.cross[:, sensors:, :sensors]
         seen, back = model.seen, model.seen.conj().transpose(0, 2, 1)
         left = own - seen @ cross - cross.conj().transpose(0, 2, 1) @ back + seen @ loads @ back
         logs = 2.0 * np.log(np.einsum("gss->gs", root).real).sum(1)
@@ -177,8 +176,7 @@ class Whittle:
         return Whitened(logs, unit @ left @ hermitian, slopes, unit @ model.seen_slopes, crossed)
 
     def _of_measured(self, seen: np.ndarray) -> np.ndarray:
-        sensors = len(self.spectrum.sensors)
-        loads = self.spectrum.power[:, sensors:, sensors:] * self.spectrum.count[:, None, None]
+        loads = self.spectrum.of_acting * self.spectrum.count[:, None, None]
         return 2.0 * np.einsum("pgsl,glm,qgsm->pq", seen, loads, seen.conj(), optimize=True).real
 
     def updated(self, spreads: np.ndarray, x: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -247,7 +245,7 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
         return _as_told(problem)
     if not problem.uncertain or not is_spectral(problem):
         return None
-    spectrum = CrossSpectrum.of(problem.record)
+    spectrum = spectra_in_band(problem.record)
     if spectrum is None:
         return None
     model = SpectralModel(problem, spectrum)
