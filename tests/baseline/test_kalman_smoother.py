@@ -143,8 +143,11 @@ def test_a_given_process_noise_is_kept() -> None:
 
 
 def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:
-    levels = NoiseLevels({}, np.array([3.0, np.nan]), 4.0)
-    np.testing.assert_allclose(levels.disturbance_variance, [25.0, 16.0])
+    record = accelerations(measured(small_chain()).record)
+    space = StateSpace(Problem(small_chain(), record))
+    levels = NoiseLevels(np.ones(2), np.array([4.0, 3.0]))
+    model = space.model(space.linearise(space.start()), levels)
+    np.testing.assert_allclose(model.disturbance_variance, [25.0, 16.0, 16.0])
 
 
 def test_every_parameter_may_be_unknown() -> None:
