@@ -14,6 +14,7 @@ from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
+from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
 
@@ -54,6 +55,9 @@ class KalmanSmoother(Estimator):
         if problem.prior is not None:
             hint = "the smoother knows no correlated parameters"
             raise InputError("baseline", self.name, "none with model=...", hint)
+        if any(p.kind == FACTOR for p in problem.uncertain):
+            hint = "the coordinates of a finite-element model follow the factors, and the smoother's stay what they are"
+            raise InputError("baseline", self.name, "none where factors of parts are in doubt", hint)
         check_gauges(problem.record, self.name)
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
