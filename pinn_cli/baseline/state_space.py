@@ -13,6 +13,7 @@ Nayek, Chakraborty and Narasimhan 2019); so are the ground and forces whose sens
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -143,7 +144,9 @@ class StateSpace:
 
     def _force_within(self, step_times_rate: float) -> np.ndarray:
         """(2 substeps + 1, N - 1, F), N, measured forces at ends and middles of substeps; 0 where unknown."""
-        substeps = substeps_needed(self.problem.structure, self.step, step_times_rate)
+        edge = 0.0 if self.dynamics.is_plain else self.corner  # up to which processes reach
+        of_structure = substeps_needed(self.problem.structure, self.step, step_times_rate)
+        substeps = max(of_structure, math.ceil(self.step * edge / step_times_rate))
         force = between_samples(self.problem.record.time, self.force, self.problem.record.intersample)
         return force.within(np.arange(2 * substeps + 1) / (2 * substeps))
 
