@@ -73,7 +73,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         found = [noise.pooled() for noise in found] if pooled else found
         levels = trained.noise.records
         change = [_log_levels(new) - _log_levels(old) for new, old in zip(found, levels, strict=True)]
-        strides = list(map(stride, before, change))
+        strides = list(map(_stride, before, change))
         moves = zip(levels, strides, floors, strict=True)
         each = (replace(_moved(*own), taken_up=new.taken_up) for own, new in zip(moves, found, strict=True))
         noise = NoiseLevels(tuple(each), evidence.learned_spread(trained))
@@ -299,12 +299,12 @@ def _moved(noise: NoiseModel, change: np.ndarray, least: NoiseModel) -> NoiseMod
     return replace(noise, response=response, force=force, discrepancy=discrepancy, innovation=innovation)
 
 
-def stride(before: np.ndarray | None, change: np.ndarray) -> np.ndarray:
+def _stride(before: np.ndarray | None, change: np.ndarray) -> np.ndarray:
     """A change, lengthened where it shrinks by a steady ratio from round to round (Aitken)."""
     if before is None:
         return change
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.nan_to_num(change / before)
     steady = (ratio > 0.0) & (ratio < 1.0)
-    longer = np.where(steady, np.minimum(1.0 / (1.0 - np.where(steady, ratio, 0.0)), LONGEST_STRIDE), 1.0)
-    return np.clip(change * longer, -np.log(LARGEST_CHANGE), np.log(LARGEST_CHANGE))
+    stride = np.where(steady, np.minimum(1.0 / (1.0 - np.where(steady, ratio, 0.0)), LONGEST_STRIDE), 1.0)
+    return np.clip(change * stride, -np.log(LARGEST_CHANGE), np.log(LARGEST_CHANGE))
