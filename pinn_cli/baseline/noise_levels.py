@@ -141,8 +141,14 @@ def spread(smoother: IteratedSmoother, last: Pass) -> float:
     """How far believed parameters are off, in common."""
     if not (smoother.learn_spread and smoother.sharing.any()):
         return last.levels.spread
-    at, variance = smoother.space.coefficients(last.trajectory), np.diag(last.regression.covariance)
-    return updated_spread(at[smoother.sharing], variance[smoother.sharing], last.levels.spread)
+    found, sharing, size = last.regression, smoother.sharing, last.levels.spread
+    inverse = np.linalg.inv(found.covariance)
+    pull, precision = inverse @ smoother.space.coefficients(last.trajectory), found.precision
+    for _ in range(ROUNDS):
+        own = np.where(sharing, size**-2.0, precision)
+        covariance = np.linalg.inv(inverse + np.diag(own - precision))
+        size = updated_spread((covariance @ pull)[sharing], np.diag(covariance)[sharing], size)
+    return size
 
 
 def widened(smoother: IteratedSmoother, best: Pass) -> Pass:
