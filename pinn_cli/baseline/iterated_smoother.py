@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
 from pinn_cli.baseline.linear_gaussian import Filtered
-from pinn_cli.baseline.regression import Regression, regress, regress_with_spread
+from pinn_cli.baseline.regression import Regression, regress
 from pinn_cli.baseline.state_space import Linearised, NoiseLevels, StateSpace, Trajectory
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 
@@ -24,11 +25,11 @@ class Pass:
     """One linearisation, filter and smoother.
 
     Attributes:
-        levels: The noise levels, with the spread that was found.
+        levels: The noise levels.
         linearised: The model where it was linearised.
         filtered: Deviations from there.
         regression: Parameters and start of the motion.
-        disturbances: (N, n), smoothed force that the model leaves out, N.
+        disturbances: (N, F), smoothed force that each equation leaves out, N.
         trajectory: The smoothed one.
         step: Rms of its distance from where the model was linearised, over its own rms; the largest of any state kind.
     """
@@ -40,6 +41,11 @@ class Pass:
     disturbances: np.ndarray
     trajectory: Trajectory
     step: float
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the probability density of the observations, up to a constant."""
+        return self.regression.log_evidence
 
 
 class IteratedSmoother:
@@ -58,20 +64,20 @@ class IteratedSmoother:
         self.space, self.passes, self.learn_spread = space, passes, learn_spread
         # Of unknown parameters nobody has said what they should be: only beliefs share how far they are off.
         believed = [not p.unknown and p.kind not in CALIBRATION_UNITS for p in space.problem.uncertain]
-        self.sharing = np.array([*believed, *[False] * (2 * space.n)])
-        self.gains = np.array([*[p.kind == "gain" for p in space.problem.uncertain], *[False] * (2 * space.n)])
-        self.held = False
-        self.precision = np.concatenate((space.precision, np.ones(2 * space.n)))
+        self.sharing = np.array([*believed, *[False] * space.size])
+        self.uncertain = np.arange(len(self.sharing)) < len(space.problem.uncertain)
+        self.hold(())
         self.history: list[dict[str, float]] = []
         self.started = time.perf_counter()
 
-    def hold_gains(self, held: bool) -> None:
-        """Hold gains where they start, or let them go.
+    def hold(self, kinds: Collection[str]) -> None:
+        """Hold uncertain parameters of some kinds where they start, and let the others go.
 
-        At rest a gain does nothing to what a sensor shows, and in a soft structure hardly anything tells it: the search
-        would carry it far off.
+        At rest a parameter does nothing to what a sensor shows, and in a soft structure hardly anything tells a gain:
+        the search would carry it far off.
         """
-        self.held = held
+        of_kinds = [p.kind in kinds for p in self.space.problem.uncertain]
+        self.held = np.array([*of_kinds, *[False] * self.space.size], dtype=bool)
 
     def settle(self, trajectory: Trajectory, levels: NoiseLevels, tolerance: float) -> Pass:
         """Passes until the step is shorter than ``tolerance``, or until they are used up.
@@ -82,7 +88,7 @@ class IteratedSmoother:
         self.space.follow_modes(trajectory)
         for _ in range(self.passes):
             done = self.once(trajectory, levels)
-            trajectory, levels = done.trajectory, done.levels
+            trajectory = done.trajectory
             if done.step < tolerance:
                 break
         return done
@@ -97,18 +103,16 @@ class IteratedSmoother:
         model = self.space.model(linearised, levels)
         filtered = model.filter()
         at, p = self.space.coefficients(trajectory), len(trajectory.parameters)
-        solve = regress_with_spread if self.learn_spread else regress
         try:
-            pull = 0.0 if self.held else self.pull_of_gains(trajectory, filtered)
-            own = np.where(self.gains, HELD, self.precision) if self.held else self.precision
-            found = solve(filtered, at, levels.spread, self.sharing, pull, own)
+            pull = self.pull_of_gains(trajectory, filtered)
+            precision = np.where(self.held, HELD, np.where(self.sharing, levels.spread**-2.0, 1.0))
+            found = regress(filtered, at, precision, pull)
         except (np.linalg.LinAlgError, ValueError) as error:
             raise FloatingPointError(str(error)) from error
         move, disturbances = filtered.smooth(found.change)
         length = self._length(trajectory, move)
         share = 1.0 if length < SHORT_STEP else self._share(trajectory, move, found, filtered)
         moved = Trajectory(trajectory.states + share * move, trajectory.parameters + share * found.change[:p])
-        levels = replace(levels, spread=found.spread)
         self._note(levels, found, length)
         return Pass(levels, linearised, filtered, found, disturbances, moved, length)
 
@@ -121,8 +125,8 @@ class IteratedSmoother:
         """
         space = self.space
         out = np.zeros(filtered.mean.shape[2] - 1)
-        gains = {p.index: i for i, p in enumerate(space.problem.uncertain) if p.kind == "gain"}
-        rows = {row: gains[s.gauge] for row, s in enumerate(space.sensors) if s.gauge in gains}
+        gains = {p.index: i for i, p in enumerate(space.problem.uncertain) if p.kind == "gain" and not self.held[i]}
+        rows = {row: gains[s.number] for row, s in enumerate(space.sensors) if s.number in gains}
         if not rows:
             return out
         covariance, parameters = filtered.posterior()[0], space.parameters(trajectory)
@@ -140,9 +144,7 @@ class IteratedSmoother:
         self.history.append({**row, **found_row})
 
     def _length(self, trajectory: Trajectory, move: np.ndarray) -> float:
-        kinds = [
-            (x, y) for x, y in zip(*map(self.space.split, (trajectory.states + move, move)), strict=True) if x.size
-        ]
+        kinds = zip(*map(self.space.kinds, (trajectory.states + move, move)), strict=True)
         lengths = [np.sqrt(np.sum(y**2) / np.sum(x**2)) if y.any() else 0.0 for x, y in kinds]
         if not np.all(np.isfinite(lengths)):
             raise FloatingPointError("the smoothed trajectory is not finite")
@@ -168,7 +170,4 @@ class IteratedSmoother:
             return np.inf
         misfit = np.sum(residuals[:-1] * np.linalg.solve(covariance[:-1], residuals[:-1, :, None])[..., 0])
         misfit += residuals[-1, :m] @ np.linalg.solve(covariance[-1, :m, :m], residuals[-1, :m])
-        misfit += found.precision @ self.space.coefficients(trajectory) ** 2
-        latent = trajectory.states[0, 2 * self.space.n :]
-        start = filtered.model.initial_covariance[2 * self.space.n :, 2 * self.space.n :]
-        return float(misfit + latent @ np.linalg.solve(start, latent))
+        return float(misfit + found.precision @ self.space.coefficients(trajectory) ** 2)

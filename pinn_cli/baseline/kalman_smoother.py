@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from pinn_cli.baseline.channels import check_gauges, load_cell_noise
+from pinn_cli.baseline.channels import check_gauges
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
-from pinn_cli.baseline.process_noise import most_probable_with_gains, stiffened, widened
+from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
+from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
-from pinn_cli.training.steps.first_solution import inferred_sensor_noise
 
 
 class KalmanSmoother(Estimator):
@@ -49,33 +49,26 @@ class KalmanSmoother(Estimator):
 
     def check(self, problem: Problem) -> None:
         """See :meth:`Estimator.check`."""
-        if (
-            problem.inputs.ground
-            or problem.inputs.supports
-            or len(problem.structure.memory)
-            or problem.structure.shapes is not None
-        ):
-            allowed = f"baseline=none where {problem.dynamics.beside_motion} is to be found"
-            raise InputError("baseline", self.name, allowed, "the smoother's state is the motion of the DOFs alone")
         if has_stiff_law(problem.structure):
             hint = "the smoother takes explicit steps; a friction with a speed is possible"
             raise InputError("baseline", self.name, "none with friction that sticks", hint)
         if problem.prior is not None:
             hint = "the smoother knows no correlated parameters"
             raise InputError("baseline", self.name, "none with model=...", hint)
+        if any(p.kind == FACTOR for p in problem.uncertain):
+            hint = "the coordinates of a finite-element model follow the factors, and the smoother's stay what they are"
+            raise InputError("baseline", self.name, "none where factors of parts are in doubt", hint)
         check_gauges(problem.record, self.name)
 
     def solve(self, problem: Problem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""
-        response, force = inferred_sensor_noise(problem, run.device)
-        force = load_cell_noise(problem.record, response, force)
         smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
         try:
-            last = self._last_pass(smoother, NoiseLevels(response, force, smoother.space.force_scale))
+            last = self._last_pass(smoother, smoother.space.first_levels())
             summary = {
                 "iterations": len(smoother.history),
                 "stop_reason": "converged" if last.step < self.tolerance else "iteration limit",
-                "log_evidence": last.regression.log_evidence,
+                "log_evidence": last.log_evidence,
             }
             return smoothed_estimate(smoother.space, last, pd.DataFrame(smoother.history), summary)
         except (FloatingPointError, np.linalg.LinAlgError) as error:
@@ -84,7 +77,7 @@ class KalmanSmoother(Estimator):
     def _last_pass(self, smoother: IteratedSmoother, levels: NoiseLevels) -> Pass:
         """The solution under the given process noise, or under the one that is found."""
         if self.process_noise is None:
-            best = widened(smoother, most_probable_with_gains(smoother, levels))
+            best = widened(smoother, most_probable(smoother, levels))
         else:
             best = stiffened(smoother, levels, self.process_noise)
         return smoother.settle(best.trajectory, best.levels, self.tolerance)

@@ -68,14 +68,8 @@ class LinearGaussian:
         closed = self.state[:, m:] - gain @ self.state[:, :m]
         seen = (self.observed - self.offset[:, :m])[:, :, None]
         known = np.concatenate((seen, -self.coefficient[:, :m]), axis=2)
-        mean = np.empty((len(known) + 1, *self.initial.shape))
-        mean[0] = self.initial
-        np.matmul(gain, known, out=mean[1:])
-        mean[1:, :, 0] += self.offset[:, m:]
-        mean[1:, :, 1:] += self.coefficient[:, m:]
-        for through, before, after in zip(closed, mean[:-1], mean[1:], strict=True):
-            after += through @ before  # noqa: PLW2901 (in place: what drives the mean becomes the mean)
-        mean = mean[:-1]
+        drive = np.concatenate((self.offset[:, m:, None], self.coefficient[:, m:]), axis=2)
+        mean = driven(closed, self.initial, gain @ known + drive)
         innovation = known - self.state[:, :m] @ mean
         return Filtered(self, covariance, mean, innovation, spread, gain, closed)
 
@@ -101,6 +95,15 @@ class LinearGaussian:
             solved.append(by_spread)
         gain = np.stack(solved).transpose(0, 2, 1)
         return covariance[:-1], joints[:, :m, :m], gain
+
+
+def driven(closed: np.ndarray, initial: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """(N, s, c), what begins as (s, c) and goes through (N, s, s) from step to step, with (N, s, c) added at each."""
+    mean = np.empty((len(drive) + 1, *initial.shape))
+    mean[0], mean[1:] = initial, drive
+    for through, before, after in zip(closed, mean[:-1], mean[1:], strict=True):
+        after += through @ before  # noqa: PLW2901 (in place: what drives the mean becomes the mean)
+    return mean[:-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,40 +158,91 @@ class Filtered:
             Their covariance at every step for known coefficients (N, s + d, s + d), and what each coefficient does to
             their mean (N, s + d, p).
         """
-        s = self.mean.shape[1]
+        s, m = self.mean.shape[1], self.innovation.shape[1]
         columns = np.concatenate(self._smoothed(self.mean[..., 1:], self.weighted[..., 1:]), axis=1)
         prior = np.zeros((len(columns), columns.shape[1], columns.shape[1]))
         prior[:, :s, :s] = self.covariance
         diagonal = np.arange(s, columns.shape[1])
         prior[:, diagonal, diagonal] = self.model.disturbance_variance
-        return prior - prior @ self._information() @ prior, columns
+        felt, push = self._noise_rows
+        seen = np.concatenate((self.model.state[:, :m], felt[..., m + s :]), axis=2)
+        gone = np.concatenate((self.closed, push[..., m + s :]), axis=2)
+        information = seen.transpose(0, 2, 1) @ np.linalg.solve(self.spread, seen)
+        information += gone.transpose(0, 2, 1) @ self._later_information @ gone
+        return prior - prior @ information @ prior, columns
+
+    def told(self, coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What the observations say of the noise of every sensor and state, and of every disturbance.
+
+        The derivative of their log probability by a variance is half of the squares less the information (Koopman and
+        Shephard 1992), with the squares of the noise found over the variance squared. The information is what is left
+        to find it by: the number of values that neither motion nor coefficients have taken up, over the variance.
+
+        Args:
+            coefficients: (p,), found.
+            covariance: (p, p), of these.
+
+        Returns:
+            (N, m + s + d), the noise found over its variance, and the information likewise.
+        """
+        felt, push = self._noise_rows
+        _, later = self._scores(self.weighted)
+        scores = felt.transpose(0, 2, 1) @ self.weighted + push.transpose(0, 2, 1) @ later
+        information = np.sum(felt * np.linalg.solve(self.spread, felt), axis=1)
+        information += np.sum(push * (self._later_information @ push), axis=1)
+        information -= np.sum((scores[..., 1:] @ np.linalg.cholesky(covariance)) ** 2, axis=2)
+        return scores @ np.concatenate(([1.0], coefficients)), information
+
+    def products(self, noise: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """(L, L), products of L histories of noise over the covariance of the observations, coefficients included.
+
+        Half of them are the average of expected and observed information on variances (Gilmour, Thompson and Cullis
+        1995), where the noise is what is found of each, times its variance.
+
+        Args:
+            noise: (N, m + s + d, L).
+            covariance: (p, p), of the coefficients.
+        """
+        felt, push = self._noise_rows
+        missed = driven(self.closed, np.zeros((self.mean.shape[1], noise.shape[2])), push @ noise)
+        innovation = felt @ noise + self.model.state[:, : self.innovation.shape[1]] @ missed
+        weighted = np.linalg.solve(self.spread, innovation)
+        own = np.einsum("kmi,kmj->ij", innovation, weighted)
+        shared = np.einsum("kmi,kmp->ip", weighted, self.innovation[..., 1:])
+        products: np.ndarray = own - shared @ covariance @ shared.T
+        return products
 
     @property
-    def _disturbance_rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """What a disturbance does to the innovation (N, m, d) and, that held, to the next state (N, s, d)."""
+    def _noise_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """What noise and disturbances do to the innovation (N, m, m + s + d) and, that held, to the next state."""
         m = self.innovation.shape[1]
-        felt = self.model.disturbance[:, :m]
-        return felt, self.model.disturbance[:, m:] - self.gain @ felt
+        own = np.broadcast_to(np.eye(m + self.mean.shape[1]), self.model.noise.shape)
+        rows = np.concatenate((np.broadcast_to(own, (len(self.mean), *own.shape)), self.model.disturbance), axis=2)
+        return rows[:, :m], rows[:, m:] - self.gain @ rows[:, :m]
 
     def _smoothed(self, mean: np.ndarray, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smoothed states (N, s, c) and disturbances (N, d, c), column by column."""
-        observe = self.model.state[:, : self.innovation.shape[1]]
-        score = observe.transpose(0, 2, 1) @ weighted  # what this observation says about its state, then all later ones
-        later = np.zeros_like(score)
-        for back, here, before, after in zip(self.closed[::-1], score[::-1], later[-2::-1], later[::-1], strict=False):
-            np.add(back.T @ after, here, out=before)
-        score += self.closed.transpose(0, 2, 1) @ later
-        felt, push = (rows.transpose(0, 2, 1) for rows in self._disturbance_rows)
+        score, later = self._scores(weighted)
+        m = self.innovation.shape[1]
+        felt, push = (rows[..., m + mean.shape[1] :].transpose(0, 2, 1) for rows in self._noise_rows)
         disturbances = self.model.disturbance_variance[:, None] * (felt @ weighted + push @ later)
         return mean + self.covariance @ score, disturbances
 
-    def _information(self) -> np.ndarray:
-        """(N, s + d, s + d), what this and later observations tell about state and disturbance of each step."""
-        felt, push = self._disturbance_rows
-        seen = np.concatenate((self.model.state[:, : felt.shape[1]], felt), axis=2)
-        gone = np.concatenate((self.closed, push), axis=2)
-        information = seen.transpose(0, 2, 1) @ np.linalg.solve(self.spread, seen)
-        s = self.closed.shape[1]
-        for k in range(len(gone) - 2, -1, -1):
-            information[k] += gone[k].T @ information[k + 1, :s, :s] @ gone[k]
-        return information
+    def _scores(self, weighted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What this and later observations say about a state (N, s, c), and about the next one (N, s, c)."""
+        observe = self.model.state[:, : self.innovation.shape[1]]
+        score = observe.transpose(0, 2, 1) @ weighted
+        later = np.zeros_like(score)
+        for back, here, before, after in zip(self.closed[::-1], score[::-1], later[-2::-1], later[::-1], strict=False):
+            np.add(back.T @ after, here, out=before)
+        return score + self.closed.transpose(0, 2, 1) @ later, later
+
+    @cached_property
+    def _later_information(self) -> np.ndarray:
+        """(N, s, s), what later observations tell about the state after each step."""
+        observe = self.model.state[:, : self.innovation.shape[1]]
+        own = observe.transpose(0, 2, 1) @ np.linalg.solve(self.spread, observe)
+        later = np.zeros_like(own)
+        for through, here, before, after in zip(self.closed[::-1], own[::-1], later[-2::-1], later[::-1], strict=False):
+            np.add(through.T @ after @ through, here, out=before)
+        return later

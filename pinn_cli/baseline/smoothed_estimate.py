@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.sparse import csr_matrix
 
 from pinn_cli.baseline.iterated_smoother import Pass
 from pinn_cli.baseline.state_space import StateSpace
 from pinn_cli.model.truncated_gaussian import TruncatedGaussian
-from pinn_cli.record.response import Response
+from pinn_cli.network.base import States
+from pinn_cli.physics import estimated_response
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.training.bounded_estimates import bounded_estimates
 from pinn_cli.training.estimate import Estimate, ParameterEstimate
-
-
-class _Spread:
-    """Standard deviations of linear functions of state, disturbance and coefficients, under the posterior."""
-
-    def __init__(self, last: Pass) -> None:
-        self.covariance, self.by_coefficient = last.filtered.posterior()
-        self.root = np.linalg.cholesky(last.regression.covariance)
-
-    def of(self, rows: np.ndarray, by_coefficient: np.ndarray | None = None) -> np.ndarray:
-        """(N, n) of rows (N, n, s + d); ``by_coefficient`` (N, n, p): what coefficients do past the state."""
-        variance = np.sum((rows @ self.covariance) * rows, axis=2)
-        through = rows @ self.by_coefficient
-        if by_coefficient is not None:
-            through[:, :, : by_coefficient.shape[2]] += by_coefficient
-        variance += np.sum((through @ self.root) ** 2, axis=2)
-        deviation: np.ndarray = np.sqrt(variance.clip(min=0.0))
-        return deviation
 
 
 def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summary: dict[str, Any]) -> Estimate:
@@ -40,42 +26,72 @@ def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summ
     former belongs to the force that acts, in proportion to its variance; elsewhere all of it is reported, and shows on
     an unforced DOF where the model is wrong.
     """
-    record, trajectory = space.problem.record, last.trajectory
-    u, v, hidden, _ = space.split(trajectory.states)
-    sensor = np.nan_to_num(last.levels.force) ** 2
-    share = np.where(record.sensors("force"), sensor / last.levels.disturbance_variance, 1.0)
-    acceleration = space.acceleration(trajectory) + last.disturbances / space.parameters(trajectory)["m"]
-    force = space.loads.at_samples(space.parameters(trajectory)) + share * last.disturbances
-    force[:, space.hidden] += hidden
-    return Estimate(
-        Response(record.time, u, v, acceleration, force),
-        _deviations(space, last, share),
-        _parameters(space, last),
-        history,
-        summary | {"sigma_discrepancy": last.levels.discrepancy, "parameter_spread": last.levels.spread},
-    )
+    trajectory, levels = last.trajectory, last.levels
+    equations = space.equations(space.parameters(trajectory))
+    jet = equations.jet(trajectory.states, space.force + last.disturbances)
+    motion = States(*jet, None)
+    response = estimated_response(space.problem.record, space.dynamics, equations.parameters, motion, motion)
+    share = 1.0 - np.where(space.measured, levels.discrepancy**2 / (space.sources @ levels.forces**2), 0.0)
+    dofs = np.flatnonzero(space.measured)
+    response.force[:, dofs] -= ((1.0 - share) * last.disturbances)[:, dofs]
+    levels_found = {"sigma_discrepancy": levels.discrepancy, "parameter_spread": levels.spread}
+    std = _deviations(space, last, response, share)
+    return Estimate(response, std, _parameters(space, last), history, summary | levels_found)
 
 
-def _deviations(space: StateSpace, last: Pass, share: np.ndarray) -> Response:
-    record, n, s = space.problem.record, space.n, space.size
-    spread, linearised = _Spread(last), last.linearised
-    samples, identity = len(record.time), np.eye(s + n)
-    by_state, mass = linearised.by_state, space.parameters(linearised.trajectory)["m"]
-    felt = np.broadcast_to(np.diag(1.0 / mass), (samples, n, n))
-    pushed = np.concatenate((np.zeros((n, s)), np.diag(share)), axis=1)
-    pushed[space.hidden, 2 * n + np.arange(len(space.hidden))] = 1.0
-    everywhere = (samples, n, s + n)
-    told = space.loads.by_numbers(space.parameters(linearised.trajectory), space.problem.uncertain)
-    force = spread.of(np.broadcast_to(pushed, everywhere), told)
-    # What the motion cannot tell: how the load cell's noise and the model error divide their sum.
-    force = np.sqrt(force**2 + share * last.levels.discrepancy**2 * record.sensors("force"))
+class _Spread:
+    """Standard deviations of sums of functions and their derivatives, under the posterior."""
+
+    def __init__(self, last: Pass) -> None:
+        self.covariance, self.by_coefficient = last.filtered.posterior()
+        self.root = np.linalg.cholesky(last.regression.covariance)
+        self.functions = last.linearised.functions
+
+    def sensed(self, parts: Sequence[tuple[int, csr_matrix]]) -> np.ndarray:
+        """(N, C), of sums (order of the derivative, (C, F) weights of the functions), see :meth:`Functions.sensing`."""
+        each = [weights.toarray() @ self.functions[order] for order, weights in parts]
+        return self.of(np.sum(each, axis=0))
+
+    def of(self, rows: np.ndarray) -> np.ndarray:
+        """(N, C), of rows (N, C, columns), see :class:`pinn_cli.baseline.equations.Equations`."""
+        own, past = np.split(rows, [self.covariance.shape[1]], axis=2)  # what parameters do past the state
+        variance = np.sum((own @ self.covariance) * own, axis=2)
+        through = own @ self.by_coefficient
+        through[:, :, : past.shape[2]] += past
+        variance += np.sum((through @ self.root) ** 2, axis=2)
+        deviation: np.ndarray = np.sqrt(variance.clip(min=0.0))
+        return deviation
+
+
+def _deviations(space: StateSpace, last: Pass, response: Response, share: np.ndarray) -> Response:
+    spread, dynamics = _Spread(last), space.dynamics
+    displacement, velocity, acceleration = (spread.sensed(dynamics.sensing(q)) for q in RESPONSE_QUANTITIES)
+    values = spread.sensed([(0, dynamics.picked(slice(0, dynamics.size)))])
+    force = np.zeros_like(response.force)
+    if dynamics.structure.shapes is None:
+        dofs = np.arange(force.shape[1])
+        pushed = np.zeros((len(force), len(dofs), last.linearised.rows.shape[-1]))
+        pushed[:, dofs, space.size + dofs] = share[dofs]
+        # What the motion cannot tell: how the load cell's noise and the model error divide their sum.
+        untold = (share * space.measured)[dofs] * last.levels.discrepancy**2
+        force = np.sqrt(spread.of(pushed) ** 2 + untold)
+    force[:, dynamics.loaded] = values[:, dynamics.acting]
     return Response(
-        record.time,
-        spread.of(np.broadcast_to(identity[:n], everywhere)),
-        spread.of(np.broadcast_to(identity[n : 2 * n], everywhere)),
-        spread.of(np.concatenate((by_state, felt), axis=2), linearised.by_parameter),
+        response.time,
+        displacement,
+        velocity,
+        acceleration,
         force,
+        spread.sensed(dynamics.sensing(GROUND))[:, 0] if dynamics.inputs.ground else None,
+        None if response.hidden is None else values[:, dynamics.hidden],
+        supports=None if response.supports is None else _of_supports(spread, space),
     )
+
+
+def _of_supports(spread: _Spread, space: StateSpace) -> np.ndarray:
+    """(N, 3, S), of the supports' motion."""
+    picked = space.dynamics.picked(space.dynamics.supports)
+    return np.stack([spread.sensed([(order, picked)]) for order in range(3)], axis=1)
 
 
 def _parameters(space: StateSpace, last: Pass) -> list[ParameterEstimate]:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from small_problems import measured, relative_error, small_chain
 
-from pinn_cli.baseline.channels import check_gauges, response_channels
+from pinn_cli.baseline.channels import check_gauges
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
-from pinn_cli.baseline.state_space import StateSpace, Trajectory
+from pinn_cli.baseline.state_space import StateSpace
 from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.calibration import sensor_parameters
@@ -49,40 +49,15 @@ def in_doubt(record: Record, kinds: tuple[str, ...] = ("gain", "offset")) -> Rec
     )
 
 
-def test_derivatives_by_states_and_numbers() -> None:
-    measurements = made()
-    record, truth = in_doubt(measurements.record, NUMBERS), measurements.truth.response
-    problem = Problem(small_chain("linear"), record, sensor_parameters(record))
-    space = StateSpace(problem)
-    states = np.concatenate((truth.displacement, truth.velocity), axis=1)
-    moved = np.random.default_rng(1).uniform(-0.02, 0.02, len(problem.uncertain))
-    at = Trajectory(states, moved)
-    linearised, m = space.linearise(at), len(space.sensors)
-    assert (m, len(moved)) == (4, 6)
-    inner = slice(100, 140)
-    for j, unit in enumerate(np.eye(len(moved))):
-        up, down = (space.residuals(Trajectory(states, moved + sign * 1e-4 * unit)) for sign in (1.0, -1.0))
-        expected = ((down - up) / 2e-4)[inner]
-        found = linearised.coefficient[inner, :, j]
-        np.testing.assert_allclose(found[:, :m], expected[:, :m], rtol=1e-4, atol=1e-4 * np.abs(expected).max())
-        # Within a step the force's change is taken for that of its middle.
-        largest = np.abs(expected[:, m:]).max(axis=0)
-        assert np.all(np.abs(found - expected)[:, m:] <= 0.05 * largest + 2e-3 * largest.max())
-    for i, unit in enumerate(np.eye(space.size)):
-        up, down = (space.residuals(Trajectory(states + sign * 1e-4 * unit, moved)) for sign in (1.0, -1.0))
-        found, expected = linearised.state[inner, :m, i], ((down - up) / 2e-4)[inner, :m]
-        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(linearised.state[inner, :m]).max())
-
-
 def test_a_sample_that_is_missing_tells_nothing() -> None:
     record = in_doubt(made().record)
     problem = Problem(small_chain("linear"), record, sensor_parameters(record))
     space = StateSpace(problem)
-    row = [sensor.gauge for sensor in space.sensors].index(0)
+    row = [sensor.gauge.name for sensor in space.sensors].index("a2")
     gone = ~space.there[:, row]
     assert 0.4 < gone.mean() < 0.6
     linearised = space.linearise(space.start())
-    for rows in (linearised.state, linearised.disturbance, linearised.coefficient, linearised.residuals):
+    for rows in (linearised.rows, linearised.residuals):
         assert not rows[gone, row].any()
         assert rows[~gone, row].any()
 
@@ -110,7 +85,7 @@ def test_a_delay_that_is_known_is_taken_out() -> None:
     time, late = record.time, {"delay": Calibration(2.4 * record.step)}
     shown = np.interp(time - 2.4 * record.step, time, record.acceleration[:, 1])
     gauge = Gauge("a2", "acceleration", {1: 1.0}, time, shown, late)
-    (channel,) = [c for c in response_channels(replace(record, gauges=(gauge,))) if c.gauge == 0]
+    channel = StateSpace(Problem(small_chain("linear"), replace(record, gauges=(gauge,)))).sensors[0]
     seen = channel.there & (np.arange(len(time)) > 5)
     assert relative_error(channel.shown[seen], record.acceleration[seen, 1]) < 0.02
     assert not channel.there[-1]
@@ -120,8 +95,7 @@ def test_a_delay_that_is_known_is_taken_out() -> None:
     ("change", "expected"),
     [
         ({"calibration": {"delay": Calibration(0.0, 0.1, unknown=True)}}, "none where a delay is in doubt"),
-        ({"quantity": "connection_force", "weights": {}, "connection": 0}, "a sensor feels no motion of DOFs"),
-        ({"quantity": "force", "weights": {0: 1.0}, "fills": False}, "channel x stands beside another one"),
+        ({"filter_order": 1}, "none where a sensor is behind a filter"),
     ],
 )
 def test_what_it_has_no_rows_for_is_refused_in_one_line(change: dict, expected: str) -> None:
@@ -133,13 +107,9 @@ def test_what_it_has_no_rows_for_is_refused_in_one_line(change: dict, expected: 
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("quantity", "expected"), [("acceleration", "between the record's times"), ("force", "a load cell misses samples")]
-)
-def test_samples_that_stand_nowhere_are_refused(quantity: str, expected: str) -> None:
+def test_samples_that_stand_nowhere_are_refused() -> None:
     record = made().record
     there = np.random.default_rng(0).random(len(record.time)) < 0.5
-    time = record.time[there] + (0.3 * record.step if quantity == "acceleration" else 0.0)
-    gauge = Gauge("x", quantity, {0: 1.0}, time, record.acceleration[there, 0])
-    with pytest.raises(InputError, match=expected):
+    gauge = Gauge("x", "acceleration", {0: 1.0}, record.time[there] + 0.3 * record.step, record.acceleration[there, 0])
+    with pytest.raises(InputError, match="between the record's times"):
         check_gauges(replace(record, gauges=(gauge,)), "kalman_smoother")

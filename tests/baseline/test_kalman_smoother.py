@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from small_problems import NONLINEARITIES, QUANTITIES, accelerations, measured, relative_error, small_chain
 from small_problems import sped_up as faster
+from structures import hysteretic, modal
 
 from pinn_cli.baseline.comparison import baseline_estimate
+from pinn_cli.baseline.iterated_smoother import IteratedSmoother
 from pinn_cli.baseline.kalman_smoother import KalmanSmoother
+from pinn_cli.baseline.noise_levels import most_probable
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.excitation.banded_noise import BandedNoise
 from pinn_cli.record.record import Record
@@ -22,6 +25,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import Estimate, RunContext
 
 
@@ -125,6 +129,29 @@ def test_a_force_that_nobody_measures_is_found() -> None:
     assert relative_error(estimate.response.displacement, truth.displacement) < 0.02
 
 
+@pytest.mark.parametrize("structure", [hysteretic(), modal()], ids=["hysteretic", "modal"])
+def test_hidden_forces_and_modes(structure: Structure) -> None:
+    measurements = measured(structure, snr_db=40.0, duration=12.0, samples=601)
+    scheme = SparseRecovery(unobserved=[structure.ndof])
+    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    KalmanSmoother().check(problem)
+    estimate, truth = solved(problem), measurements.truth.response
+    for quantity in ("velocity", "acceleration"):
+        assert relative_error(getattr(estimate.response, quantity), getattr(truth, quantity)) < 0.01
+        assert covered(estimate, truth, quantity) > 0.9
+
+
+@pytest.mark.parametrize("snr_db", [20.0, 50.0])
+def test_the_noise_of_every_sensor_is_found(snr_db: float) -> None:
+    measurements = measured(small_chain("duffing"), snr_db=snr_db, duration=24.0, samples=513)
+    space = StateSpace(Problem(small_chain("duffing"), accelerations(measurements.record)))
+    levels = most_probable(IteratedSmoother(space, passes=12, learn_spread=True), space.first_levels()).levels
+    ratio = 10.0 ** (-snr_db / 20.0)
+    truth = measurements.truth.response
+    np.testing.assert_allclose(levels.sensors, ratio * truth.acceleration[:, :2].std(axis=0), rtol=0.1)
+    np.testing.assert_allclose(levels.forces[1], ratio * truth.force[:, 0].std(), rtol=0.1)
+
+
 def test_a_structure_thirty_times_faster_gives_the_same() -> None:
     speed = 30.0
     record = accelerations(measured(small_chain("duffing"), snr_db=30.0).record)
@@ -143,8 +170,11 @@ def test_a_given_process_noise_is_kept() -> None:
 
 
 def test_a_load_cell_shares_what_the_motion_needs_with_the_model() -> None:
-    levels = NoiseLevels({}, np.array([3.0, np.nan]), 4.0)
-    np.testing.assert_allclose(levels.disturbance_variance, [25.0, 16.0])
+    record = accelerations(measured(small_chain()).record)
+    space = StateSpace(Problem(small_chain(), record))
+    levels = NoiseLevels(np.ones(2), np.array([4.0, 3.0]))
+    model = space.model(space.linearise(space.start()), levels)
+    np.testing.assert_allclose(model.disturbance_variance, [25.0, 16.0, 16.0])
 
 
 def test_every_parameter_may_be_unknown() -> None:

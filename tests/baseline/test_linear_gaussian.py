@@ -82,7 +82,7 @@ def test_everything_equals_the_dense_gaussian_posterior(p: int) -> None:
     dense = Dense.of(model)
     mean, covariance = dense.posterior(model.observed)
     filtered = model.filter()
-    found = regress(filtered, np.zeros(p), 1.0, np.zeros(p, dtype=bool))
+    found = regress(filtered, np.zeros(p), np.ones(p))
     np.testing.assert_allclose(found.change, mean[:p], atol=1e-10)
     np.testing.assert_allclose(found.covariance, covariance[:p, :p], atol=1e-10)
     states, disturbances = filtered.smooth(found.change)
@@ -97,7 +97,7 @@ def test_everything_equals_the_dense_gaussian_posterior(p: int) -> None:
 def test_the_evidence_is_the_log_density_of_the_observations() -> None:
     model = random_model()
     constant = -0.5 * model.observed.size * np.log(2.0 * np.pi)
-    found = regress(model.filter(), np.zeros(2), 1.0, np.zeros(2, dtype=bool))
+    found = regress(model.filter(), np.zeros(2), np.ones(2))
     assert found.log_evidence + constant == pytest.approx(Dense.of(model).log_density(model.observed), abs=1e-9)
 
 
@@ -106,10 +106,28 @@ def test_a_spread_is_a_factor_on_the_prior_standard_deviation() -> None:
     wide = replace(
         model, coefficient=model.coefficient * [1.0, spread], initial=model.initial * np.array([1.0, 1.0, spread])
     )
-    as_factor = regress(model.filter(), np.zeros(2), spread, np.array([False, True]))
-    as_unit = regress(wide.filter(), np.zeros(2), 1.0, np.zeros(2, dtype=bool))
+    as_factor = regress(model.filter(), np.zeros(2), np.array([1.0, spread**-2]))
+    as_unit = regress(wide.filter(), np.zeros(2), np.ones(2))
     assert as_factor.log_evidence == pytest.approx(as_unit.log_evidence, abs=1e-9)
     np.testing.assert_allclose(as_factor.change, as_unit.change * [1.0, spread], atol=1e-10)
+
+
+def test_squares_less_information_are_twice_the_slope_of_the_evidence_by_every_variance() -> None:
+    model, small = random_model(), 1e-5
+    filtered = model.filter()
+    found = regress(filtered, np.zeros(2), np.ones(2))
+    noise, left = filtered.told(found.change, found.covariance)
+    squares, information = np.sum(noise**2, axis=0), np.sum(left, axis=0)
+    variances = np.concatenate((np.diag(model.noise), model.disturbance_variance))
+
+    def evidence(variances: np.ndarray) -> float:
+        noise, disturbance = np.split(variances, [len(model.noise)])
+        other = replace(model, noise=np.diag(noise), disturbance_variance=disturbance)
+        return regress(other.filter(), np.zeros(2), np.ones(2)).log_evidence
+
+    for i, unit in enumerate(np.eye(len(variances))):
+        slope = (evidence(variances + small * unit) - evidence(variances - small * unit)) / (2.0 * small)
+        assert slope == pytest.approx(0.5 * (squares - information)[i], abs=1e-6)
 
 
 def test_states_equal_those_of_a_textbook_rauch_tung_striebel_smoother() -> None:
@@ -164,12 +182,12 @@ def test_an_unknown_start_costs_no_digits() -> None:
         initial_covariance=np.zeros((2, 2)),
     )
     first = model.filter()
-    found = regress(first, np.zeros(2), 1.0, np.zeros(2, dtype=bool))
+    found = regress(first, np.zeros(2), np.ones(2))
     states, _ = first.smooth(found.change)
     # Smoothing what is left changes nothing more.
     again = replace(model, observed=model.observed - states[:, :1], offset=residual_offset(model, states))
     second = replace(again, initial=np.hstack((np.zeros((2, 1)), 1e6 * np.eye(2)))).filter()
-    change = regress(second, found.change, 1.0, np.zeros(2, dtype=bool))
+    change = regress(second, found.change, np.ones(2))
     assert np.abs(second.smooth(change.change)[0]).max() < 1e-9 * np.abs(states).max()
 
 

@@ -92,7 +92,7 @@ class CalibratedChannel:
         kept = self._inside(float(network.start), float(network.stop))  # type: ignore[arg-type]
         self.time, self.measured = (torch.as_tensor(x[kept]).to(frame.target.force) for x in (gauge.time, gauge.values))
         self.since = self.time - gauge.start
-        self.feels, filters = felt_by(gauge, number, frame), frame.dynamics.inputs.filters
+        self.feels, filters = felt_by(gauge, number, frame.dynamics, frame.vector), frame.dynamics.inputs.filters
         self.state = frame.dynamics.filters.start + filters.index(number) if number in filters else None
         self._moment: Moment | None = None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -16,9 +17,9 @@ from pinn_cli.record.gauge import Gauge
 from pinn_cli.record.response import GROUND
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Jet
+from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import CONNECTION_FORCE, TILT
 from pinn_cli.training.factors.channel_at_point import Part
-from pinn_cli.training.factors.frame import Frame
 
 
 class Feels(ABC):
@@ -88,20 +89,21 @@ class ConnectionForce(Feels):
     """The force of a connection, whatever its law.
 
     Args:
-        frame: Of the record.
+        dynamics: Of the functions.
+        vector: The uncertain parameters.
         connection: Which, counted from 0.
     """
 
-    def __init__(self, frame: Frame, connection: int) -> None:
-        self.frame, self.connection = frame, connection
+    def __init__(self, dynamics: Dynamics, vector: ParameterVector[Any], connection: int) -> None:
+        self.dynamics, self.vector, self.connection = dynamics, vector, connection
 
     def value(self, jet: Jet, parameters: Mapping[str, Tensor]) -> Tensor:
         """See :meth:`Feels.value`."""
-        return self.frame.dynamics.connection_force(jet, parameters)[..., self.connection]
+        return self.dynamics.connection_force(jet, parameters)[..., self.connection]
 
     def linearised(self, jet: Jet, parameters: Mapping[str, Tensor]) -> tuple[list[Part], dict[int, Tensor]]:
         """See :meth:`Feels.linearised`."""
-        dynamics, vector, c = self.frame.dynamics, self.frame.vector, self.connection
+        dynamics, vector, c = self.dynamics, self.vector, self.connection
         structure, carriers = dynamics.structure, dynamics.structure.carriers
         slope = structure.linearise(dynamics.stretching(jet.value), dynamics.stretching(jet.rate), parameters)
         stretch, parts = dynamics.stretched[c], []
@@ -119,21 +121,22 @@ class ConnectionForce(Feels):
         return parts, by
 
 
-def felt_by(gauge: Gauge, number: int, frame: Frame) -> Feels:
+def felt_by(gauge: Gauge, number: int, dynamics: Dynamics, vector: ParameterVector[Any]) -> Feels:
     """What a gauge feels before any filter of its own.
 
     Args:
         gauge: Of the record.
         number: Its own among the record's, counted from 0.
-        frame: Of the record.
+        dynamics: Of the functions.
+        vector: The uncertain parameters.
     """
     if gauge.quantity == CONNECTION_FORCE:
-        return ConnectionForce(frame, gauge.connection)
-    parts = weighted(frame.dynamics, gauge.quantity, gauge.weights)
+        return ConnectionForce(dynamics, vector, gauge.connection)
+    parts = weighted(dynamics, gauge.quantity, gauge.weights)
     if TILT not in gauge.calibration:
         return WeightedSum(parts)
-    turning, first = weighted(frame.dynamics, "displacement", gauge.weights), frame.vector.first
-    moves = any(p.kind == TILT and p.index == number for p in frame.vector.moving)
+    turning, first = weighted(dynamics, "displacement", gauge.weights), vector.first
+    moves = any(p.kind == TILT and p.index == number for p in vector.moving)
     return Tilting(parts, turning, number, first[TILT] + number if moves else None)
 
 
