@@ -9,7 +9,6 @@ may lead out of the band.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -25,15 +24,13 @@ from pinn_cli.record.supports import SupportErrors
 from pinn_cli.report.residuals import nmse_percent
 from pinn_cli.report.results import with_labels
 from pinn_cli.system.parameters import MASS
-from pinn_cli.system.quantities import CALIBRATION_UNITS
-from pinn_cli.training.calibrated_record import sample_places, with_gauges
+from pinn_cli.training.calibrated_record import as_felt, beside
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.parameter_draws import drawn_structures, parameter_draws
 from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel
-    from pinn_cli.record.gauge import Gauge
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
     from pinn_cli.record.validation_data import ValidationRecord
@@ -89,7 +86,7 @@ class ValidationRun:
             draws: (D, p), of the posterior of the parameters; None: of a Gaussian with their deviations.
             seed: Of what is drawn.
         """
-        record = _as_calibrated(data.record, estimate)
+        record = as_felt(data.record, estimate.parameters)
         structure = estimated_structure(prescribed, estimate.parameters)
         at_rest = data.begins is None
         start = None if data.begins is None else estimate.response.state(data.begins)
@@ -101,7 +98,7 @@ class ValidationRun:
             return cls(record, data.first, at_rest, None, None, str(error))
         members = _members(structure, estimate, (seen, record), data.begins, draws, seed)
         std = None if members is None else spread_of(members, structure, record, response)
-        return cls(record, data.first, at_rest, response, std)
+        return cls(beside(record, estimate.parameters, response), data.first, at_rest, response, std)
 
     def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What a sensor measured, what the run says, and its deviation, each (M,), where they are compared."""
@@ -169,25 +166,6 @@ def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
 def _at_rest(structure: Structure) -> list[np.ndarray]:
     zeros = np.zeros(structure.coordinates)
     return [zeros, zeros, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
-
-
-def _as_calibrated(record: Record, estimate: Estimate) -> Record:
-    """The record whose columns show what gauges felt with the calibrations that were found, by the sensors' names.
-
-    Where a gauge has no sample its column is no measurement.
-    """
-    found: defaultdict[str, dict[str, float]] = defaultdict(dict)
-    for each in estimate.parameters:
-        if each.kind in CALIBRATION_UNITS:
-            found[each.parameter.label][each.kind] = each.estimate
-
-    def shown(gauge: Gauge) -> tuple[np.ndarray, np.ndarray]:
-        place, inside = sample_places(gauge, found[gauge.name], record.time)
-        there = np.zeros(len(record.time), dtype=bool)
-        there[place[inside]] = True
-        return gauge.history(record.time, found[gauge.name]), there
-
-    return with_gauges(record, shown) if record.gauges else record
 
 
 def _members(

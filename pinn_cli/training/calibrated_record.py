@@ -20,23 +20,46 @@ from pinn_cli.training.estimate import Estimate, ParameterEstimate
 def as_calibrated(record: Record, estimate: Estimate) -> Record:
     """The record whose columns show what gauges felt, with the gains, offsets, drifts and delays that were found.
 
-    A report and a verdict compare an estimate with this. What a gauge leaves unexplained at one of its own times stands
-    at the record's nearest one; where it has no sample, the column shows the estimate, and `Record.missing` says so.
-    A record without gauges stays as it is.
+    A report and a verdict compare an estimate with this; see :func:`beside`. A record without gauges stays as it is.
     """
-    if not record.gauges:
-        return record
-    found = _by_gauge(record, estimate.of_motion or estimate.parameters)
-    return with_gauges(record, lambda gauge: _shown(gauge, found[gauge.name], record.time, estimate.response))
+    return beside(record, estimate.of_motion or estimate.parameters, estimate.response)
+
+
+def beside(record: Record, parameters: Iterable[ParameterEstimate], response: Response) -> Record:
+    """The record as a response is compared with it: the response's columns with what gauges leave of it.
+
+    What a gauge leaves unexplained at one of its own times stands at the record's nearest one; where it has no sample,
+    the column shows the response, and `Record.missing` says so.
+    """
+    found = by_sensor(parameters)
+    return with_gauges(record, lambda gauge: _shown(gauge, found[gauge.name], record.time, response))
+
+
+def as_felt(record: Record, parameters: Iterable[ParameterEstimate]) -> Record:
+    """The record whose columns show what gauges felt, for a run that takes its inputs from them.
+
+    Where a gauge has no sample its column is no measurement.
+    """
+    found = by_sensor(parameters)
+
+    def shown(gauge: Gauge) -> tuple[np.ndarray, np.ndarray]:
+        place, inside = sample_places(gauge, found[gauge.name], record.time)
+        there = np.zeros(len(record.time), dtype=bool)
+        there[place[inside]] = True
+        return gauge.history(record.time, found[gauge.name]), there
+
+    return with_gauges(record, shown)
 
 
 def with_gauges(record: Record, shown: Callable[[Gauge], tuple[np.ndarray, np.ndarray]]) -> Record:
-    """The record whose gauges' columns show something else.
+    """The record whose gauges' columns show something else; the same without gauges.
 
     Args:
         record: Whose gauges they are.
         shown: From a gauge to its column (N,), and to where it has a sample there, (N,) bool.
     """
+    if not record.gauges:
+        return record
     columns: dict[str, Any] = {quantity: getattr(record, quantity).copy() for quantity in QUANTITIES}
     columns[GROUND] = None if record.ground_acceleration is None else record.ground_acceleration[:, None].copy()
     missing = {quantity: np.zeros(values.shape, bool) for quantity, values in columns.items() if values is not None}
@@ -52,12 +75,12 @@ def with_gauges(record: Record, shown: Callable[[Gauge], tuple[np.ndarray, np.nd
     return replace(record, **columns, missing=missing, beside=beside)
 
 
-def _by_gauge(record: Record, parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
-    """Name of a gauge to the numbers of its calibration that were found, by kind."""
+def by_sensor(parameters: Iterable[ParameterEstimate]) -> defaultdict[str, dict[str, float]]:
+    """Name of a sensor to the numbers of its calibration that were found, by kind."""
     found: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for one in parameters:
         if one.kind in CALIBRATION_UNITS:
-            found[record.gauges[one.parameter.index].name][one.kind] = one.estimate
+            found[one.parameter.label][one.kind] = one.estimate
     return found
 
 

@@ -123,6 +123,21 @@ def test_a_load_cell_s_gain_that_was_found_is_used():
     assert (validation_table(run, with_gain, RUN)["nmse_percent"] < 1e-4).all()
 
 
+def test_what_a_tilt_that_was_found_adds_is_no_error():
+    structure = small_chain("duffing")
+    measurements = measured(structure)
+    record, truth = measurements.record.keep({"acceleration": [1, 3]}), measurements.truth.response
+    felt = truth.acceleration[:, 0] + 3.0 * truth.displacement[:, 0]
+    unknown = {"tilt": Calibration(0.0, 40.0, unknown=True)}
+    tilts = Gauge("a1", "acceleration", {0: 1.0}, record.time, felt, unknown)
+    shown = replace(record, acceleration=np.where([True, False, False], tilts.values[:, None], record.acceleration))
+    tilt = ParameterEstimate(Parameter("tilt", 0, 0.0, label="a1"), 3.0, 0.001, 2.998, 3.002)
+    estimate = estimated(structure, record, 0.0, 0.01)
+    found = replace(estimate, parameters=[*estimate.parameters, tilt], correlation=np.eye(4))
+    data = ValidationRecord(replace(shown, gauges=(tilts,)), 20, None)
+    assert (validation_table(ValidationRun.of(structure, found, record, data), found, RUN)["nmse_percent"] < 1e-3).all()
+
+
 def test_without_deviations_there_is_no_band():
     structure, estimate, record, data = tried()
     blank = replace(estimate, correlation=None)
