@@ -101,7 +101,7 @@ class Whittle:
 
     def __init__(self, model: SpectralModel, learn_spread: bool) -> None:
         self.model, self.spectrum, self.learn_spread = model, model.spectrum, learn_spread
-        lower, self.believed = model.vector.each("lower") / model.spread, ~model.vector.each("unknown")
+        lower, self.believed = model.vector.each("lower") / model.spread, ~model.vector.each("unknown").astype(bool)
         self.lower = np.full(model.size, -np.inf)
         self.lower[model.places["parameters"]] = lower
         self.lower[model.places["together"]] = 0.0
@@ -243,7 +243,7 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
     """
     if problem.told is not None:
         return _as_told(problem)
-    if not problem.uncertain or not is_spectral(problem):
+    if not is_spectral(problem):
         return None
     spectrum = spectra_in_band(problem.record)
     if spectrum is None:

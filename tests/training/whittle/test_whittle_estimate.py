@@ -221,8 +221,18 @@ def test_what_spectra_do_not_tell():
     assert not is_spectral(bent)
     measured = SparseRecovery().problem(problem.structure, replace(record, force=np.zeros_like(record.force)))
     assert not is_spectral(measured)
-    nothing_uncertain = SparseRecovery(parameter_uncertainty=0.0).problem(problem.structure, record)
-    assert known_parameters(nothing_uncertain) is None
+
+
+def test_where_all_parameters_are_held_the_spectra_tell_whether_they_can_be():
+    problem, found = posed(), []
+    for factor in (1.0, 4.0):
+        held = problem.structure.with_parameters(c=factor * problem.structure.parameters["c"])
+        found.append(known_parameters(SparseRecovery(parameter_uncertainty=0.0).problem(held, problem.record)))
+    right, wrong = found
+    assert right.distance.shape == (0,)
+    assert right.misfit == 0.0
+    assert right.damping_doubt.log_odds < 6.0
+    assert wrong.damping_doubt.log_odds > 20.0
 
 
 def test_a_record_by_exact_steps():
