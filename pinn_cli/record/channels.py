@@ -47,7 +47,7 @@ class Channel:
     @property
     def name(self) -> str:
         """See :func:`named`."""
-        return named(self.quantity, self.where) if self.gauge is None else f"{self.quantity} of sensor {self.where}"
+        return named(self.quantity, self.where) if self.gauge is None else sensor_name(self.gauge)
 
     @property
     def where(self) -> str:
@@ -97,6 +97,11 @@ def named(quantity: str, where: str) -> str:
     if quantity in SUPPORT:
         return f"{SUPPORT[quantity]} of support {where}"
     return "ground acceleration" if quantity == GROUND else f"{quantity} of DOF {where}"
+
+
+def sensor_name(gauge: Gauge) -> str:
+    """The same of a sensor that fills no column: ``displacement of sensor eps``."""
+    return f"{gauge.quantity} of sensor {gauge.name}"
 
 
 def channel_name(record: Record, quantity: str, number: int) -> str:

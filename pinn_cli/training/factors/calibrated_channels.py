@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pinn_cli.network.linear_readout import Segments
-from pinn_cli.record.channels import channel_name
+from pinn_cli.record.channels import channel_name, sensor_name
 from pinn_cli.record.gauge import DELAYS_ALLOWED, GAUGE, Gauge
 from pinn_cli.system.quantities import CALIBRATION_UNITS, FORCE, GROUND
 from pinn_cli.training.factors.channel_at_point import ChannelAtPoint, Part
@@ -194,7 +194,7 @@ class CalibratedChannel:
             turning = WeightedSum(weighted(self.frame.dynamics, "displacement", gauge.weights))
             displacement = flat(turning.value(self.frame.jet(segments, point), {}))
         return ChannelAtPoint(
-            f"sensor {gauge.name}" if gauge.dof is None else channel_name(record, gauge.quantity, gauge.dof),
+            sensor_name(gauge) if gauge.dof is None else channel_name(record, gauge.quantity, gauge.dof),
             gauge.quantity,
             segments,
             {order: shown.moment.features(order) for order in range(3)},
