@@ -97,7 +97,7 @@ class Referee:
             f"hydra/launcher={self.launcher}", f"hydra.sweep.dir={runs.resolve()}", "figures=false",
             f"experiment={','.join(names)}", *self.overrides,
         ]  # fmt: skip
-        path = os.pathsep.join(filter(None, [str(self.source), os.environ.get("PYTHONPATH", "")]))
+        path = os.pathsep.join(filter(None, [str(self.source.resolve()), os.environ.get("PYTHONPATH", "")]))
         done = subprocess.run(
             command, cwd=self.folder, env=os.environ | ALONE | {"PYTHONPATH": path}, stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE, text=True, check=False,

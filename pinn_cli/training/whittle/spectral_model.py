@@ -20,7 +20,7 @@ import torch
 from pinn_cli.record.channels import Channel, channels, record_band
 from pinn_cli.record.cross_spectra import CrossSpectra, band_edges
 from pinn_cli.record.record import Record
-from pinn_cli.record.spectrum import LOWEST_BINS, signal_edges
+from pinn_cli.record.spectrum import signal_edges
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.connection.linear import Linear
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse
@@ -28,6 +28,8 @@ from pinn_cli.system.parameters import MASS, ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.sensor_samples import SensorSamples, starting_levels
 
+# The lowest lines hold the mean and slow drift, which the taper spreads over one line more.
+LOWEST_LINES = 3
 # Part of the record that the taper takes at both ends together: what resonances leak falls off steeply then.
 TAPERED = 0.1
 # What is left of the band: at its edge an anti-alias filter, or the forces themselves, have begun to fall off.
@@ -61,7 +63,7 @@ def spectra_in_band(record: Record) -> CrossSpectra[Channel] | None:
     sensors, frequency = channels(record), np.fft.rfftfreq(len(record.time), record.step)
     edges = np.array([signal_edges(sensor.measured, record.step)[0] for sensor in sensors])
     lowest = np.min(edges, initial=np.inf, where=np.isfinite(edges))
-    first = max(LOWEST_BINS, int(np.searchsorted(frequency, lowest)))
+    first = max(LOWEST_LINES, int(np.searchsorted(frequency, lowest)))
     stop = int(np.searchsorted(frequency, BELOW_EDGE * record_band(record), side="right"))
     if stop - first < FEWEST_LINES:
         return None

@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
 from pinn_cli.training.parameter_spread import updated_spread
 from pinn_cli.training.whittle.spectral_model import SpectralModel, is_spectral, spectra_in_band
@@ -243,7 +244,8 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
     """
     if problem.told is not None:
         return _as_told(problem)
-    if not is_spectral(problem):
+    # What a measured force does at the ends of a record leaks: beside it held parameters would be doubted for nothing.
+    if not is_spectral(problem) or (not problem.uncertain and problem.record.sensors(FORCE).any()):
         return None
     spectrum = spectra_in_band(problem.record)
     if spectrum is None:
