@@ -245,7 +245,6 @@ def test_a_shaken_model_with_an_unknown_force(in_folder_with_a_beam: PinnRun):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        (["baseline=kalman_smoother"], "baseline=none where the motion of modes"),
         (["network=mlp"], "network=spline with training=gauss_newton"),
         (["simulation.hold=zero_order"], "exact with system=matrices"),
         (["system.modes=21"], "system.modes=21"),

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from pinn_cli.cli.records import of_record
-from pinn_cli.record.own_sensor import as_channel
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import is_whole_number
 from pinn_cli.settings.suggestion import suggestion
@@ -86,7 +85,11 @@ def _number_channels(group: str, data: Any, labels: Labels) -> None:
         if not isinstance(given, dict):
             continue  # refused by what reads it
         setting = f"{group}.channels.{name}"
-        channel = channels[name] = dict(as_channel(setting, given))
+        channel = given
+        if isinstance(given.get("sensor"), dict):  # of a class, which takes long to import
+            from pinn_cli.record.own_sensor import as_channel
+
+            channel = channels[name] = dict(as_channel(setting, given))
         if channel.get("support") is not None:
             channel["support"] = _support(f"{setting}.support", channel["support"], labels.supports)
         if channel.get("dof") is not None:

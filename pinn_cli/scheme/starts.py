@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.cross_spectra import misses_samples
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.linear_fit import DAMPING, last_ends
 from pinn_cli.scheme.screening import SAME, Candidate, screened
@@ -28,9 +29,10 @@ from pinn_cli.system.structure import Structure
 AUTO, GIVEN = "auto", "given"
 # Damping ratios of structures that may start.
 RATIOS = 1e-3, 0.3
-# A linear chain that explains nothing has a misfit of one; where missing samples scatter everything, the right one
-# explains a little. Those with so many times the least misfit are worth a start of their own, so many at most.
-NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.98, 2.0, 3
+# A linear chain that explains nothing has a misfit of one, and with one above the first of these nothing can be said;
+# where missing samples scatter everything, the right one explains a little only. Those with so many times the least
+# misfit are worth a start of their own, so many at most.
+HOPELESS, NEARLY_NOTHING, RIVAL, MOST_RIVALS = 0.9, 0.98, 2.0, 3
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ def parameter_starts(
     known, guess = linear_parts(prescribed, unknown), _guess(prescribed, records, unknown, given)
     stretch, moved = prescribed.stretch.matrix[prescribed.added].toarray(), prescribed.with_ground
     every = [] if most == 0 else screened(record, stretch, known, guess, moved, further)
-    candidates = [c for c in every if c.misfit < NEARLY_NOTHING]
+    scattered = any(misses_samples(gauge, each) for each in records for gauge in each.gauges)
+    candidates = [c for c in every if c.misfit < (NEARLY_NOTHING if scattered else HOPELESS)]
     if most is None:
         candidates = [c for c in candidates[:MOST_RIVALS] if c.misfit <= RIVAL * candidates[0].misfit]
     own = Candidate(_unscreened(known, guess), np.inf, calibration=candidates[0].calibration if candidates else {})
