@@ -97,6 +97,7 @@ def test_springs_dampers_bands_and_what_comes(pinn_run: PinnRun, tmp_path) -> No
         (["data.channels={s: {sensor: displacement, support: wall}}"], "data.channels.s.support=wall: must be one of"),
         (["system.supports=[table,arm]", "data.force={}"], "system.supports=arm: must be a name of its own"),
         (["system.damping={ratio: 0.02}"], "system.damping={'ratio': 0.02}: must be null with system.supports"),
+        (["baseline=kalman_smoother", f"data.channels={{{S}}}"], "baseline"),
         (["scheme=state_parameter", *NO_DAMPERS, f"data.channels={{{S}}}"], "system.connections.mount.c"),
     ],
 )

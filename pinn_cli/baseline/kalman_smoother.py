@@ -52,6 +52,11 @@ class KalmanSmoother(Estimator):
         if has_stiff_law(problem.structure):
             hint = "the smoother takes explicit steps; a friction with a speed is possible"
             raise InputError("baseline", self.name, "none with friction that sticks", hint)
+        if problem.inputs.ground or problem.structure.supports:
+            hint = (
+                "without a band the smoother copies the sensors of what they shake, and springs come out percents off"
+            )
+            raise InputError("baseline", self.name, "none where the ground or a support moves", hint)
         if problem.prior is not None:
             hint = "the smoother knows no correlated parameters"
             raise InputError("baseline", self.name, "none with model=...", hint)

@@ -165,7 +165,7 @@ class StateSpace:
         process such that it is as large as what the record is about.
         """
         driving = self.scales * np.sqrt(4.0 / (self.step * self.inputs.edge))
-        processes = [*driving[self.dynamics.smooth], *driving[self.dynamics.forces][:1]]
+        processes = [*driving[self.dynamics.smooth], *(WIDE * driving[self.dynamics.forces][:1])]
         forces = [self.force_scale, *(cell.first for cell in self.cells), *processes]
         return NoiseLevels(np.array([sensor.samples.first for sensor in self.sensors]), np.array(forces))
 
@@ -177,9 +177,10 @@ class StateSpace:
 
     @property
     def told(self) -> np.ndarray:
-        """(m + L,) bool, the levels of sensors whose repeated measurements tell their noise."""
-        repeated, cells = self.problem.record.repeats is not None, len(self.cells)
-        of_forces = [False, *[repeated] * cells, *[False] * (self.sources.shape[1] - 1 - cells)]
+        """(m + L,) bool, levels that are not looked for: of repeated measurements, and of unmeasured forces."""
+        repeated, smooth = self.problem.record.repeats is not None, self.dynamics.smooth
+        of_forces = [False, *[repeated] * len(self.cells), *[False] * (smooth.stop - smooth.start)]
+        of_forces += [True] * (self.sources.shape[1] - len(of_forces))
         return np.array([*(sensor.samples.scatter is not None for sensor in self.sensors), *of_forces])
 
     @cached_property
