@@ -126,8 +126,10 @@ class CrossSpectra(Generic[S]):
             cross = averaged(np.moveaxis(lines, 2, 0))
             power = averaged(np.stack([x.power() for x in samples], axis=1))
         else:
-            cross = averaged(_products(values, window, references))
-            power = averaged(np.abs(_lines(values, window)) ** 2)
+            lines, cross = _lines(values, window), np.zeros((len(size), len(channels), references), complex)
+            for i in range(references):  # one by one: of a million samples all products take gigabytes
+                cross[:, :, i] = averaged(lines * lines[:, len(channels) - references + i, None].conj())
+            power = averaged(np.abs(lines) ** 2)
         frequency, count = np.fft.rfftfreq(len(values), record.step), independent_part(window) * size
         return CrossSpectra(sensors, acting, values, record.step, averaged(frequency), count, cross, power)
 
