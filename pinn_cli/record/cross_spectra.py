@@ -79,7 +79,7 @@ class CrossSpectra(Generic[S]):
         window, channels = taper(length), values.shape[1]
         cross = np.zeros((length // 2 + 1, channels, channels), complex)
         for at in first:
-            cross += _products(values[at : at + length], window, channels) / len(first)
+            cross += _products(values[at : at + length], window) / len(first)
         # Pieces that overlap by half count as if they did not.
         count = np.full(len(cross), len(first))
         power = np.einsum("bcc->bc", cross).real
@@ -254,10 +254,10 @@ def _lines(values: np.ndarray, window: np.ndarray) -> np.ndarray:
     return spectra
 
 
-def _products(values: np.ndarray, window: np.ndarray, references: int) -> np.ndarray:
-    """(B, C, R), of all channels (N, C) with the last ones."""
+def _products(values: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """(B, C, C), of all pairs of channels (N, C)."""
     lines = _lines(values, window)
-    return lines[:, :, None] * lines[:, None, lines.shape[1] - references :].conj()
+    return lines[:, :, None] * lines[:, None, :].conj()
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,14 +110,12 @@ class _Forces:
     def of_connections(self, point: Point) -> Iterator[ForceTerm]:
         """What a connection may have beside its law, and more or less of a spring or a damper that are held."""
         structure = self.equations.dynamics.structure
-        held = {kind: ~self._moves(kind)[structure.added] for kind in (SPRING, DAMPER)}
+        moves = {kind: self._moves(kind) for kind in (SPRING, DAMPER)}
         pulls = structure.incidence.matrix[structure.added].toarray()
         histories = (x[:, structure.added].T for x in connection_force(self.equations, point, self.motion))
-        for i, (connection, pull, e, de, force) in enumerate(
-            zip(structure.added.tolist(), pulls, *histories, strict=True)
-        ):
+        for connection, pull, e, de, force in zip(structure.added.tolist(), pulls, *histories, strict=True):
             of, own = f"connection {structure.labels.connection(connection)}", (pull, e, de, _rms(force))
-            for kind in (kind for kind in LEFT_OUT if kind.kind not in held or held[kind.kind][i]):
+            for kind in (kind for kind in LEFT_OUT if kind.kind not in moves or not moves[kind.kind][connection]):
                 yield from (self.of_connection(shape * _rms(e), kind, of, own) for shape in kind.shapes)
 
     def _moves(self, kind: str) -> np.ndarray:

@@ -29,11 +29,10 @@ def at_marginal_peak(found: Inferred) -> Inferred | None:
     if found.is_told:
         return None
     evidence, trained = found.evidence, found.trained
-    pulls = evidence.each_record(pull_on, trained)
-    if max((float(moved) for _, moved in pulls), default=0.0) < NEGLIGIBLE:
+    held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)
+    if max(moved) < NEGLIGIBLE:
         return None
-    held = [own.pull for own in evidence.equations.each]
-    evidence.each_record(pulled, trained, [pull for pull, _ in pulls])
+    evidence.each_record(pulled, trained, pulls)
     again = evidence.train(trained.noise, trained.solution.point)
     if again is None or not again.solution.converged or again.log_evidence < trained.log_evidence:
         evidence.each_record(pulled, trained, held)
@@ -41,8 +40,8 @@ def at_marginal_peak(found: Inferred) -> Inferred | None:
     return replace(found, trained=again)
 
 
-def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, float]:
-    """(p,) slope of the logarithm of that factor by each parameter of one record, and how far the change moves any.
+def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray | None, np.ndarray, float]:
+    """What pulls, (p,) slope of the logarithm of that factor by each parameter, and how far the change moves any.
 
     By a small step of each unknown parameter of the equations; 0 of the others. In prior standard deviations, the
     change in the parameter's own.
@@ -64,7 +63,8 @@ def pull_on(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndar
         slope = noise.occupied * (factor(STEP * std * (np.arange(len(std)) == i)) - here) / (STEP * std[i])
         pull[i] = np.clip(slope, before[i] - LARGEST / std[i], before[i] + LARGEST / std[i])
     pull = np.where(np.isfinite(pull), pull, 0.0)
-    return pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
+    # The record may be computed in another process, which alone knows what pulls at it.
+    return equations.pull, pull, float(np.max(np.abs(pull - before) * std, initial=0.0))
 
 
 def pulled(evidence: RecordEvidence, solution: RecordSolution, pull: np.ndarray | None) -> None:

@@ -11,7 +11,7 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.inferred import Inferred, Solver
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.steps.near_levels import softer_point
+from pinn_cli.training.steps.near_levels import WORTHWHILE, softer_point
 from pinn_cli.training.steps.resolution import carried_over, knots_wanted
 from pinn_cli.training.steps.turns import at_turns
 
@@ -20,8 +20,6 @@ from pinn_cli.training.steps.turns import at_turns
 SAME_MODES, SAME_FACTORS = 2e-3, 5e-3
 # Away from turns nothing is left to find where the discrepancy falls to no less than this part of it.
 SAME_LEVEL = 0.7
-# Factor on the number of features below which finer ones are not worth it.
-WORTHWHILE = 1.1
 # Finer features whose sensors come out so many times as noisy have not found the solution.
 SUSPECT = 2.0
 
@@ -32,9 +30,9 @@ def in_present_modes(found: Inferred) -> Inferred | None:
     The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
     equations: of the stiffness's part it is the damping ratio. None where they are the same.
     """
-    before, now = found.problem.structure, _present(found).structure
-    moved = now.shapes is not before.shapes or now.damping_apart(before) > SAME_MODES
-    return _posed_again(found, _present(found), found.solver) if moved else None
+    before, problem = found.problem.structure, _present(found)
+    moved = problem.structure.shapes is not before.shapes or problem.structure.damping_apart(before) > SAME_MODES
+    return _posed_again(found, problem, found.solver) if moved else None
 
 
 def apart_from_turns(found: Inferred) -> Inferred | None:
