@@ -93,7 +93,7 @@ def targets(
 
     response = {quantity: np.nan_to_num(record.histories(quantity)) for quantity in dynamics.observed}
     measured, force = record.sensors("force"), np.nan_to_num(record.force)
-    if dynamics.structure.shapes is not None or dynamics.inputs.loads:  # functions, with sensors of their own
+    if dynamics.structure.is_modal or dynamics.inputs.loads:  # functions, with sensors of their own
         measured, force = np.zeros(dynamics.ndof, bool), np.zeros((len(record.time), dynamics.ndof))
     jump = np.zeros_like(force)
     if record.intersample == "zero_order_hold":
@@ -121,7 +121,7 @@ def targets(
 def _known_rest(record: Record, dynamics: Dynamics) -> Tensor:
     """(functions,) bool: those on whose equation no force acts that was measured, and none that is left open."""
     known = np.ones(dynamics.size, dtype=bool)
-    if dynamics.structure.shapes is None:
+    if not dynamics.structure.is_modal:
         known[: dynamics.ndof] = record.unforced
         known[dynamics.loaded] = True
     known[dynamics.filters] = False
@@ -208,7 +208,7 @@ def estimated_response(
 
 def _coordinates(dynamics: Dynamics, jet: Jet) -> np.ndarray | None:
     """(N, 2, n), displacement and velocity of the coordinates where they are not the DOFs."""
-    if dynamics.structure.shapes is None:
+    if not dynamics.structure.is_modal:
         return None
     motion = torch.stack((jet.value, jet.rate), 1)[..., : dynamics.ndof]
     return motion.detach().cpu().double().numpy()

@@ -174,7 +174,7 @@ def records(draw: st.DrawFn, structure: Structure, plain: bool) -> Record:
         if gauge.dof is not None:
             shown[:, gauge.dof] = gauge.history(time)
         every.append(gauge)
-    held = not moves and not supports and structure.shapes is None and draw(st.booleans())
+    held = not moves and not supports and not structure.is_modal and draw(st.booleans())
     return Record(
         time, **columns, force=force, unforced=~np.isin(np.arange(n), forced), gauges=tuple(every),
         intersample="zero_order_hold" if held else "band_limited", ground_acceleration=ground[:, 0] if moves else None,

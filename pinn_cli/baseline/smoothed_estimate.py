@@ -68,7 +68,7 @@ def _deviations(space: StateSpace, last: Pass, response: Response, share: np.nda
     displacement, velocity, acceleration = (spread.sensed(dynamics.sensing(q)) for q in RESPONSE_QUANTITIES)
     values = spread.sensed([(0, dynamics.picked(slice(0, dynamics.size)))])
     force = np.zeros_like(response.force)
-    if dynamics.structure.shapes is None:
+    if not dynamics.structure.is_modal:
         dofs = np.arange(force.shape[1])
         pushed = np.zeros((len(force), len(dofs), last.linearised.rows.shape[-1]))
         pushed[:, dofs, space.size + dofs] = share[dofs]

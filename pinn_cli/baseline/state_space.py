@@ -132,7 +132,7 @@ class StateSpace:
         self.force_scale, self.velocity_scale = force_and_velocity_scale(problem)
         self.corner = 2.0 * np.pi * record_band(record)
         self.measured = np.zeros(self.dynamics.size, dtype=bool)
-        if self.dynamics.structure.shapes is None and not self.inputs.loads:  # otherwise they are functions
+        if not self.dynamics.structure.is_modal and not self.inputs.loads:  # otherwise they are functions
             self.measured[: record.ndof] = record.sensors(FORCE)
         self.cells = [SensorSamples.of_column(record, FORCE, int(dof)) for dof in np.flatnonzero(self.measured)]
         self.sources = self._sources()

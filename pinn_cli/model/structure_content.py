@@ -42,7 +42,7 @@ def structure_content(structure: Structure) -> tuple[dict[str, Any], dict[str, n
         arrays |= _sparse(f"group_{number}", group.incidence.matrix)
     if structure.influence is not None:
         arrays["influence"] = np.asarray(structure.influence, dtype=float)
-    if structure.shapes is not None:
+    if structure.is_modal:
         words["residual"], words["below"] = structure.shapes.residual, structure.shapes.below
         arrays["shapes"] = structure.shapes.matrix
         if structure.shapes.exact_at is not None:
@@ -71,14 +71,14 @@ def structure_of(words: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> 
     )
     labels = Labels(*(tuple(map(str, words.get(name, ()))) for name in ("dofs", "connections", "modes", "supports")))
     parameters = {str(k): torch.tensor(np.asarray(arrays[f"value_{k}"], dtype=float)) for k in words["kinds"]}
-    shapes = None
+    modes = None
     if "shapes" in arrays:
         stretch = _matrix("shapes_stretch", arrays) if "shapes_stretch_shape" in arrays else None
         own = arrays["shapes"], arrays.get("shapes_with_ground"), stretch, int(words["residual"])
-        shapes = Shapes(*own, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
+        modes = Shapes(*own, below=int(words.get("below", 0)), exact_at=arrays.get("shapes_exact_at"))
     pairs = Pairs(tuple(words["pairs"]), _matrix("pairs", arrays)) if "pairs" in words else None
     by_supports = _matrix("by_supports", arrays) if "by_supports_shape" in arrays else None
-    return Structure(parameters, groups, labels, arrays.get("influence"), shapes, pairs, by_supports=by_supports)
+    return Structure(parameters, groups, labels, arrays.get("influence"), modes, pairs, by_supports=by_supports)
 
 
 def difference(structure: Structure, other: Structure) -> str:
@@ -88,7 +88,7 @@ def difference(structure: Structure, other: Structure) -> str:
     """
     if other_dofs(structure, other):
         return other_dofs(structure, other)
-    if other.shapes is not None and other.shapes.exact_at is not None:
+    if other.shapes.exact_at is not None:
         structure = structure.reduced_at(other.shapes.exact_at)
     if structure.nonlinearity_name != other.nonlinearity_name or [g.kinds for g in structure.groups] != [
         g.kinds for g in other.groups

@@ -171,7 +171,7 @@ class _Ensemble:
     def __init__(self, structure: Structure, parameters: Mapping[str, np.ndarray], record: Record) -> None:
         self.structure, self.parameters, self.record = structure, parameters, record
         self.n = structure.coordinates
-        force = record.force if structure.shapes is None else structure.shapes.onto_coordinates(record.force)
+        force = structure.shapes.onto_coordinates(record.force)
         ground = record.ground_acceleration
         # Of the ground's motion, what it takes away from the accelerations; beside the force.
         self.load = np.stack((force, np.zeros_like(force)), axis=1)
@@ -213,13 +213,10 @@ class _Ensemble:
         """Quantity to (M, H, dofs), in the record's frame, under the ground's acceleration (M,)."""
         u, v, z = self._split(states)
         a = self.structure.acceleration(*self._stretching(u, v, load), load[..., 0, : self.n], self.parameters, z)
-        shapes, carried = self.structure.shapes, load[..., 1, : self.n]
-        if self.record.frame == "relative" or shapes is not None:
-            a = a - carried
-        if shapes is not None:
-            u, v, a = (shapes.of_dofs(x) for x in (u, v, a))
-            if ground is not None and self.record.frame == "absolute":
-                a = a + ground[:, None, None] * shapes.with_ground
+        shapes = self.structure.shapes
+        u, v, a = (shapes.of_dofs(x) for x in (u, v, a - load[..., 1, : self.n]))
+        if ground is not None and self.record.frame == "absolute":
+            a = a + ground[:, None, None] * shapes.with_ground
         return {"displacement": u, "velocity": v, "acceleration": a}
 
     def _slope(self, state: np.ndarray, load: np.ndarray) -> np.ndarray:

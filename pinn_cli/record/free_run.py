@@ -133,8 +133,8 @@ def _pushes(
     structure: Structure, m: np.ndarray, force: History, ground: History | None, supports: History | None
 ) -> list[Push]:
     """What acts on the coordinates of a linear structure with masses m (n,), and what a unit of it does to them."""
-    n, each = structure.coordinates, np.eye(structure.ndof)
-    pushes = [(force, (each if structure.shapes is None else structure.shapes.onto_coordinates(each)) / m)]
+    n = structure.coordinates
+    pushes = [(force, structure.shapes.matrix / m)]
     if ground is not None:
         pushes.append((lambda at: ground(at)[:, None], -structure.with_ground[None]))
     if supports is not None:

@@ -19,8 +19,7 @@ def input_force(structure: Structure, record: Record) -> np.ndarray:
 
     Of supports their displacement times the springs that it stretches, or their acceleration times what it moves.
     """
-    acting = np.nan_to_num(record.force)
-    acting = acting if structure.shapes is None else structure.shapes.onto_coordinates(acting)
+    acting = structure.shapes.onto_coordinates(np.nan_to_num(record.force))
     mass = structure.parameters_like(np.empty(0))[MASS]
     if record.ground_acceleration is not None:
         acting = acting - np.outer(np.nan_to_num(record.ground_acceleration), mass * structure.with_ground)

@@ -166,7 +166,7 @@ def simulate(
     if ground is not None and hold != "exact":
         why = "nothing holds the ground's acceleration between samples"
         raise InputError("simulation.hold", hold, "exact where the ground moves", why)
-    if structure.shapes is not None:
+    if structure.is_modal:
         _check_modal(structure.shapes, hold, ground)
     if supports is not None and hold != "exact":
         raise InputError("simulation.hold", hold, "exact where a support moves", "nothing holds it between samples")
@@ -202,14 +202,17 @@ def response_of(structure: Structure, motion: Response, frame: Frame) -> Respons
         frame: Of the acceleration, see :func:`simulate`.
     """
     shapes, moved, u = structure.shapes, motion.ground_acceleration, motion.displacement
-    force = motion.force if shapes is None else shapes.onto_coordinates(motion.force)
-    acceleration = structure.acceleration(*motion.stretching, force, structure.parameters_like(u), motion.hidden)
-    if moved is not None and (shapes is not None or frame == "relative"):
-        acceleration = acceleration - moved[:, None] * structure.with_ground
+    force = shapes.onto_coordinates(motion.force)
+    a = structure.acceleration(*motion.stretching, force, structure.parameters_like(u), motion.hidden)
+    if moved is not None:
+        a = a - moved[:, None] * structure.with_ground
     e, de = (structure.elongation(x) for x in motion.stretching)
     pulled = structure.connection_force(e, de, None, motion.hidden)
-    motion = replace(motion, acceleration=acceleration, connection_force=pulled)
-    return motion if shapes is None else _of_dofs(shapes, motion, frame)
+    coordinates = np.stack((u, motion.velocity), axis=1) if shapes.modal else None
+    u, v, a = (shapes.of_dofs(x) for x in (u, motion.velocity, a))
+    if moved is not None and frame == "absolute":
+        a = a + moved[:, None] * shapes.with_ground
+    return replace(motion, displacement=u, velocity=v, acceleration=a, coordinates=coordinates, connection_force=pulled)
 
 
 def _check_modal(shapes: Shapes, hold: str, ground: Ground | None) -> None:
@@ -221,17 +224,7 @@ def _check_modal(shapes: Shapes, hold: str, ground: Ground | None) -> None:
 
 def _in_coordinates(force: Force, structure: Structure) -> Force:
     """Forces of DOFs as forces in the equations of the coordinates."""
-    shapes = structure.shapes
-    return force if shapes is None else lambda time: shapes.onto_coordinates(force(time))
-
-
-def _of_dofs(shapes: Shapes, motion: Response, frame: Frame) -> Response:
-    """The response of the DOFs, from that of the coordinates relative to the ground."""
-    u, v, a = (shapes.of_dofs(x) for x in (motion.displacement, motion.velocity, motion.acceleration))
-    if motion.ground_acceleration is not None and frame == "absolute":
-        a = a + motion.ground_acceleration[:, None] * shapes.with_ground
-    coordinates = np.stack((motion.displacement, motion.velocity), axis=1)
-    return replace(motion, displacement=u, velocity=v, acceleration=a, coordinates=coordinates)
+    return lambda time: structure.shapes.onto_coordinates(force(time))
 
 
 def _loads(force: Force, ground: Ground | None, supports: Ground | None) -> Force:

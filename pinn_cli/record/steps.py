@@ -45,7 +45,7 @@ def substeps_needed(structure: Structure, step: float, step_times_rate: float = 
     No number of steps is enough where a mass is zero.
     """
     angle = step * _rates(structure).max(axis=0)
-    beyond = (angle > math.pi) & (structure.shapes is not None)
+    beyond = (angle > math.pi) & structure.is_modal
     steps = angle / np.where(beyond, STABLE_STEP_OVER_STEP * step_times_rate, step_times_rate)
     return max(1, math.ceil(steps.max()))
 
@@ -56,7 +56,7 @@ def follower_masses(structure: Structure, step: float) -> np.ndarray:
     Modes far beyond a record's band follow what acts on them at once, and would make steps short for nothing. With
     mass added they do the same under anything slow: at a frequency f they are off by (f / fastest)^2.
     """
-    if structure.shapes is None:
+    if not structure.is_modal:
         return np.ones(structure.coordinates)
     fastest = FASTEST_FOLLOWER * math.pi / step
     oscillation, decay = _rates(structure) / fastest
@@ -67,7 +67,7 @@ def follower_masses(structure: Structure, step: float) -> np.ndarray:
 def with_slow_followers(structure: Structure, step: float) -> Structure:
     """The same structure with these masses; the ground pushes it as before."""
     masses = follower_masses(structure, step)
-    if structure.shapes is None:
+    if (masses == 1.0).all():
         return structure
     slower = structure.with_parameters(m=structure.parameters["m"] * torch.as_tensor(masses))
     return replace(slower, influence=structure.with_ground / masses)
@@ -87,7 +87,7 @@ def _rates(structure: Structure) -> np.ndarray:
     """
     pull = abs(structure.incidence.matrix)
     # A mode's own spring is stretched by that mode alone, and its rate is no bound.
-    weight = np.maximum(2.0 if structure.shapes is None else 0.0, np.asarray(pull.sum(axis=1)).reshape(-1))
+    weight = np.maximum(0.0 if structure.is_modal else 2.0, np.asarray(pull.sum(axis=1)).reshape(-1))
     mass = np.abs(structure.parameters_like(np.empty(0))["m"])
     stiffness, damping = (pull.T @ (weight * value) / mass for value in at_rest(structure))
     return np.array((np.sqrt(stiffness), damping))

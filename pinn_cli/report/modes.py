@@ -100,7 +100,7 @@ class ModeEstimates:
         )
         return cls(
             tuple(structure.dof_name(i) for i in range(structure.ndof)),
-            structure.shapes is None and not structure.labels.connections,
+            not structure.is_modal and not structure.labels.connections,
             modes.frequencies,
             modes.damping_ratios,
             frequency(np.where(squares < 0, 0.0, squares)),

@@ -195,7 +195,7 @@ def _members(
         return None
     start = _at_rest(structure) if begins is None else estimate.response.state(begins)
     spread = [np.zeros_like(part) for part in start]
-    if begins is not None and structure.shapes is None:
+    if begins is not None and not structure.is_modal:
         spread = [np.nan_to_num(part) for part in estimate.std.state(begins)]
         spread = [*spread, *[np.zeros_like(part) for part in start[len(spread) :]]]
     state, deviation = np.concatenate(start), np.concatenate(spread)
@@ -215,7 +215,7 @@ def _sources(structure: Structure, estimate: Estimate, seen: Record, record: Rec
     n = structure.coordinates
     level = estimate.summary.get("sigma_discrepancy")
     rows = [] if level is None else [*(float(level) * np.sqrt(seen.step / record.step) * np.eye(n))]
-    felt = np.eye(n) if structure.shapes is None else structure.shapes.matrix
+    felt = structure.shapes.matrix
     for dof, sigma in enumerate(estimate.summary.get("sigma_force") or ()):
         if sigma is not None and np.isfinite(sigma) and dof < len(felt) and not record.unforced[dof]:
             rows.append(float(sigma) * felt[dof])

@@ -85,7 +85,7 @@ class Bayesian(Scheme):
         """See :meth:`Scheme.joint_problem`."""
         record, *further = records
         _check_sensors(records)
-        if prescribed.shapes is not None:
+        if prescribed.is_modal:
             allowed = "state_parameter with system=matrices"
             raise InputError("scheme", "bayesian", allowed, "sensors on DOFs do not show the motion of every mode")
         every_but_masses = [f"{kind}_*" for kind in prescribed.parameters if kind != MASS]

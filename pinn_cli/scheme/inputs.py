@@ -32,12 +32,11 @@ def inputs_of(structure: Structure, record: Record, unknown_force: str = GAUSSIA
     Raises:
         InputError: A record that a structure in modal coordinates cannot be asked about.
     """
-    modal = structure.shapes is not None
-    if structure.shapes is not None:
+    if structure.is_modal:
         _check_modal(structure.shapes, record, unknown_force)
     left_open = ~record.unforced & ~record.sensors("force")
     forces = tuple(int(dof) for dof in np.flatnonzero(left_open)) if unknown_force == GAUSSIAN_PROCESS else ()
-    functions = modal or any(gauge.quantity == FORCE for gauge in record.gauges)
+    functions = structure.is_modal or any(gauge.quantity == FORCE for gauge in record.gauges)
     loads = tuple(int(dof) for dof in np.flatnonzero(record.sensors(FORCE))) if functions else ()
     filters = tuple(number for number, gauge in enumerate(record.gauges) if gauge.filter_order)
     together = bool(filters) or not all(gauge.feels_one for gauge in record.gauges)

@@ -87,7 +87,7 @@ def _checked_start(start: Any, structure: Structure) -> tuple[np.ndarray, np.nda
         return zeros, zeros
     if not isinstance(start, Mapping) or not start or not set(start) <= {"displacement", "velocity"}:
         raise InputError("scheme.start", start, STARTS)
-    if structure.shapes is not None:
+    if structure.is_modal:
         raise InputError("scheme.start", dict(start), "rest with a finite-element model", "its coordinates are modes")
     found = []
     for name in ("displacement", "velocity"):

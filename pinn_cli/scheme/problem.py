@@ -149,7 +149,7 @@ class Problem:
 
     def in_coordinates_of(self, structure: Structure) -> Problem:
         """The same with its structure in the coordinates that a reduction of its finite-element model has."""
-        if structure.shapes is self.structure.shapes:
+        if structure.shares_coordinates(self.structure):
             return self
         structure = self.structure.in_coordinates_of(structure)
         held = {p: float(structure.parameters[p.kind][p.index]) for p in structure.every_parameter()}

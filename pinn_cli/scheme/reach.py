@@ -26,7 +26,7 @@ def unreached_dofs(problem: Problem) -> list[int]:
     from scipy.sparse.csgraph import connected_components
 
     structure, record = problem.structure, problem.record
-    if structure.shapes is not None:
+    if structure.is_modal:
         return []
     count = structure.incidence.shape[0]
     parameters = structure.parameters_like(np.empty(0))

@@ -76,7 +76,7 @@ def parameter_starts(
         further: Other records of the same structure.
     """
     records = (record, *further)
-    if prescribed.shapes is not None:
+    if prescribed.is_modal:
         return [_starts(prescribed, records, unknown, given, _of_modes(prescribed, unknown, given))]
     known, guess = linear_parts(prescribed, unknown), _guess(prescribed, records, unknown, given)
     stretch, moved = prescribed.stretch.matrix[prescribed.added].toarray(), prescribed.with_ground
@@ -185,7 +185,7 @@ def _starts(
     # Where there is no spring at all the force tells what one would be like.
     typical = {kind: _median_size(linear[kind], scales[kind]) for kind in (MASS, "k")}
     usual = np.full(len(linear["k"]), typical["k"])
-    if prescribed.shapes is not None:
+    if prescribed.is_modal:
         usual = _stiffness_felt(prescribed)
         usual = usual[: len(linear["k"])]  # behind them are parts, which have no spring of their own
     stretch = prescribed.incidence.matrix[: len(usual)]

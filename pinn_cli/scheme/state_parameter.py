@@ -108,7 +108,7 @@ class StateParameter(Scheme):
         and none of them is asked for. Beside supports that move such damping is not of the masses alone: there is none.
         """
         dampers, whole = prescribed.parameters["c"], prescribed.coordinates <= MOST_RATIOS
-        own = len(dampers) if prescribed.shapes is None else prescribed.groups[0].incidence.shape[0]
+        own = prescribed.groups[0].incidence.shape[0] if prescribed.is_modal else len(dampers)
         given = prescribed.is_damped_as_whole or prescribed.supports > 0 or not bool(dampers[:own].isnan().all())
         if given or records[0].simulated:
             return prescribed

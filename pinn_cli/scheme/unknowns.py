@@ -84,7 +84,7 @@ def unknown_parameters(
 def _hidden_connections(structure: Structure, observed: np.ndarray) -> np.ndarray:
     """(C,) bool: those that end at a DOF without a sensor; of a chain DOF i counts as the end of connection i alone."""
     stretch = structure.incidence.matrix[: len(structure.parameters["k"])]
-    if structure.shapes is not None:  # the modes come first, and no sensor measures them
+    if structure.is_modal:  # the modes come first, and no sensor measures them
         stretch = structure.incidence.matrix
         return np.arange(stretch.shape[0]) >= structure.groups[0].incidence.shape[0]
     if stretch.shape[0] == stretch.shape[1] and (stretch != Incidence.chain(structure.ndof).matrix).nnz == 0:
@@ -123,7 +123,7 @@ def _allowed(pattern: Any, structure: Structure, names: Mapping[str, Parameter])
 
 def _check_touched(parameter: Parameter, structure: Structure, records: Sequence[Record], forces_free: bool) -> None:
     """A parameter is in the equations of motion of the DOFs at its connection's ends; a mass in that of its own DOF."""
-    if structure.shapes is not None:
+    if structure.is_modal:
         if parameter.kind == MASS:
             allowed, hint = "parameters of connections", "the mass of a mode is one: its shape holds its size"
             raise InputError("scheme.unknown", parameter.name, allowed, hint)

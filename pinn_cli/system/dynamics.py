@@ -45,9 +45,7 @@ class Dynamics(Functions):
     @cached_property
     def _pushed(self) -> csr_matrix:
         """(forces, n), how those enter the equations of the coordinates."""
-        shapes = self.structure.shapes
-        matrix = np.eye(self.ndof)[self.loaded] if shapes is None else shapes.matrix[self.loaded]
-        return csr_matrix(matrix.reshape(-1, self.ndof))
+        return csr_matrix(self.structure.shapes.matrix[self.loaded].reshape(-1, self.ndof))
 
     @cached_property
     def has_mass(self) -> Tensor:
@@ -105,7 +103,7 @@ class Dynamics(Functions):
         """
         if self.is_plain:
             return self.structure.external_force(*jet, parameters)
-        if self.structure.shapes is not None:
+        if self.structure.is_modal:
             return self.on_dofs(jet)
         force = self.residual(jet, parameters)[..., : self.ndof].clone()
         force[..., self.loaded] = jet.value[..., self.acting]

@@ -73,7 +73,7 @@ class FiniteElements:
         return replace(
             structure,
             influence=np.zeros(n) if moved is None else reduced.vectors.T @ (self.whole.M @ moved),
-            shapes=Shapes(
+            mode_shapes=Shapes(
                 reduced.vectors[places],
                 None if moved is None else moved[places],
                 csr_matrix((0, len(self.names))) if own is None else own.incidence.matrix,
@@ -98,8 +98,7 @@ class CoordinatesOfModel:
     def at(self, factors: np.ndarray) -> Structure:
         """The model in as many coordinates that are exact where its parts have these factors (P,)."""
         made = self.model.structure(reduced_at(self.model.whole, factors, self.reduced))
-        assert made.shapes is not None
-        return replace(made, shapes=replace(made.shapes, exact_at=factors))
+        return replace(made, mode_shapes=replace(made.shapes, exact_at=factors))
 
     def onto(self, other: CoordinatesOfModel) -> np.ndarray:
         """(n, n), from coordinates to those of another reduction of the model."""

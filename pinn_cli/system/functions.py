@@ -140,7 +140,7 @@ class Functions:
     @property
     def is_plain(self) -> bool:
         """Whether the motion of the DOFs is all that is unknown."""
-        return self.size == self.ndof and self.structure.shapes is None
+        return self.size == self.ndof and not self.structure.is_modal
 
     @property
     def beside_motion(self) -> str:
@@ -153,7 +153,7 @@ class Functions:
             "an unmeasured force": self.forces,
             "the state of a sensor's filter": self.filters,
         }
-        modes = [] if self.structure.shapes is None else ["the motion of modes"]
+        modes = ["the motion of modes"] if self.structure.is_modal else []
         return " and ".join(modes + [name for name, at in parts.items() if at.stop > at.start])
 
     def picked(self, functions: slice | np.ndarray) -> csr_matrix:
@@ -193,8 +193,8 @@ class Functions:
             places = self.loaded, range(len(self.loaded))
             on_dofs = csr_matrix((np.ones(len(self.loaded)), places), shape=(structure.ndof, len(self.loaded)))
             return ((0, csr_matrix(on_dofs @ self.picked(self.acting))),)
-        order, own = MOTION.index(quantity), self.picked(slice(0, self.ndof))
-        motion = (order, own if structure.shapes is None else csr_matrix(structure.shapes.matrix @ own))
+        own = csr_matrix(csr_matrix(structure.shapes.matrix) @ self.picked(slice(0, self.ndof)))
+        motion = (MOTION.index(quantity), own)
         if not self._feels_ground(quantity):
             return (motion,)
         return motion, (0, csr_matrix(csr_matrix(self.carried[:, None]) @ self.picked(self.ground)))
@@ -202,14 +202,12 @@ class Functions:
     @property
     def carried(self) -> np.ndarray:
         """(dofs,), how far every DOF moves with the ground."""
-        if self.structure.shapes is None:
-            return self.structure.with_ground
         assert self.structure.shapes.with_ground is not None
         return self.structure.shapes.with_ground
 
     def feels_own(self, quantity: str) -> bool:
         """Whether every sensor of a quantity feels one coordinate alone, its own."""
-        return quantity in MOTION and self.structure.shapes is None and not self._feels_ground(quantity)
+        return quantity in MOTION and not self.structure.is_modal and not self._feels_ground(quantity)
 
     def _feels_ground(self, quantity: str) -> bool:
         """Whether sensors of a motion feel the ground's acceleration with it."""
@@ -226,9 +224,7 @@ class Functions:
         motion = jet[MOTION.index(quantity)]
         if self.is_plain:
             return motion
-        motion = motion[..., : self.ndof]
-        if self.structure.shapes is not None:
-            motion = self.structure.shapes.of_dofs(motion)
+        motion = self.structure.shapes.of_dofs(motion[..., : self.ndof])
         if not self._feels_ground(quantity):
             return motion
         return motion + jet.value[..., self.ground] * torch.as_tensor(self.carried).to(motion)

@@ -107,5 +107,5 @@ def modal_structure(
         {MASS: m, "c": c, "k": k},
         (ConnectionGroup(Linear(), Incidence(csr_matrix(np.eye(n)))),),
         Labels(dofs, tuple(names), tuple(names)),
-        shapes=Shapes(shapes, None, csr_matrix((0, len(shapes))), above, below),
+        mode_shapes=Shapes(shapes, None, csr_matrix((0, len(shapes))), above, below),
     )

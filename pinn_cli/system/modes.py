@@ -52,15 +52,12 @@ class Modes:
     @property
     def shapes(self) -> np.ndarray:
         """(dofs, 2n), displacements of the DOFs in each mode."""
-        of = self.structure.shapes
-        return self.vectors if of is None else of.matrix @ self.vectors
+        return self.structure.shapes.matrix @ self.vectors
 
     @property
     def pushed(self) -> np.ndarray:
         """(2n, dofs), what a unit force on a DOF puts into each mode."""
-        of = self.structure.shapes
-        every = self.inputs / self.m
-        return every if of is None else every @ of.matrix.T
+        return (self.inputs / self.m) @ self.structure.shapes.matrix.T
 
     @property
     def stable(self) -> bool:

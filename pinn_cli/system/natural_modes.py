@@ -65,8 +65,7 @@ class NaturalModes:
         with np.errstate(divide="ignore", invalid="ignore"):
             aperiodic = np.einsum("ir,ij,jr->r", still, C, still)[left] / (2.0 * np.sqrt(squares[left]))
         every = np.concatenate((np.abs(poles) ** 2, squares[left]))
-        below, above = (0, 0) if structure.shapes is None else (structure.shapes.below, structure.shapes.residual)
-        order = np.argsort(every, kind="stable")[below : n - above]
+        order = np.argsort(every, kind="stable")[structure.shapes.below : n - structure.shapes.residual]
         ratios = np.concatenate((-poles.real / np.abs(poles), np.where(squares[left] > 0, aperiodic, np.nan)))
         shapes = np.hstack((vectors, still[:, left])) / np.sqrt(m)[:, None]
         shapes = shapes / np.linalg.norm(shapes, axis=0)
@@ -81,8 +80,7 @@ class NaturalModes:
     @cached_property
     def of_dofs(self) -> np.ndarray:
         """(dofs, modes), complex: displacements of the DOFs."""
-        shapes = self.structure.shapes
-        return self.vectors if shapes is None else shapes.matrix @ self.vectors
+        return self.structure.shapes.matrix @ self.vectors
 
     @cached_property
     def shapes(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""DOFs that are no coordinates: of a structure in modal coordinates, how its DOFs move with them."""
+"""How the DOFs of a structure move with its coordinates: as they are, or as modes have it."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from pinn_cli.system.array_namespace import Array
 class Shapes:
     """u = matrix q, of displacements, velocities and accelerations relative to the ground.
 
+    Records, sensors and forces belong to DOFs, the equations of motion to coordinates.
+
     Attributes:
         matrix: (dofs, n), how far every DOF moves with every coordinate.
         with_ground: (dofs,), how far every DOF moves with the ground; None: nobody has said.
@@ -24,6 +26,7 @@ class Shapes:
         below: How many modes, the lowest, lie below the band of a record and stand for all that do.
         exact_at: (P,), factors of parts of a finite-element model for which the coordinates hold its modes; None: they
             are near for all.
+        modal: Whether the coordinates are modes; otherwise they are the DOFs.
     """
 
     matrix: np.ndarray
@@ -32,6 +35,12 @@ class Shapes:
     residual: int = 0
     below: int = 0
     exact_at: np.ndarray | None = None
+    modal: bool = True
+
+    @classmethod
+    def of_masses(cls, with_ground: np.ndarray) -> Shapes:
+        """Of coordinates that are the DOFs; ``with_ground`` is (n,)."""
+        return cls(np.eye(len(with_ground)), with_ground, modal=False)
 
     def of_dofs(self, q: Array) -> Array:
         """Motion of the DOFs (..., dofs), from that of the coordinates (..., n)."""
@@ -47,6 +56,8 @@ class Shapes:
         return float(np.sqrt(np.mean(np.sum(self.matrix**2, axis=1))))
 
     def _product(self, x: Array, matrix: np.ndarray) -> Array:
+        if not self.modal:
+            return x
         other = matrix if isinstance(x, np.ndarray) else torch.as_tensor(matrix.copy()).to(x)
         product: Array = x @ other
         return product

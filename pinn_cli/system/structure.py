@@ -63,8 +63,7 @@ class Structure:
             group, and a coordinate that is no displacement of a mass differs by its column of the incidence alone.
         labels: What the user calls its coordinates and connections.
         influence: (n,), how far each coordinate moves with the ground; None: all of them, by one.
-        shapes: How the DOFs move with the coordinates, where these are modes; None: the coordinates are the DOFs.
-            Records, sensors and forces belong to DOFs, everything here to coordinates.
+        mode_shapes: How the DOFs move with the coordinates, where these are modes; None: they are the DOFs.
         pairs: Of DOFs whose drift is to be told as well; None: none.
         reduction: What made the coordinates; None: they are no reduction with factors, or the model is not at hand.
         by_supports: (C', S), how far supports that move stretch the first C' connections, which pull at their other
@@ -79,7 +78,7 @@ class Structure:
     groups: tuple[ConnectionGroup, ...]
     labels: Labels = field(default_factory=Labels)
     influence: np.ndarray | None = None
-    shapes: Shapes | None = None
+    mode_shapes: Shapes | None = None
     pairs: Pairs | None = None
     reduction: Reduction | None = None
     by_supports: csr_matrix | None = None
@@ -104,7 +103,17 @@ class Structure:
     @property
     def ndof(self) -> int:
         """Number of degrees of freedom, of which there are records: n, unless the coordinates are modes."""
-        return self.coordinates if self.shapes is None else len(self.shapes.matrix)
+        return len(self.shapes.matrix)
+
+    @cached_property
+    def shapes(self) -> Shapes:
+        """How the DOFs move with the coordinates."""
+        return Shapes.of_masses(self.with_ground) if self.mode_shapes is None else self.mode_shapes
+
+    @property
+    def is_modal(self) -> bool:
+        """Whether the coordinates are modes, and no DOFs."""
+        return self.shapes.modal
 
     @cached_property
     def incidence(self) -> Incidence:
@@ -233,7 +242,7 @@ class Structure:
     @cached_property
     def added(self) -> np.ndarray:
         """(C',), the connections that somebody wrote down: all of them, but for the springs of modes and for parts."""
-        own = 0 if self.shapes is None else self.groups[0].incidence.shape[0]
+        own = self.groups[0].incidence.shape[0] if self.is_modal else 0
         return np.arange(own, len(self.parameters["k"]))
 
     @property
@@ -248,14 +257,13 @@ class Structure:
         own = self.stretch.matrix[self.added]
         if self.pairs is None:
             return own
-        weights = self.pairs.weights if self.shapes is None else csr_matrix(self.pairs.weights @ self.shapes.matrix)
+        weights = csr_matrix(self.pairs.weights @ self.shapes.matrix)
         return vstack([own, self._beside_supports(weights)], format="csr")
 
     @cached_property
     def drifts_of_dofs(self) -> csr_matrix:
         """(D, dofs + S), how the DOFs and supports make them."""
-        shapes = self.shapes
-        own = self.stretch.matrix[self.added] if shapes is None or shapes.stretch is None else shapes.stretch
+        own = self.stretch.matrix[self.added] if self.shapes.stretch is None else self.shapes.stretch
         return own if self.pairs is None else vstack([own, self._beside_supports(self.pairs.weights)], format="csr")
 
     def _beside_supports(self, weights: csr_matrix) -> csr_matrix:
@@ -395,6 +403,10 @@ class Structure:
         )
         return replace(self, groups=groups)
 
+    def shares_coordinates(self, other: Structure) -> bool:
+        """Whether another structure of the same model has the same coordinates."""
+        return self.mode_shapes is other.mode_shapes
+
     def in_coordinates_of(self, other: Structure) -> Structure:
         """The same model, of finite elements, with these parameters, in the coordinates of another reduction of it.
 
@@ -416,7 +428,7 @@ class Structure:
             groups=(*(group for group in other.groups if not group.damps_whole), *damping),
             labels=replace(self.labels, connections=other.labels.connections),
             influence=other.influence,
-            shapes=other.shapes,
+            mode_shapes=other.mode_shapes,
             reduction=other.reduction,
         ).present()
 
@@ -439,7 +451,7 @@ class Structure:
 
     def is_exact_at(self, factors: np.ndarray, tolerance: float) -> bool:
         """Whether its coordinates are exact within a relative tolerance of factors (P,), or there are no others."""
-        if self.reduction is None or self.shapes is None:
+        if self.reduction is None:
             return True
         at = self.shapes.exact_at
         return at is not None and bool(np.all(np.abs(factors / at - 1.0) <= tolerance))

@@ -50,7 +50,7 @@ def damped(structure: Structure, damping: Any) -> Structure:
 
 def _ratios(given: Any, structure: Structure) -> list[float]:
     values = [given] if given is None or is_finite_number(given) else entries(given)
-    modes = structure.coordinates - (0 if structure.shapes is None else structure.shapes.residual)
+    modes = structure.coordinates - structure.shapes.residual
     if not 1 <= len(values) <= modes or not all(x is None or (is_finite_number(x) and 0 <= x < 1) for x in values):
         allowed = f"a number from 0 to below 1, or a list of at most {modes}, one for each mode"
         raise InputError(f"{SETTING}.ratio", given, allowed, "0.02 is two per cent; null is unknown")

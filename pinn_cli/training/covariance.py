@@ -50,7 +50,7 @@ class ReadoutPosterior:
         """
         dynamics = self.equations.dynamics
         functions = dict(zip(RESPONSE_QUANTITIES, self.functions(segments), strict=True))
-        if dynamics.structure.shapes is not None:
+        if dynamics.structure.is_modal:
             found = self.of_modes(segments, [dynamics.sensing(quantity) for quantity in RESPONSE_QUANTITIES])
             return dict(zip(RESPONSE_QUANTITIES, found, strict=True)) | self._of_ground(functions["displacement"])
         out = {

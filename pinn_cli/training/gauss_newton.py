@@ -104,7 +104,7 @@ class GaussNewton(Training):
         doubt = None if self.weights else scored_damping(found)
         summary = estimate.summary | {"narrowed_by_refinement": found.narrowed}
         estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
-        if found.evidence.problem.structure.shapes is not problem.structure.shapes:
+        if not found.evidence.problem.structure.shares_coordinates(problem.structure):
             estimate = replace(estimate, structure=found.evidence.problem.structure)
         estimate = best_told(found, estimate)
         if not problem.priors:

@@ -24,7 +24,7 @@ def modal_deviation(problem: Problem) -> np.ndarray | None:
     sensors: in the band modes resonate, above it they follow slowly, and no more. None where coordinates are no modes.
     """
     structure, record = problem.structure, problem.record
-    if structure.shapes is None:
+    if not structure.is_modal:
         return None
     n = structure.coordinates
     p = structure.parameters_like(np.empty(0))

@@ -182,7 +182,7 @@ def _left_out(problem: Problem, model: Model, response: Response, count: int, se
 def _input_noise(problem: Problem, model: Model) -> list[np.ndarray]:
     """A row (n,) for the noise of every measured input."""
     structure, record, levels = problem.structure, problem.record, model.levels
-    felt = np.eye(structure.coordinates) if structure.shapes is None else structure.shapes.matrix
+    felt = structure.shapes.matrix
     nothing = np.full(record.ndof, np.nan)
     loaded = np.flatnonzero(~record.unforced)
     inputs = [(felt[dof], record.force[:, dof], levels.sensors.get(FORCE, nothing)[dof]) for dof in loaded]

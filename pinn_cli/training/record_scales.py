@@ -21,7 +21,7 @@ def force_and_velocity_scale(problem: Problem) -> tuple[float, float]:
     """
     record = problem.record
     mass, per_force = problem.structure.parameters["m"].detach().cpu().numpy(), 1.0
-    if problem.structure.shapes is not None:  # a DOF moves with modes of mass one, and a force on it acts on them
+    if problem.structure.is_modal:  # a DOF moves with modes of mass one, and a force on it acts on them
         per_force = problem.structure.shapes.scale
         mass = np.full(record.ndof, 1.0 / per_force)
     omega = np.pi * record_band(record)

@@ -26,12 +26,12 @@ def starting_noise(equations: NormalEquations) -> NoiseModel:
     response |= {channels.name: channels.numbers("first") for channels in equations.channels}
     if equations.observer is not None:
         response["acceleration"] = starting_levels(problem.record, "acceleration")
-    points, dynamics, shapes = equations.refinement, problem.dynamics, problem.structure.shapes
+    points, dynamics = equations.refinement, problem.dynamics
     driving, sensors = np.full((2, dynamics.size), np.nan)
     if equations.target.measured_force.any():  # otherwise load cells are channels
         sensors[: dynamics.ndof] = starting_levels(problem.record, FORCE)
     # A force of modes acts on a DOF the more, the less this DOF moves with them.
-    driving[dynamics.forces] = force if shapes is None else force / shapes.scale
+    driving[dynamics.forces] = force / problem.structure.shapes.scale
     driving[dynamics.loads] = [np.std(problem.record.force[:, dof]) for dof in dynamics.inputs.loads]
     if problem.record.ground_acceleration is not None:
         driving[dynamics.ground] = np.std(problem.record.ground_acceleration)

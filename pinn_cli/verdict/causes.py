@@ -88,7 +88,7 @@ def causes(problem: Problem, believed: Structure, estimated: Structure, excused:
         excused: Names of channels whose fault is known already.
     """
     record = _in_columns(problem.record, excused)
-    if record is None or believed.shapes is not None or believed.coordinates > MOST_COORDINATES:
+    if record is None or believed.is_modal or believed.coordinates > MOST_COORDINATES:
         return []
     unknown = [p for p in problem.uncertain if p.unknown]
     fits = _Fits(believed, linear_parts(believed, unknown), estimated)

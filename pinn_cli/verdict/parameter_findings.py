@@ -178,7 +178,7 @@ def _frequencies(structure: Structure, record: Record, loose: Sequence[int]) -> 
     of_structure, suspect = "natural frequencies of the estimated structure are", "natural frequencies"
     found = []
     # Modes beyond the record are there for what they bend under slow forces.
-    if above == len(frequencies) if structure.shapes is not None else above:
+    if above == len(frequencies) if structure.is_modal else above:
         text = f"{above} of {len(frequencies)} {of_structure} above the Nyquist frequency, {nyquist:.4g} Hz"
         text += f" (the highest: {frequencies[-1]:.4g} Hz); check the time axis and the units"
         found.append(Finding("frequencies", suspect, text, failed_if(above == len(frequencies))))

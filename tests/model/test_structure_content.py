@@ -59,7 +59,7 @@ def test_the_same_forces_and_names(make):
     np.testing.assert_array_equal(copy.with_ground, structure.with_ground)
     assert copy.drift_names == structure.drift_names
     np.testing.assert_array_equal(copy.drifts.toarray(), structure.drifts.toarray())
-    if structure.shapes is not None:
+    if structure.is_modal:
         np.testing.assert_array_equal(copy.shapes.matrix, structure.shapes.matrix)
     assert difference(copy, structure) == ""
 

@@ -95,7 +95,7 @@ def run_drawings(results: Results, directory: Path) -> list[Drawing]:
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
         found.append(("modes", modes.count, partial(modes_figure, modes, results.run.truth_label)))
-    if results.prescribed.labels.connections and results.prescribed.shapes is None:
+    if results.prescribed.labels.connections and not results.prescribed.is_modal:
         found.append(("structure", 2, partial(structure_figure, results.prescribed)))
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
         found.append(("history", 5, partial(history_figure, estimate.history)))

@@ -142,7 +142,7 @@ class _Forces:
     def of_masses(self) -> Iterator[ForceTerm]:
         """More or less mass on a DOF, but where its mass is a parameter that may move."""
         problem = self.equations.problem
-        of_dofs = problem.structure.shapes is None
+        of_dofs = not problem.structure.is_modal
         moving = {p.index for p in problem.uncertain if of_dofs and p.kind == MASS}
         for dof in (dof for dof in range(len(self.place)) if dof not in moving):
             name, acceleration = f"DOF {problem.record.dof_name(dof)}", self.acceleration[:, dof]

@@ -129,7 +129,7 @@ def _first(problem: Problem, beginning: Beginning | None) -> State | None:
         return None
     force, _ = force_and_velocity_scale(problem)
     # Of modes a coordinate moves so much less than a DOF, and so much more force acts on it.
-    per_dof = 1.0 if problem.structure.shapes is None else problem.structure.shapes.scale
+    per_dof = problem.structure.shapes.scale
     every = np.full((dynamics.size, 2), np.inf)
     if deviation is not None:
         every[: dynamics.ndof] = np.array(deviation) / per_dof

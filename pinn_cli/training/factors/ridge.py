@@ -53,7 +53,7 @@ class Ridge(Factor):
             return RELATIVE_RIDGE * float(diagonal.max())
         by_function = layout.weights(torch.from_numpy(diagonal))  # (count, functions)
         largest = by_function.amax(0)
-        if dynamics.structure.shapes is None:
+        if not dynamics.structure.is_modal:
             largest[: dynamics.ndof] = largest[: dynamics.ndof].max()
         return RELATIVE_RIDGE * layout.unknowns(largest.expand_as(by_function)).numpy()
 

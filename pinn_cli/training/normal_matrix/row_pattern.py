@@ -164,7 +164,7 @@ class RowPattern:
 
     def _length(self, kind: str, like: Tensor) -> Tensor | float:
         """How far the coordinates pull at every connection of a kind; DOFs at those between them by one."""
-        between = self.dynamics.structure.shapes is None and kind not in WHOLE
+        between = not self.dynamics.structure.is_modal and kind not in WHOLE
         if between or kind not in self.kinds or kind == MASS:
             return 1.0
         pull = self.dynamics.branches.matrix[self.dynamics.branch(kind)]

@@ -86,7 +86,7 @@ def _inputs(
     equations, noise, record = evidence.equations, solution.noise, evidence.problem.record
     dynamics = equations.dynamics
     structure, loads = dynamics.structure, dynamics.inputs.loads
-    felt = np.eye(dynamics.ndof) if structure.shapes is None else structure.shapes.matrix
+    felt = structure.shapes.matrix
     for dof in np.flatnonzero(record.sensors(FORCE)):
         function = dynamics.loads.start + loads.index(dof) if loads else None
         sigma = (noise.response[FORCE] if loads else noise.force)[dof]

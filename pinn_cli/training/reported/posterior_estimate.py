@@ -153,10 +153,10 @@ def _deviations(posterior: ReadoutPosterior, response: Response) -> Response:
     dynamics = equations.dynamics
     sensed = posterior.sensed(equations.observation)
     functions = None if dynamics.is_plain else posterior.functions(equations.forces)[0]
-    if dynamics.structure.shapes is None:
-        force = posterior.force(equations.forces)
-    else:
+    if dynamics.structure.is_modal:
         force = torch.zeros_like(sensed["displacement"])
+    else:
+        force = posterior.force(equations.forces)
     if functions is not None:
         force[:, dynamics.loaded] = functions[:, dynamics.acting]
     displacement, velocity, acceleration = (sensed[quantity].numpy() for quantity in RESPONSE_QUANTITIES)

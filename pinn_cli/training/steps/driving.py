@@ -127,10 +127,10 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     it just that.
     """
     level, equations = level_in_band(evidence, solution), evidence.equations
-    record, inputs, shapes = equations.problem.record, equations.problem.inputs, equations.dynamics.structure.shapes
+    record, inputs, structure = equations.problem.record, equations.problem.inputs, equations.dynamics.structure
     usable = USABLE_NYQUIST_FRACTION * 0.5 / record.step
     wider = 2.0 * np.pi * usable / inputs.edge
-    if level is None or shapes is not None or wider < 1.1:
+    if level is None or structure.is_modal or wider < 1.1:
         return 1.0
     mass = equations.prescribed["m"].cpu().numpy()[list(inputs.forces)]
     noise = solution.noise.response["acceleration"][list(inputs.forces)]

@@ -31,7 +31,7 @@ def in_present_modes(found: Inferred) -> Inferred | None:
     equations: of the stiffness's part it is the damping ratio. None where they are the same.
     """
     before, problem = found.problem.structure, _present(found)
-    moved = problem.structure.shapes is not before.shapes or problem.structure.damping_apart(before) > SAME_MODES
+    moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_apart(before) > SAME_MODES
     return _posed_again(found, problem, found.solver) if moved else None
 
 

@@ -40,9 +40,7 @@ def acceleration_error(evidence: RecordEvidence, solution: RecordSolution) -> np
     if not isinstance(network, SplineNetwork):
         return np.zeros(equations.problem.record.ndof)
     motion = equations.flat_states(equations.physics, solution.point).acceleration.cpu().numpy()
-    motion = motion[:, : equations.dynamics.ndof]
-    shapes = equations.dynamics.structure.shapes
-    motion = motion if shapes is None else shapes.of_dofs(motion)
+    motion = equations.dynamics.structure.shapes.of_dofs(motion[:, : equations.dynamics.ndof])
     rate, step = network.free_intervals, equations.problem.record.step / equations.refinement
     errors = []
     for column in motion.T:

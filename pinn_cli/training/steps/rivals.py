@@ -60,7 +60,7 @@ def _others(evidence: Evidence, trained: Trained) -> list[dict[Parameter, float]
     """Values of the unknown parameters of structures that do the same."""
     problem, values = evidence.problem, _values(evidence, trained)
     unknown = [p for p in values if p.unknown and p.kind in (MASS, "k")]
-    if not unknown or problem.structure.shapes is not None:
+    if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
     found = twins(structure, unknown, seen_by(structure, [own.record for own in problem.by_record]), MOST)

@@ -112,8 +112,7 @@ class SpectralModel:
         self.sensing = spectrum.differentiation[:, :, None] * sensed
         self.stretch = problem.structure.incidence.matrix.toarray()
         acting = [*problem.inputs.forces, *loads]
-        shapes = problem.structure.shapes
-        self.acting = Acting.forces(np.eye(n)[:, acting] if shapes is None else shapes.matrix[acting].T)
+        self.acting = Acting.forces(problem.structure.shapes.matrix[acting].T)
         self.unknown_forces = len(problem.inputs.forces)
         samples = [SensorSamples.of_column(problem.record, *sensor.place) for sensor in sensors]
         self.first_noise = np.array([sample.first for sample in samples])
