@@ -20,7 +20,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.initial_motion import CHOICES
 from pinn_cli.scheme.inputs import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.problem import THROUGH, Problem, Turns
+from pinn_cli.scheme.problem import THROUGH, Problem, TurningPoints
 from pinn_cli.system.finite_elements import FiniteElements
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
 from pinn_cli.system.reduction import WholeModel, reduced_model
@@ -209,7 +209,7 @@ def problems(draw: st.DrawFn, plain: bool) -> Problem:
     problem = Problem.of_records(structure, own, uncertain, through, begins, force)
     further = draw(st.sampled_from((None, None, "state", "turns")))
     if further == "turns":
-        return replace(problem, turns=Turns(np.array([START + 1.0]), 0.1, 5.0, 1.0))
+        return replace(problem, turning_points=TurningPoints(np.array([START + 1.0]), 0.1, 5.0, 1.0))
     return goes_on(problem, rng) if further == "state" and len(own) == 1 else problem
 
 

@@ -171,7 +171,7 @@ class Filtered:
         information += gone.transpose(0, 2, 1) @ self._later_information @ gone
         return prior - prior @ information @ prior, columns
 
-    def told(self, coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def information_on_noise(self, coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the observations say of the noise of every sensor and state, and of every disturbance.
 
         The derivative of their log probability by a variance is half of the squares less the information (Koopman and

@@ -90,7 +90,7 @@ def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool 
         best: Where to begin.
         searched: (m + L,) bool, which levels; the others are held.
     """
-    damping, searched = DAMPING, np.flatnonzero(searched & ~smoother.space.told)
+    damping, searched = DAMPING, np.flatnonzero(searched & ~smoother.space.held)
     slope, curvature = asked(smoother, best)
     for _ in range(ROUNDS):
         damped, step = curvature + damping * np.diag(np.diag(curvature).clip(min=1.0)), np.zeros(len(slope))
@@ -111,8 +111,8 @@ def settled(smoother: IteratedSmoother, best: Pass, searched: np.ndarray | bool 
 
 def log_evidence(space: StateSpace, one: Pass) -> float:
     """That of the record and of what spectra show besides, of as many values as there are samples."""
-    told, levels = space.shown > 0.0, one.levels.every
-    misfit = np.log(levels[told] ** 2) + space.shown[told] ** 2 / levels[told] ** 2
+    there, levels = space.shown > 0.0, one.levels.every
+    misfit = np.log(levels[there] ** 2) + space.shown[there] ** 2 / levels[there] ** 2
     return float(one.log_evidence - 0.5 * len(space.there) * np.sum(misfit))
 
 
@@ -125,7 +125,7 @@ def asked(smoother: IteratedSmoother, last: Pass) -> tuple[np.ndarray, np.ndarra
     """
     space, found = smoother.space, last.regression
     m = len(space.sensors)
-    noise, information = last.filtered.told(found.change, found.covariance)
+    noise, information = last.filtered.information_on_noise(found.change, found.covariance)
     information[:, :m] *= space.there
     by_level, variance = space.noise_of_levels, last.levels.every**2
     shown, of_spectrum = space.shown, len(space.there) * (space.shown > 0.0)

@@ -176,7 +176,7 @@ class StateSpace:
         return np.pad([*sensors, 0.0, *cells], (0, self.sources.shape[1] - 1 - len(cells)))
 
     @property
-    def told(self) -> np.ndarray:
+    def held(self) -> np.ndarray:
         """(m + L,) bool, levels that are not looked for: of repeated measurements, and of unmeasured forces."""
         repeated, smooth = self.problem.record.repeats is not None, self.dynamics.smooth
         of_forces = [False, *[repeated] * len(self.cells), *[False] * (smooth.stop - smooth.start)]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pinn_cli.model.knowledge import DiscrepancyTold, EndState, Levels, ParameterKnowledge
+from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, ParameterKnowledge
 from pinn_cli.model.misfit import Misfit
 from pinn_cli.model.model import Model
 from pinn_cli.model.structure_content import structure_content, structure_of
@@ -50,8 +50,10 @@ def write_model(model: Model, directory: Path) -> Path:
     arrays |= {f"parameters_{name}": np.asarray(values) for name, values in known.items() if values is not None}
     arrays |= {f"sigma_{quantity}": np.asarray(values) for quantity, values in model.levels.sensors.items()}
     arrays |= {f"level_{name}": np.array(getattr(model.levels, name)) for name in LEVELS}
-    if (told := model.levels.told) is not None:
-        arrays |= {f"told_{field.name}": np.asarray(getattr(told, field.name)) for field in fields(DiscrepancyTold)}
+    if (windows := model.levels.windows) is not None:
+        arrays |= {
+            f"told_{field.name}": np.asarray(getattr(windows, field.name)) for field in fields(DiscrepancyEvidence)
+        }
     if model.end is not None:
         arrays |= {f"end_{field.name}": np.asarray(getattr(model.end, field.name)) for field in fields(EndState)}
     if model.misfit is not None:
@@ -120,10 +122,10 @@ def stored_model(directory: Path) -> Model:
     _check(known, len(words["parameters"]))
     means = zip(words["parameters"], known.mean, known.first_std, strict=True)
     parameters = tuple(_parameter(structure, own, mean, std) for own, mean, std in means)
-    told = _of("told_", arrays)
+    windows = _of("told_", arrays)
     discrepancy, step, force, features = (float(arrays[f"level_{name}"]) for name in LEVELS)
     sensors = _of("sigma_", arrays)
-    levels = Levels(sensors, discrepancy, step, force, features, _told(**told) if told else None)
+    levels = Levels(sensors, discrepancy, step, force, features, _windows(**windows) if windows else None)
     end, misfit = _of("end_", arrays), _of("misfit_", arrays)
     return Model(
         structure,
@@ -139,9 +141,11 @@ def stored_model(directory: Path) -> Model:
     )
 
 
-def _told(start: np.ndarray, common: np.ndarray, places: np.ndarray, log_evidence: np.ndarray) -> DiscrepancyTold:
+def _windows(
+    start: np.ndarray, common: np.ndarray, places: np.ndarray, log_evidence: np.ndarray
+) -> DiscrepancyEvidence:
     """What windows say of the discrepancy."""
-    return DiscrepancyTold(float(start), bool(common), places, log_evidence)
+    return DiscrepancyEvidence(float(start), bool(common), places, log_evidence)
 
 
 def _misfit(arrays: Mapping[str, np.ndarray], coordinates: int) -> Misfit:

@@ -115,7 +115,7 @@ class EndState:
 
 
 @dataclass(frozen=True, eq=False)
-class DiscrepancyTold:
+class DiscrepancyEvidence:
     """What the windows of a record say of its discrepancy, which each alone may leave open.
 
     Attributes:
@@ -150,7 +150,7 @@ class HandOver:
 
     known: ParameterKnowledge
     end: EndState
-    discrepancy: DiscrepancyTold | None = None
+    discrepancy: DiscrepancyEvidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ class Levels:
         step: Between the samples, s: a discrepancy has the same power at any rate.
         force: That acted, N, root mean square.
         features: Of the network, per second and function; NaN of a network without any.
-        told: What windows of one record say of the discrepancy together; None of any other record.
+        windows: What windows of one record say of the discrepancy together; None of any other record.
     """
 
     sensors: Mapping[str, np.ndarray]
@@ -171,4 +171,4 @@ class Levels:
     step: float
     force: float
     features: float
-    told: DiscrepancyTold | None = None
+    windows: DiscrepancyEvidence | None = None

@@ -203,15 +203,15 @@ def _weights(width: int, refinement: int, nugget: float) -> tuple[np.ndarray, np
         nugget: Variance of a sample's own noise over that of the process.
     """
     parts = np.arange(1, refinement) / refinement
-    weights, variance = _told_from(width, nugget, np.arange(width - 1)[:, None] + parts)
+    weights, variance = _predicted_from(width, nugget, np.arange(width - 1)[:, None] + parts)
     # In the middle of a long record next to nothing is left open but the samples' own noise.
-    variance = variance - _told_from(2 * REACH, nugget, REACH - 1 + parts)[1]
+    variance = variance - _predicted_from(2 * REACH, nugget, REACH - 1 + parts)[1]
     # What is most probable of a noisy history is smaller than it. Here it keeps the size of the samples: else inputs
     # would be too small, by a per cent at 20 dB.
     return (1.0 + 2.0 * BAND * nugget) * weights, np.sqrt(np.maximum(variance, 0.0))
 
 
-def _told_from(width: int, nugget: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _predicted_from(width: int, nugget: float, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(..., width) weights of so many samples at places (...) among them, and (...) the variance that they leave."""
     samples = np.arange(width, dtype=float)
     factor = cho_factor(_correlation(samples[:, None] - samples) + nugget * np.eye(width))

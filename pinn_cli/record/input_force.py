@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pinn_cli.record.supports import told_by
+from pinn_cli.record.supports import measured_orders
 from pinn_cli.system.parameters import MASS
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def input_force(structure: Structure, record: Record) -> np.ndarray:
         structure.at_rest()[0].sum(axis=0)[:, None] * structure.stretch.matrix[:, structure.coordinates :].toarray()
     )
     stiffness = abs(structure.incidence.matrix.T @ springs)
-    for i, (quantity, order) in enumerate(told_by(record)):
+    for i, (quantity, order) in enumerate(measured_orders(record)):
         of_spring = stiffness[:, i] ** (1.0 - 0.5 * order)
         moved = of_spring * np.where(stiffness[:, i] > 0.0, mass, 0.0) ** (0.5 * order)
         acting = acting + np.outer(record.supports[quantity][:, i], moved)

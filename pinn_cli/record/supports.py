@@ -14,7 +14,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.system.quantities import MOTION, SUPPORT
 
 
-def told_by(record: Record) -> list[tuple[str, int]]:
+def measured_orders(record: Record) -> list[tuple[str, int]]:
     """Of every support the quantity that tells most of its slow motion, and its order: 0, 1, 2 derivatives."""
     return [
         min(((q, MOTION.index(SUPPORT[q])) for q in record.supports if record.sensors(q)[i]), key=lambda one: one[1])
@@ -32,7 +32,7 @@ def support_motion(record: Record, first: int = 0) -> Callable[[np.ndarray], np.
     time = record.time[first:]
     begins = np.zeros((2, len(record.support_names))) if record.supports_begin is None else record.supports_begin
     jets = []
-    for i, (quantity, order) in enumerate(told_by(record)):
+    for i, (quantity, order) in enumerate(measured_orders(record)):
         spline = dense_spline(time, record.supports[quantity][first:, i])
         # What is integrated begins as it is known to: a polynomial more.
         start = Polynomial([begins[k, i] / math.factorial(k) for k in range(order)] or [0.0])
@@ -72,7 +72,7 @@ class SupportErrors:
         """
         if not record.supports:
             return None
-        told = told_by(record)
+        told = measured_orders(record)
         sigma = [levels[quantity][i] if quantity in levels else 0.0 for i, (quantity, _) in enumerate(told)]
         return cls(np.nan_to_num(sigma), np.array([order for _, order in told]), record.step)
 

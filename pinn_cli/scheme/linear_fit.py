@@ -12,7 +12,7 @@ from pinn_cli.record.cross_spectra import CrossSpectra, band_edges
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import LOWEST_BINS
-from pinn_cli.record.supports import told_by
+from pinn_cli.record.supports import measured_orders
 from pinn_cli.scheme.channel_doubts import ChannelDoubts, Doubt
 from pinn_cli.system.frequency_response import Acting, FrequencyResponse, real_rows
 from pinn_cli.system.quantities import FORCE, SUPPORT
@@ -36,7 +36,7 @@ EVALUATIONS = 30
 def what_acts(record: Record) -> list[Channel] | None:
     """Load cells, supports, and last the ground; None where nothing acts, or where some of it is unknown."""
     supports = {channel.place: channel for channel in channels(record, tuple(SUPPORT))}
-    moved = [supports[quantity, i] for i, (quantity, _) in enumerate(told_by(record))]
+    moved = [supports[quantity, i] for i, (quantity, _) in enumerate(measured_orders(record))]
     acting = [*channels(record, (FORCE,)), *moved, *channels(record, (GROUND,))]
     return acting if acting and np.isfinite(record.force).all() else None
 
@@ -141,8 +141,8 @@ class LinearFit:
         s, count = self.spectra, len(self.spectra.sensors)
         self.kernel = s.smoothing(width)
         power = self.kernel @ s.power
-        told = power / np.maximum(power + ABOVE_FLOOR * s.floor, 1e-300) / np.sqrt(np.maximum(power, 1e-300))
-        self.scale = told[:, :count, None] * told[:, None, count:]
+        share = power / np.maximum(power + ABOVE_FLOOR * s.floor, 1e-300) / np.sqrt(np.maximum(power, 1e-300))
+        self.scale = share[:, :count, None] * share[:, None, count:]
         self.common = self.scale * self._smoothed(s.of_both)
         self.size = float(np.sum(np.abs(self.common) ** 2))
 

@@ -16,7 +16,7 @@ from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.joint_prior import JointPrior
-from pinn_cli.scheme.told import ToldParameters
+from pinn_cli.scheme.spectral_estimate import SpectralEstimate
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
@@ -35,7 +35,7 @@ RINGS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class TurningPoints:
     """When contacts stick or turn round, so that an estimator's features follow the motion badly.
 
     Attributes:
@@ -78,9 +78,9 @@ class Problem:
         prior: What earlier records say of the uncertain parameters together; None: each is believed by itself.
         initial_state: Where the motion of an earlier record ended, if this one goes on from there: its first sample is
             that record's last. The parameters of ``with_parameters`` are the first of ``uncertain``.
-        turns: Where the equations of motion hold less well for a spline; None: they hold everywhere alike.
-        told: What is known of all uncertain parameters before the motion is estimated; None: the motion tells them.
-        hand_over: When a later record goes on, s: what is known from the samples up to that time is told as well.
+        turning_points: Where the equations of motion hold less well for a spline; None: they hold everywhere alike.
+        spectral: What spectra say of all uncertain parameters; None: the motion tells them.
+        hand_over: When a later record goes on, s: what is known from the samples up to that time is kept as well.
     """
 
     structure: Structure
@@ -94,8 +94,8 @@ class Problem:
     prior: JointPrior | None = None
     initial_state: EndState | None = None
     hand_over: float | None = None
-    turns: Turns | None = None
-    told: ToldParameters | None = None
+    turning_points: TurningPoints | None = None
+    spectral: SpectralEstimate | None = None
 
     @classmethod
     def of_records(

@@ -25,16 +25,16 @@ from pinn_cli.training.doubts.damping_score import scored_damping
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.function_space.training import MOST_RESIDUALS, FunctionSpaceGaussNewton
 from pinn_cli.training.history import History
-from pinn_cli.training.inference import inferred
-from pinn_cli.training.inferred import ITERATIONS, TOLERANCE, Inferred, Solver
+from pinn_cli.training.inference import infer
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_scales import force_and_velocity_scale
 from pinn_cli.training.reported.hand_over import handed_over
 from pinn_cli.training.reported.parameter_likelihoods import parameter_likelihoods
 from pinn_cli.training.reported.posterior_estimate import posterior_estimate
-from pinn_cli.training.reported.stories import best_told
+from pinn_cli.training.reported.stories import with_stories
+from pinn_cli.training.solver import ITERATIONS, TOLERANCE, Inference, Solver
 from pinn_cli.training.starting_noise import starting_noise
-from pinn_cli.training.steps.near_levels import as_fine_as_before
+from pinn_cli.training.steps.known_levels import as_fine_as_before
 
 FIXED_WEIGHTS = ("observation", "physics", "continuity")
 
@@ -96,7 +96,7 @@ class GaussNewton(Training):
         designs = (design,) * len(problem.by_record)
         solver = Solver(designs, history, *limits, self.learn_spread, self.pooled, run.device)
         with history:
-            found = self._weighed(problem, solver) if self.weights else inferred(problem, solver)
+            found = self._weighed(problem, solver) if self.weights else infer(problem, solver)
             handed = None if problem.hand_over is None else handed_over(found)
         for equations, point in found.by_record:
             equations.network.readout.data = equations.readout(point)
@@ -106,7 +106,7 @@ class GaussNewton(Training):
         estimate = replace(estimate, summary=summary, rivals=found.rivals, handed_over=handed, damping_doubt=doubt)
         if not found.evidence.problem.structure.shares_coordinates(problem.structure):
             estimate = replace(estimate, structure=found.evidence.problem.structure)
-        estimate = best_told(found, estimate)
+        estimate = with_stories(found, estimate)
         if not problem.priors:
             return estimate
         return replace(estimate, likelihoods=parameter_likelihoods(found.evidence, found.trained))
@@ -146,7 +146,7 @@ class GaussNewton(Training):
                 value = getattr(self, setting)
                 raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
 
-    def _weighed(self, problem: Problem, solver: Solver) -> Inferred:
+    def _weighed(self, problem: Problem, solver: Solver) -> Inference:
         """The solution under weights that the user has fixed."""
         evidence = solver.evidence(problem)
         force, velocity = force_and_velocity_scale(problem)
@@ -157,7 +157,7 @@ class GaussNewton(Training):
             raise InputError(
                 "training.weights", self.weights, "weights of less unequal size", "the normal matrix is singular"
             )
-        return Inferred(evidence, trained, solver)
+        return Inference(evidence, trained, solver)
 
     def _fixed(self, noise: NoiseModel, record: Record, force: float, velocity: float) -> NoiseModel:
         """Noise levels that weigh the residuals as the given lambdas do."""

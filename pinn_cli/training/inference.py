@@ -27,43 +27,43 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.training.inferred import Inferred, Solver
-from pinn_cli.training.steps.first_solution import first_solution, told_by_spectra
-from pinn_cli.training.steps.free_running import running_free
-from pinn_cli.training.steps.marginal_peak import at_marginal_peak
-from pinn_cli.training.steps.posed_again import apart_from_turns, in_finer_features, in_present_modes
-from pinn_cli.training.steps.rivals import nearest_to_the_start
-from pinn_cli.training.steps.unknown_forces import in_a_wider_band, in_their_colour, of_their_level
-from pinn_cli.training.steps.widened import widened_for_colour
-from pinn_cli.training.steps.windows_discrepancy import as_all_windows_say
+from pinn_cli.training.solver import Inference, Solver
+from pinn_cli.training.steps.first_solution import first_solution, identify_by_spectra
+from pinn_cli.training.steps.free_running import fit_free_run
+from pinn_cli.training.steps.independent_values import count_independent_values
+from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak
+from pinn_cli.training.steps.rivals import choose_equivalent_structure
+from pinn_cli.training.steps.unknown_forces import fit_force_spectrum, set_force_level, widen_force_band
+from pinn_cli.training.steps.updated_problem import loosen_at_turning_points, refine_features, update_modes
+from pinn_cli.training.steps.windows_discrepancy import combine_windows
 
 # From a solution to a better one; None: there is none. Each is asked so many times at most.
-Step = Callable[[Inferred], Inferred | None]
+Step = Callable[[Inference], Inference | None]
 STEPS: tuple[tuple[Step, int], ...] = (
-    (in_a_wider_band, 1),
-    (in_their_colour, 3),
-    (in_present_modes, 3),
-    (apart_from_turns, 6),
-    (in_finer_features, 2),
-    (in_present_modes, 3),
-    (nearest_to_the_start, 1),
-    (as_all_windows_say, 1),
-    (widened_for_colour, 1),
-    (of_their_level, 2),
-    (at_marginal_peak, 4),
-    (running_free, 1),
+    (widen_force_band, 1),
+    (fit_force_spectrum, 3),
+    (update_modes, 3),
+    (loosen_at_turning_points, 6),
+    (refine_features, 2),
+    (update_modes, 3),
+    (choose_equivalent_structure, 1),
+    (combine_windows, 1),
+    (count_independent_values, 1),
+    (set_force_level, 2),
+    (move_to_marginal_peak, 4),
+    (fit_free_run, 1),
 )
 # Where a finished run says where the solution is, steps from there converge at once: then this ends them.
 NEAR_TOLERANCE = 3e-5
 
 
-def inferred(problem: Problem, solver: Solver) -> Inferred:
+def infer(problem: Problem, solver: Solver) -> Inference:
     """The most probable readout and parameters under the most probable noise levels.
 
     Raises:
         DivergenceError: Even the softest physics cannot be solved.
     """
-    problem, solver = told_by_spectra(problem, solver)
+    problem, solver = identify_by_spectra(problem, solver)
     found = first_solution(problem, _as_believed(problem, solver))
     for step, rounds in STEPS:
         for _ in range(rounds):

@@ -144,9 +144,9 @@ class LeastSquares:
         at = self.members.held, self.placed(point)
         systems = self.members.keep(_assembled, *at, noise.records, self.priors(noise))
         repeated, known = self._repeated * self.precision(noise).numpy(), self.each[0].known
-        told = None if known is None else known.covariance
+        held = None if known is None else known.covariance
         pull = repeated * point.parameters.cpu().numpy()
-        return SharedSystem(self.members, self.columns, systems, repeated, pull, told)
+        return SharedSystem(self.members, self.columns, systems, repeated, pull, held)
 
 
 def joined_parameters(each: Sequence[Sequence[Parameter]]) -> tuple[tuple[Parameter, ...], list[np.ndarray]]:

@@ -20,7 +20,7 @@ from pinn_cli.training.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.steps.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN
-from pinn_cli.training.steps.driving import told_below
+from pinn_cli.training.steps.force_spectrum import drive_below
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
@@ -63,7 +63,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         pooled: Whether the sensors of one quantity share one level.
         rounds: At most.
     """
-    if evidence.problem.told is not None:  # spectra have told the levels, too
+    if evidence.problem.spectral is not None:  # spectra say what the levels are, too
         return trained
     floors = evidence.each_record(floor, trained)
     before: list[np.ndarray | None] = [None] * len(floors)
@@ -219,7 +219,7 @@ def _of_force_sensors(noise: NoiseModel, split: ForceResiduals, left: np.ndarray
     return own * split.seen / variance + beyond, own * left + split.beyond
 
 
-def force_noise_told(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float]:
+def force_noise_statistics(evidence: RecordEvidence, solution: RecordSolution) -> tuple[float, float]:
     """Squares over variance of all force sensors of one record, repeats included, and how many values they are.
 
     The most probable noise is that of the solution times the root of their ratio, with a relative standard deviation of
@@ -231,11 +231,11 @@ def force_noise_told(evidence: RecordEvidence, solution: RecordSolution) -> tupl
     left = split.count - values_taken(evidence, solution).physics
     squares, values = _of_force_sensors(noise, split, np.maximum(left, FEWEST_LEFT * split.count))
     squares = np.maximum(squares, values * (least.force / noise.force) ** 2)[there]
-    told = float(squares.sum()), float(values[there].sum())
+    both = float(squares.sum()), float(values[there].sum())
     if record.repeats is None or not there.size:
-        return told
+        return both
     scatter = record.repeats.square[FORCE][there] / (record.repeats.count * noise.force[there] ** 2)
-    return told[0] + float(scatter.sum()), told[1] + record.repeats.freedom * there.size
+    return both[0] + float(scatter.sum()), both[1] + record.repeats.freedom * there.size
 
 
 def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarray, left: np.ndarray) -> np.ndarray:
@@ -248,8 +248,8 @@ def _driving(evidence: RecordEvidence, solution: RecordSolution, seen: np.ndarra
     for i in range(dynamics.smooth.start, dynamics.smooth.stop):
         level[i] = np.sqrt(seen[i] / left[i])
         if equations.network.free_intervals > 2.0 * nyquist:  # beyond, an input is told to be nothing
-            told = told_below(evidence, solution, slice(i, i + 1), nyquist)
-            level[i] = level[i] if told is None or told.level is None else told.level
+            drive = drive_below(evidence, solution, slice(i, i + 1), nyquist)
+            level[i] = level[i] if drive is None or drive.level is None else drive.level
     if dynamics.inputs.forces:
         level[dynamics.forces] = np.sqrt(seen[dynamics.forces].sum() / left[dynamics.forces].sum())
     return level

@@ -44,7 +44,7 @@ class NormalEquations(Frame):
         network: Fixed features, linear readout, an output for every unknown function.
         problem: Structure, record, uncertain parameters.
         device: Where residuals and blocks are computed.
-        known: Parameters of a linear structure that something else has told; None: they are solved for.
+        known: Parameters of a linear structure that something else determines; None: they are solved for.
 
     Attributes:
         factors: All that is said of the record's unknowns but what is believed of the parameters.

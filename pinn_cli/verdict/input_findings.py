@@ -17,7 +17,7 @@ from pinn_cli.verdict.finding import Finding, failed_if
 if TYPE_CHECKING:
     from pinn_cli.record.record import Record
     from pinn_cli.scheme.problem import Problem
-    from pinn_cli.scheme.told import ToldParameters
+    from pinn_cli.scheme.spectral_estimate import SpectralEstimate
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
@@ -41,8 +41,8 @@ def input_findings(problem: Problem, estimate: Estimate, structure: Structure) -
         estimate: Of the motion.
         structure: With the estimated parameters.
     """
-    if problem.told is not None:
-        return _driven(problem.record) + _modes(problem.told)
+    if problem.spectral is not None:
+        return _driven(problem.record) + _modes(problem.spectral)
     of_parameters = _spectra(estimate) + _resonances(problem, structure) + _under_forces(problem, estimate)
     return _output_only(problem) + of_parameters + _untold(problem, estimate) + _energy(structure)
 
@@ -75,16 +75,15 @@ def _driven(record: Record) -> list[Finding]:
     return [Finding("driven", record.dof_names(dofs), text, "sound")]
 
 
-def _modes(told: ToldParameters) -> list[Finding]:
+def _modes(found: SpectralEstimate) -> list[Finding]:
     """What the spectra of a band show beside the modes that were found."""
-    if told.missing is not None:
-        text = f"a mode at {told.missing:.4g} Hz is in the band and not in the model"
+    if found.missing is not None:
+        text = f"a mode at {found.missing:.4g} Hz is in the band and not in the model"
         return [Finding("missing_mode", "system.modes", f"{text}; ask for more (system.modes)")]
-    if told.misfit <= LEFT:
+    if found.misfit <= LEFT:
         return []
-    text = (
-        f"in a part of the band the modes leave {100.0 * told.misfit:.0f} % of the sensors' power, more than noise does"
-    )
+    share = f"{100.0 * found.misfit:.0f} %"
+    text = f"in a part of the band the modes leave {share} of the sensors' power, more than noise does"
     remedy = (
         "frequencies may be right, damping and masses not; check the force, the sensors and whether the level matters"
     )

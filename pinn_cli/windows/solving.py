@@ -192,7 +192,7 @@ class _Report:
         results = self._results()
         own = replace(results.estimate, known=handed.known, end=handed.end)
         model = model_of(replace(results, estimate=own), verdict)
-        return replace(model, levels=replace(model.levels, told=handed.discrepancy))
+        return replace(model, levels=replace(model.levels, windows=handed.discrepancy))
 
     def _results(self) -> Results:
         solver = self.solver

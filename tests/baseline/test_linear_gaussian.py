@@ -116,7 +116,7 @@ def test_squares_less_information_are_twice_the_slope_of_the_evidence_by_every_v
     model, small = random_model(), 1e-5
     filtered = model.filter()
     found = regress(filtered, np.zeros(2), np.ones(2))
-    noise, left = filtered.told(found.change, found.covariance)
+    noise, left = filtered.information_on_noise(found.change, found.covariance)
     squares, information = np.sum(noise**2, axis=0), np.sum(left, axis=0)
     variances = np.concatenate((np.diag(model.noise), model.disturbance_variance))
 

@@ -12,7 +12,7 @@ import pytest
 from structures import braced
 
 from pinn_cli.model.file import NAME, read_model, write_model
-from pinn_cli.model.knowledge import DiscrepancyTold, EndState, Levels, ParameterKnowledge
+from pinn_cli.model.knowledge import DiscrepancyEvidence, EndState, Levels, ParameterKnowledge
 from pinn_cli.model.misfit import MOST_KEPT, Misfit
 from pinn_cli.model.model import Model
 from pinn_cli.settings.errors import InputError
@@ -28,7 +28,7 @@ def model() -> Model:
         np.array([15.0, 14.0]), np.array([[0.04, 0.01], [0.01, 0.09]]), np.array([1.0, 0.0]), np.array([4.0, 0.0]),
         np.array([150.0, 1.0]),
     )  # fmt: skip
-    told = DiscrepancyTold(1e-3, True, np.array([-4.0, -3.0]), np.array([0.0, -1.5]))
+    told = DiscrepancyEvidence(1e-3, True, np.array([-4.0, -3.0]), np.array([0.0, -1.5]))
     levels = Levels({"acceleration": np.array([0.1, np.nan, 0.2])}, 0.3, 0.01, 5.0, 7.5, told)
     end = EndState(2.0, np.arange(6.0), np.eye(6), np.ones((6, 2)))
     misfit = Misfit.of(0.01, np.arange(12.0).reshape(4, 3), 5.0, 0.25, 0.75)
@@ -57,9 +57,9 @@ def test_what_goes_in_comes_out(tmp_path):
     np.testing.assert_allclose(back.known.hidden, [0.25, 0.0], rtol=1e-5)
     np.testing.assert_array_equal(back.levels.sensors["acceleration"], [0.1, np.nan, 0.2])
     assert (back.levels.discrepancy, back.levels.step, back.levels.force, back.levels.features) == (0.3, 0.01, 5.0, 7.5)
-    assert back.levels.told is not None
-    assert (back.levels.told.start, back.levels.told.common) == (1e-3, True)
-    np.testing.assert_array_equal(back.levels.told.at(np.array([-5.0, -3.5, 0.0])), [0.0, -0.75, -1.5])
+    assert back.levels.windows is not None
+    assert (back.levels.windows.start, back.levels.windows.common) == (1e-3, True)
+    np.testing.assert_array_equal(back.levels.windows.at(np.array([-5.0, -3.5, 0.0])), [0.0, -0.75, -1.5])
     assert back.end is not None
     np.testing.assert_array_equal(back.end.mean, np.arange(6.0))
     np.testing.assert_array_equal(back.draws, np.ones((4, 2)))

@@ -14,7 +14,7 @@ from pinn_cli.record.record import Measurements, Truth
 from pinn_cli.record.repeats import Repeats
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.scheme.told import ToldParameters
+from pinn_cli.scheme.spectral_estimate import SpectralEstimate
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
@@ -135,10 +135,10 @@ def test_a_problem_has_no_way_to_the_truth():
         "prior",
         "initial_state",
         "hand_over",
-        "turns",
-        "told",
+        "turning_points",
+        "spectral",
     }
     record = hints(Problem)["record"]
-    for kind in (record, EndState, ToldParameters):
+    for kind in (record, EndState, SpectralEstimate):
         assert not {Truth, Measurements} & reachable(kind, set())
     assert not [name for name in dir(record) if "true" in name or "truth" in name]

@@ -12,7 +12,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training import inference
 from pinn_cli.training.history import History
-from pinn_cli.training.inferred import Inferred, Solver
+from pinn_cli.training.solver import Inference, Solver
 
 METHOD = Path(__file__).parents[2] / "docs" / "method.md"
 
@@ -25,16 +25,16 @@ def test_the_docs_tell_the_steps_that_there_are():
 def test_a_step_is_asked_until_it_has_nothing_better_and_so_many_times_at_most(monkeypatch):
     asked: list[str] = []
 
-    def better(found: Inferred) -> Inferred:
+    def better(found: Inference) -> Inference:
         asked.append("better")
         return replace(found, narrowed=found.narrowed + 1.0)
 
-    def nothing(found: Inferred) -> None:
+    def nothing(found: Inference) -> None:
         asked.append("nothing")
 
     monkeypatch.setattr(inference, "STEPS", ((nothing, 5), (better, 3)))
     structure = small_chain("linear")
     problem = Problem(structure, measured(structure, duration=4.0, samples=101).record)
-    found = inference.inferred(problem, Solver((Spline(),), History(False)))
+    found = inference.infer(problem, Solver((Spline(),), History(False)))
     assert asked == ["nothing"] + 3 * ["better"]
     assert found.narrowed == 4.0

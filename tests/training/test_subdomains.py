@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pinn_cli.network.spline import SplineNetwork
-from pinn_cli.scheme.problem import RINGS, Turns
+from pinn_cli.scheme.problem import RINGS, TurningPoints
 from pinn_cli.training.subdomains import INITIAL_CONDITIONS, MOST_PIECES, Subdomains
 
 DEGREE = 6
@@ -126,7 +126,7 @@ def test_the_dynamic_stiffness_is_off_by_the_power_of_the_degree():
 
 def test_averages_about_turns_count_for_less_and_the_others_as_ever():
     found, time = averages(), 0.05 * (torch.arange(240, dtype=torch.float64) + 0.5)
-    turns = Turns(np.array([3.01, 6.0, 6.4]), level=2.0, looser=10.0, discrepancy=1.0)
+    turns = TurningPoints(np.array([3.01, 6.0, 6.4]), level=2.0, looser=10.0, discrepancy=1.0)
     near = turns.near(found.times(time), 0.3)
     distance = np.abs(found.times(time)[:, None] - turns.time).min(axis=1)
     np.testing.assert_array_equal(near, distance < RINGS * 0.3)
@@ -135,4 +135,4 @@ def test_averages_about_turns_count_for_less_and_the_others_as_ever():
     loosened = found.loosened(torch.as_tensor(near), turns.looser)
     torch.testing.assert_close(loosened(values)[near], found(values)[near] / 10.0)
     assert torch.equal(loosened(values)[~near], found(values)[~near])
-    assert not Turns(np.zeros(0), 1.0, 1.0, 1.0).near(np.arange(5.0), 0.3).any()
+    assert not TurningPoints(np.zeros(0), 1.0, 1.0, 1.0).near(np.arange(5.0), 0.3).any()

@@ -14,7 +14,7 @@ from pinn_cli.scheme.modal.band_spectra import BandSpectra
 from pinn_cli.scheme.modal.modal_fit import ModalFit
 from pinn_cli.scheme.modal.modal_search import missing_mode, searched
 from pinn_cli.scheme.problem import Problem
-from pinn_cli.scheme.told import ToldParameters
+from pinn_cli.scheme.spectral_estimate import SpectralEstimate
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.modal import ModesSought, modal_structure
 from pinn_cli.system.parameters import PRIOR_WIDTH, Parameter
@@ -52,10 +52,10 @@ def modal_problem(sought: ModesSought, prescribed: Structure, records: Sequence[
         if not low < start < high:
             raise InputError("system.modes", start, f"frequencies within data.band=[{low:g}, {high:g}]")
     fit = searched(spectra, sought.count, sought.starts)
-    structure, told = _Modes(fit, driven).structure(prescribed)
+    structure, estimate = _Modes(fit, driven).structure(prescribed)
     if sought.count is not None and fit.within.sum() < sought.count:
         log.warning("data.band shows %d modes, and system.modes asks for %d", fit.within.sum(), sought.count)
-    return Problem(structure, record, told.parameters, inputs=inputs_of(structure, record), told=told)
+    return Problem(structure, record, estimate.parameters, inputs=inputs_of(structure, record), spectral=estimate)
 
 
 def _checked(records: Sequence[Record]) -> tuple[Record, int]:
@@ -92,8 +92,8 @@ class _Modes:
     fit: ModalFit
     driven: int
 
-    def structure(self, prescribed: Structure) -> tuple[Structure, ToldParameters]:
-        """With what is told of the parameters of the modes in the band."""
+    def structure(self, prescribed: Structure) -> tuple[Structure, SpectralEstimate]:
+        """With the estimate of the parameters of the modes in the band."""
         fit, inside = self.fit, self.fit.within
         omega, zeta = fit.every_mode
         band = np.append(inside, [False, False])
@@ -110,7 +110,7 @@ class _Modes:
             prescribed.labels.dofs, shapes[:, order], tuple(x[order] for x in values),
             (int(below.sum()), int((~band & ~below).sum())),
         )  # fmt: skip
-        return made, self._told(made, np.flatnonzero(inside), reference)
+        return made, self._estimate(made, np.flatnonzero(inside), reference)
 
     def _masses(self) -> tuple[np.ndarray, np.ndarray]:
         """(R + 2,), kg, and of every mode the sensor that tells it."""
@@ -122,7 +122,7 @@ class _Modes:
         own = self.fit.residues[there[0]]
         return 1.0 / np.maximum(own, LEAST_RESIDUE * residues.max(axis=0)), np.full(len(largest), there[0])
 
-    def _told(self, made: Structure, modes: np.ndarray, reference: np.ndarray) -> ToldParameters:
+    def _estimate(self, made: Structure, modes: np.ndarray, reference: np.ndarray) -> SpectralEstimate:
         """Of the parameters of modes in the band."""
         fit, count = self.fit, len(self.fit.frequencies)
         values = made.parameters_like(np.empty(0))
@@ -139,7 +139,7 @@ class _Modes:
         std = np.sqrt(fit.excess[modes[list(chosen.values())]])
         covariance = np.outer(std, std) * (slopes @ fit.covariance @ slopes.T)
         levels = self._levels(made.ndof)
-        return ToldParameters(parameters, covariance, fit.log_likelihood, levels, fit.misfit, missing_mode(fit))
+        return SpectralEstimate(parameters, covariance, fit.log_likelihood, levels, fit.misfit, missing_mode(fit))
 
     def _levels(self, dofs: int) -> dict[str, np.ndarray]:
         """White noise of every sensor, the load cell's included: what else disturbs the motion is added to that."""

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.point import Point
+from pinn_cli.training.solver import Inference
 
 
-def scored_damping(found: Inferred) -> DampingDoubt | None:
+def scored_damping(found: Inference) -> DampingDoubt | None:
     """What the record of a solution says of another model of damping; None where it is not asked."""
     equations, point = found.by_record[0]
     if equations.known is not None:
@@ -36,8 +36,8 @@ def scored_damping(found: Inferred) -> DampingDoubt | None:
     if factor is None:
         return None
     step = factor.step(system)
-    told, before = (np.linalg.slogdet(one.corner_covariance)[1] for one in (factor, trained.factor))
-    log_odds = 0.5 * (system.decrease(step) + float(told - before))
+    volume, before = (np.linalg.slogdet(one.corner_covariance)[1] for one in (factor, trained.factor))
+    log_odds = 0.5 * (system.decrease(step) + float(volume - before))
     scale, first = joint.scale, start.parameters.cpu().numpy()
     moved = scale * first, scale * (first + np.asarray(step[1]))
     return damping_doubt(problem, extended, joint.uncertain, moved, log_odds)

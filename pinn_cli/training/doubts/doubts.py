@@ -51,7 +51,7 @@ ONE_SIGN, EARLY = (HIGH_PASS, FRICTION, BACKLASH, HYSTERESIS), 0.1
 # Part of the first doubt's logarithm that a further one must have, or it may be what a linear test leaves of the first;
 # and doubts that are told of one record.
 BESIDE = 0.1
-MOST_TOLD = 3
+MOST_CHOSEN = 3
 # How far the shapes of a term that is told are from each other, over those that are tried at first; in turn.
 SPANS = (0.75, 0.25, 0.08)
 # Products of columns, at every readout weight, that are added up: some seconds, and a gigabyte. A larger record is not
@@ -76,33 +76,33 @@ def doubts(evidence: RecordEvidence, solution: RecordSolution, std: Response) ->
     forces, sensors = force_terms(equations, point), sensor_terms(reduced.channels) if reduced else []
     if reduced is None or equations.layout.size * (len(forces) + len(sensors)) ** 2 > MOST_PRODUCTS:
         return ()
-    told, gains = _told(reduced, forces, sensors)
-    if not told:
+    chosen, gains = _chosen(reduced, forces, sensors)
+    if not chosen:
         return ()
-    asked = reduced.asked(told)
-    fits = asked.fits(len(told))
+    asked = reduced.asked(chosen)
+    fits = asked.fits(len(chosen))
     moved = reduced.moved_most(asked, fits[-1].step - fits[0].step, fits[0], std)
     found = [asked.doubt(i, gain, fits, moved) for i, gain in enumerate(gains)]
-    return tuple(reduced.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, told, strict=True))
+    return tuple(reduced.at_its_mode(doubt, one, fits[-1].step) for doubt, one in zip(found, chosen, strict=True))
 
 
-def _told(
+def _chosen(
     solution: _Solution, forces: Sequence[ForceTerm], sensors: Sequence[SensorTerm]
 ) -> tuple[list[ForceTerm | SensorTerm], list[float]]:
     """What makes the record far more probable, one beside the other, and by how much, as logarithms."""
-    told: list[ForceTerm | SensorTerm] = []
+    chosen: list[ForceTerm | SensorTerm] = []
     gains: list[float] = []
-    while len(told) < MOST_TOLD:
-        best, gain = solution.asked([*told, *forces, *sensors]).best(len(told))
+    while len(chosen) < MOST_CHOSEN:
+        best, gain = solution.asked([*chosen, *forces, *sensors]).best(len(chosen))
         if not gain > max([DECISIVE, *(BESIDE * first for first in gains[:1])]):
             break
         for span in SPANS:
             finer = best.finer(span) if isinstance(best, ForceTerm) else []
             if finer:
-                best, gain = solution.asked([*told, *finer]).best(len(told))
-        told.append(best)
+                best, gain = solution.asked([*chosen, *finer]).best(len(chosen))
+        chosen.append(best)
         gains.append(gain)
-    return told, gains
+    return chosen, gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,29 +204,29 @@ class _Asked:
     moved: np.ndarray
     free: list[int]
 
-    def fits(self, told: int) -> list[Fit]:
+    def fits(self, chosen: int) -> list[Fit]:
         """Without any term, and with one more of the first ones at a time."""
         fits = [self.spectra.fit(self.free, self.spectra.left)]
-        for count in range(1, told + 1):
+        for count in range(1, chosen + 1):
             fits.append(self.spectra.fit([*self.free, *self.places[:count]], fits[-1].energy))
         return fits
 
-    def best(self, told: int) -> tuple[ForceTerm | SensorTerm, float]:
+    def best(self, chosen: int) -> tuple[ForceTerm | SensorTerm, float]:
         """The term that makes the record most probable beside the first ones, and its gain."""
-        before, named = self.fits(told)[-1], {(one.term.kind, one.term.of) for one in self.terms[:told]}
-        tried = Counter(one.term.kind for one in self.terms[told:])
+        before, named = self.fits(chosen)[-1], {(one.term.kind, one.term.of) for one in self.terms[:chosen]}
+        tried = Counter(one.term.kind for one in self.terms[chosen:])
         gains = [
-            -np.inf if (one.term.kind, one.term.of) in named else self._gain(told, place, one.term, before)
-            for one, place in zip(self.terms[told:], self.places[told:], strict=True)
+            -np.inf if (one.term.kind, one.term.of) in named else self._gain(chosen, place, one.term, before)
+            for one, place in zip(self.terms[chosen:], self.places[chosen:], strict=True)
         ]
         # Of many that are tried, some are probable by chance.
-        gains = [gain - np.log(tried[one.term.kind]) for gain, one in zip(gains, self.terms[told:], strict=True)]
+        gains = [gain - np.log(tried[one.term.kind]) for gain, one in zip(gains, self.terms[chosen:], strict=True)]
         best = int(np.argmax(gains))
-        return self.terms[told + best], float(gains[best])
+        return self.terms[chosen + best], float(gains[best])
 
-    def _gain(self, told: int, place: int, term: Term, before: Fit) -> float:
+    def _gain(self, chosen: int, place: int, term: Term, before: Fit) -> float:
         """Logarithm of how many times as probable the record is with a term more."""
-        fit = self.spectra.fit([*self.free, *self.places[:told], place], before.energy)
+        fit = self.spectra.fit([*self.free, *self.places[:chosen], place], before.energy)
         x = fit.step[place]
         # A sensor that passes more than the others do is one whose others pass less. What rubs or slips resists.
         wrong = term.kind in ONE_SIGN and x < 0.0

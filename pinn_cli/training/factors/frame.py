@@ -86,10 +86,10 @@ class Frame:
         self.physics = network.segments(self.target.physics_time)
         self.averages = Subdomains(self.physics) if _by_interval(network) else None
         self.physics = self.physics if self.averages is None else self.averages.segments
-        if self.averages is not None and problem.turns is not None:
+        if self.averages is not None and problem.turning_points is not None:
             assert isinstance(network, SplineNetwork)
-            near = problem.turns.near(self.averages.times(self.target.physics_time), network.spacing)
-            self.averages = self.averages.loosened(torch.as_tensor(near), problem.turns.looser)
+            near = problem.turning_points.near(self.averages.times(self.target.physics_time), network.spacing)
+            self.averages = self.averages.loosened(torch.as_tensor(near), problem.turning_points.looser)
         self.beginning = Beginning.of(problem)
         prescribed = problem.structure.parameters | calibrations(problem.record.gauges)
         prescribed |= {} if self.beginning is None else self.beginning.prescribed

@@ -51,7 +51,7 @@ class InputChannels(ConstantChannels):
         time: (P,), s, of the points.
         points: Features there.
         segments: The same, as they count there.
-        told: (P,), 1 where the samples tell the input, 0 near the ends.
+        resolved: (P,), 1 where the samples tell the input, 0 near the ends.
         gain: Of the filter, which B is divided by.
     """
 
@@ -77,11 +77,13 @@ class InputChannels(ConstantChannels):
         # At the ends of a record, where half of the neighbours are missing, they tell less than a sample does. There
         # the samples stand alone.
         near = 2 * FROM_THE_END * refinement + 1
-        told = minimum_filter1d((left_open <= noise).all(axis=1), near, mode="constant", cval=False)
+        resolved = minimum_filter1d((left_open <= noise).all(axis=1), near, mode="constant", cval=False)
         target = self._filtered(network, torch.as_tensor(values).to(like), factors)
-        alone = self.gain * refinement**0.5 * (np.arange(len(told)) % refinement == 0)
-        of_value, of_rates = (torch.as_tensor(x).to(like) for x in (np.where(told, 1.0, alone), told.astype(float)))
-        self.told = of_rates
+        alone = self.gain * refinement**0.5 * (np.arange(len(resolved)) % refinement == 0)
+        of_value, of_rates = (
+            torch.as_tensor(x).to(like) for x in (np.where(resolved, 1.0, alone), resolved.astype(float))
+        )
+        self.resolved = of_rates
         self.segments = self.points.weighted(*(of_value if k == order else of_rates for k in range(3)))
         plain = of_value[:, None] * torch.as_tensor(values).to(like) / self.gain
         self.target = self.segments.gather(torch.where(of_rates[:, None] > 0, target, plain))
@@ -151,6 +153,6 @@ class InputChannels(ConstantChannels):
                 left[:, i],
                 self.time.cpu().numpy(),
                 float(noise.response[self.name][i]) * self.per_sample**0.5,
-                counted=self.told.cpu().numpy(),
+                counted=self.resolved.cpu().numpy(),
                 per_sample=self.per_sample,
             )

@@ -28,7 +28,7 @@ class SharedSystem:
         systems: A :class:`BorderedSystem` of every record.
         repeated: (p,), what the corners of several records have of the parameters' prior beyond once.
         pull: (p,), the same of their gradients.
-        told: (p, p), covariance of parameters that something else has told: they stay where they are; None: nothing
+        held: (p, p), covariance of parameters that something else determines: they stay where they are; None: nothing
             has.
     """
 
@@ -37,7 +37,7 @@ class SharedSystem:
     systems: Sequence[Any]
     repeated: np.ndarray
     pull: np.ndarray
-    told: np.ndarray | None = None
+    held: np.ndarray | None = None
 
     def factor(self, damping: float = 0.0) -> SharedFactor | None:
         """Cholesky factors with the diagonal scaled to one plus ``damping``; None if not positive definite."""
@@ -50,7 +50,7 @@ class SharedSystem:
             total[np.ix_(columns, columns)] += own[0]
             determinants.append(own[1])
         total[np.diag_indices_from(total)] -= (1.0 + damping) * self.repeated
-        total = total if self.told is None else np.linalg.inv(self.told)
+        total = total if self.held is None else np.linalg.inv(self.held)
         try:
             schur = np.linalg.cholesky((total + total.T) / 2.0)
         except np.linalg.LinAlgError:
@@ -92,9 +92,9 @@ class SharedFactor(ParameterFactor):
         members, columns = system.members, system.columns
         reduced = members.keep(Eliminated.reduced, self.eliminated, system.systems)
         right = system.pull.copy()
-        for own, told in zip(columns, members.map(itemgetter(1), reduced), strict=True):
-            right[own] += told
-        right = right if system.told is None else np.zeros_like(right)
+        for own, part in zip(columns, members.map(itemgetter(1), reduced), strict=True):
+            right[own] += part
+        right = right if system.held is None else np.zeros_like(right)
         x = self.corner_covariance @ right
         x = self._bounded(right, lower) if lower is not None and np.any(x < lower) else x
         steps = members.map(Eliminated.readout_step, self.eliminated, reduced, [x[own] for own in columns])

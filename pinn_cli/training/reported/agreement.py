@@ -24,7 +24,7 @@ def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, .
     at, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
     precision = equations.precision(trained.noise).numpy()
     start = np.array([p.prescribed for p in equations.uncertain])
-    for columns, (whole, every) in zip(equations.columns, evidence.each_record(told, trained), strict=True):
+    for columns, (whole, every) in zip(equations.columns, evidence.each_record(own_information, trained), strict=True):
         # A bound holds others back, and says nothing about chance.
         free = at[columns] > equations.lower[columns]
         own, information, pull = columns[free], whole[np.ix_(free, free)], every[free]
@@ -35,7 +35,7 @@ def disagreements(evidence: Evidence, trained: Trained) -> tuple[Disagreement, .
     return tuple(out)
 
 
-def told(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
+def own_information(evidence: RecordEvidence, solution: RecordSolution) -> tuple[np.ndarray, np.ndarray]:
     """Of one record: its own information about its parameters (p, p), and its pull on them (p,)."""
     system = evidence.equations.assemble(solution.point, solution.noise)
     eliminated = system.eliminated()

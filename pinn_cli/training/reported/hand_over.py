@@ -16,14 +16,14 @@ import torch
 from pinn_cli.model.knowledge import HandOver
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.settings.errors import DivergenceError
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.end_state import end_state
 from pinn_cli.training.reported.parameter_posterior import coherent_misfit, parameter_force, parameter_posterior
-from pinn_cli.training.steps.near_levels import softer_point
+from pinn_cli.training.solver import Inference
+from pinn_cli.training.steps.known_levels import softer_point
 
 
-def handed_over(found: Inferred) -> HandOver:
+def handed_over(found: Inference) -> HandOver:
     """Parameters and state at :attr:`pinn_cli.scheme.problem.Problem.hand_over`.
 
     Args:
@@ -53,7 +53,7 @@ def handed_over(found: Inferred) -> HandOver:
     trained = evidence.train(found.trained.noise, start)
     if trained is None or not torch.isfinite(trained.solution.point.unknowns).all():
         raise DivergenceError(f"the samples up to {problem.hand_over:g} s alone have no solution to hand over")
-    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
-    _, _, known = parameter_posterior(evidence.equations, trained, told)
+    hidden = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    _, _, known = parameter_posterior(evidence.equations, trained, hidden)
     (end,) = evidence.each_record(end_state, trained)
-    return HandOver(known, end, found.told)
+    return HandOver(known, end, found.discrepancy)

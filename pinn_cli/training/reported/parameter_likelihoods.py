@@ -13,7 +13,7 @@ from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
 from pinn_cli.training.covariance import ReadoutPosterior
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.least_squares import LeastSquares
-from pinn_cli.training.levels import force_noise_told
+from pinn_cli.training.levels import force_noise_statistics
 from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, S_REACH, MarginalLikelihood
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
@@ -70,7 +70,7 @@ def marginal_likelihood(evidence: Evidence, trained: Trained) -> MarginalLikelih
     record = evidence.records[0].problem.record
     names = tuple(p.name for p in evidence.equations.uncertain)
     sigma = trained.noise.records[0].force[: record.ndof] * np.sqrt(_repeats(record))
-    squares, values = np.sum(evidence.each_record(force_noise_told, trained), axis=0)
+    squares, values = np.sum(evidence.each_record(force_noise_statistics, trained), axis=0)
     s_mean, s_std = (0.5 * np.log(squares / values), 1.0 / np.sqrt(2.0 * values)) if values > 0.0 else (0.0, 1.0)
     reach = min(S_RANGE * s_std, S_REACH) if values > 0.0 else 0.0
     rows = []

@@ -25,7 +25,7 @@ LARGEST_RATIO = 1e100
 def parameter_posterior(
     equations: LeastSquares,
     trained: Trained,
-    told: tuple[np.ndarray, np.ndarray],
+    hidden: tuple[np.ndarray, np.ndarray],
     covariance: np.ndarray | None = None,
 ) -> tuple[list[ParameterEstimate], np.ndarray, ParameterKnowledge]:
     """Every uncertain parameter, the (p, p) correlation of all of them, and what is known without bounds.
@@ -38,7 +38,7 @@ def parameter_posterior(
     Args:
         equations: Of one record or of several.
         trained: Their solution.
-        told: Both (p,), see :func:`coherent_misfit`.
+        hidden: Both (p,), see :func:`coherent_misfit`.
         covariance: (p, p), of that Gaussian; None: by the Hessian.
     """
     mode, scale = trained.solution.point.parameters.cpu().numpy(), equations.scale
@@ -51,8 +51,8 @@ def parameter_posterior(
     known = ParameterKnowledge(
         np.array([p.prescribed for p in uncertain]) + scale * peak,
         covariance * np.outer(scale, scale),
-        told[0][own] / scale,
-        told[1][own] / scale**2,
+        hidden[0][own] / scale,
+        hidden[1][own] / scale**2,
         scale,
         np.where(equations.unknown, np.nan, [p.prescribed for p in equations.uncertain]),
         trained.noise.spread,
@@ -118,9 +118,12 @@ def parameter_force(evidence: RecordEvidence, solution: RecordSolution) -> tuple
         per_std = equations.motion.own_by_parameter(segments, solution.point, part)
         total = total + (per_std.square() * segments.mask[part, :, None]).sum((0, 1)).cpu().numpy()
     force = np.sqrt(total / segments.samples)[equations.vector.column]
-    # What spectra have told holds what the model leaves out already.
-    told = equations.problem.told is not None
-    misfit = 0.0 if told else solution.noise.misfit(equations.network.count, len(equations.problem.record.time))
+    # What spectra say holds what the model leaves out already.
+    misfit = (
+        0.0
+        if equations.problem.spectral is not None
+        else solution.noise.misfit(equations.network.count, len(equations.problem.record.time))
+    )
     return force / max(misfit, LEAST_MISFIT), equations.network.count
 
 

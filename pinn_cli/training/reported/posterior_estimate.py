@@ -36,7 +36,7 @@ from pinn_cli.training.reported.parameter_posterior import coherent_misfit, para
 
 def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -> Estimate:
     """Means, standard deviations, parameters and summary of trained networks, one for every record."""
-    told = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
+    hidden = coherent_misfit(evidence.equations.columns, evidence.each_record(parameter_force, trained))
     found = {
         "iterations": len(history.rows),
         "factorisations": history.factorisations,
@@ -50,7 +50,7 @@ def posterior_estimate(evidence: Evidence, trained: Trained, history: History) -
         replace(own, history=table, summary=found | own.summary)
         for own in evidence.each_record(record_estimate, trained)
     ]
-    estimate = with_parameters(evidence, each, parameter_posterior(evidence.equations, trained, told))
+    estimate = with_parameters(evidence, each, parameter_posterior(evidence.equations, trained, hidden))
     if len(each) > 1:
         return replace(estimate, disagreements=disagreements(evidence, trained))
     return replace(estimate, end=evidence.each_record(end_state, trained)[0])

@@ -15,11 +15,11 @@ from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, ParameterEstimate, Story
 from pinn_cli.training.estimated_structure import estimated_structure
-from pinn_cli.training.inferred import FreeRunning, Inferred
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.misfit_history import misfit_history
 from pinn_cli.training.reported.parameter_posterior import parameter_posterior
 from pinn_cli.training.reported.posterior_estimate import with_parameters
+from pinn_cli.training.solver import FreeRunning, Inference
 
 OF_FORCE, OF_RESPONSE = "force", "free run"
 # Parts of a record that are simulated each from the estimated state at its beginning.
@@ -28,7 +28,7 @@ SEGMENTS = 10
 NOTHING = 100.0
 
 
-def best_told(found: Inferred, estimate: Estimate) -> Estimate:
+def with_stories(found: Inference, estimate: Estimate) -> Estimate:
     """The estimate with the parameters of the story that predicts the record best, and what each of them says.
 
     Args:
@@ -39,7 +39,7 @@ def best_told(found: Inferred, estimate: Estimate) -> Estimate:
         return estimate
     problems = found.evidence.problem.by_record
     every = [of_free_running(found, free, estimate) for free in found.free]
-    free, other = min(((_story(OF_RESPONSE, problems, own), own) for own in every), key=lambda told: _rank(told[0]))
+    free, other = min(((_story(OF_RESPONSE, problems, own), own) for own in every), key=lambda one: _rank(one[0]))
     of_force = _story(OF_FORCE, problems, estimate)
     stories, chosen = ((free, of_force), other) if _rank(free) < _rank(of_force) else ((of_force, free), estimate)
     first, *others = (tuple(own.parameters) for own in estimate.by_record)
@@ -47,7 +47,7 @@ def best_told(found: Inferred, estimate: Estimate) -> Estimate:
     return replace(chosen, stories=stories, of_motion=first, further=tuple(further))
 
 
-def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> Estimate:
+def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
     """The same motion, with the parameters of the structure that runs free, and the force that it then takes.
 
     No record averages out how the parameters vary.
@@ -61,11 +61,11 @@ def of_free_running(found: Inferred, free: FreeRunning, estimate: Estimate) -> E
     point = Point(found.trained.solution.point.unknowns, free.trained.solution.point.parameters)
     moved = replace(found.trained, solution=replace(found.trained.solution, point=point))
     each = zip(estimate.by_record, found.evidence.each_record(misfit_history, moved), strict=True)
-    told = with_parameters(
+    changed_estimate = with_parameters(
         found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
     )
     changed = ("parameters", "correlation", "known", "further", "misfit")
-    return replace(estimate, **{name: getattr(told, name) for name in changed})
+    return replace(estimate, **{name: getattr(changed_estimate, name) for name in changed})
 
 
 def _at_mode(found: ParameterEstimate, mode: float) -> ParameterEstimate:

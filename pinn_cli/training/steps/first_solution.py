@@ -16,11 +16,11 @@ from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
-from pinn_cli.training.inferred import Inferred, Solver
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.point import Point
+from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.discrepancy_search import searched
-from pinn_cli.training.steps.near_levels import near_known_levels
+from pinn_cli.training.steps.known_levels import solve_under_known_levels
 from pinn_cli.training.steps.part_of_record import is_trustworthy, part_of_record, whole_from
 from pinn_cli.training.steps.simulated_start import simulated_start
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
@@ -30,7 +30,7 @@ from pinn_cli.training.whittle.whittle_estimate import known_parameters
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 
 
-def told_by_spectra(problem: Problem, solver: Solver) -> tuple[Problem, Solver]:
+def identify_by_spectra(problem: Problem, solver: Solver) -> tuple[Problem, Solver]:
     """The problem and its solver, with the parameters that the spectra of its sensors tell, where these tell them."""
     learn_spread = solver.learn_spread and problem.prior is None
     every = [(start, known_parameters(start, learn_spread)) for start in problem.starts]
@@ -43,7 +43,7 @@ def told_by_spectra(problem: Problem, solver: Solver) -> tuple[Problem, Solver]:
     return best, replace(solver, known=known, learn_spread=False)
 
 
-def first_solution(problem: Problem, solver: Solver) -> Inferred:
+def first_solution(problem: Problem, solver: Solver) -> Inference:
     """The most probable solution of all starts of the unknown parameters, under its own noise levels.
 
     A long record is searched in a part of it first.
@@ -55,7 +55,7 @@ def first_solution(problem: Problem, solver: Solver) -> Inferred:
     return replace(found, trained=solver.settled(found.evidence, found.trained))
 
 
-def _through_a_part(problem: Problem, solver: Solver) -> Inferred | None:
+def _through_a_part(problem: Problem, solver: Solver) -> Inference | None:
     """The solution next to that of a part of the record; None where no part is a picture of the whole."""
     (network, *_), (start, *_) = solver.networks(problem), problem.starts
     part = None if solver.known is not None else part_of_record(start, network)
@@ -72,26 +72,26 @@ def _through_a_part(problem: Problem, solver: Solver) -> Inferred | None:
         whole = whole_from(of_part.trained, of_part.evidence, largest, evidence, noise)
     except DivergenceError:
         return None
-    return None if whole is None else Inferred(evidence, whole, solver)
+    return None if whole is None else Inference(evidence, whole, solver)
 
 
-def _from_every_start(problem: Problem, solver: Solver, networks: Sequence[LinearReadout] | None = None) -> Inferred:
+def _from_every_start(problem: Problem, solver: Solver, networks: Sequence[LinearReadout] | None = None) -> Inference:
     """Of the solutions from every start the most probable one.
 
     Raises:
         DivergenceError: None could be solved.
     """
-    solutions: list[Inferred] = []
+    solutions: list[Inference] = []
     failure = DivergenceError("there is no start")
     for start in problem.starts:
         evidence = solver.evidence(start, networks)
         noise = solver.starting_noise(evidence)
         try:
-            trained = near_known_levels(evidence, noise) or soft_to_stiff(evidence, noise)
+            trained = solve_under_known_levels(evidence, noise) or soft_to_stiff(evidence, noise)
         except DivergenceError as error:
             failure = error
             continue
-        solutions.append(Inferred(evidence, trained, solver))
+        solutions.append(Inference(evidence, trained, solver))
     if not solutions:
         raise failure
     return max(solutions, key=lambda found: found.trained.log_evidence)

@@ -20,11 +20,11 @@ import numpy as np
 import torch
 
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.inferred import FreeRunning, Inferred
 from pinn_cli.training.levels import floor
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
+from pinn_cli.training.solver import FreeRunning, Inference
 from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, SCAN_FACTOR
 
 # A load cell's noise would take up as much of a model error as it may: a free run is one under the measured force.
@@ -39,14 +39,14 @@ CELLS, IN_A_ROW = 200, 20
 FREEDOM = 1.5 * CELLS / IN_A_ROW - 1.0
 
 
-def running_free(found: Inferred) -> Inferred | None:
+def fit_free_run(found: Inference) -> Inference | None:
     """The same with solutions whose structure runs free, each with less of a discrepancy; None: the motion does that.
 
     A spline does not follow every motion of a structure that runs free, so the last one need not be the best. Where a
     force is free nothing tells it from what the model leaves out; windows and samplers go on from the solution itself.
     """
     problem = found.problem
-    goes_on = found.is_told or problem.hand_over is not None or bool(problem.priors)
+    goes_on = found.is_informed or problem.hand_over is not None or bool(problem.priors)
     if goes_on or problem.has_unknown_forces or not problem.identifies:
         return None
     evidence, last = found.evidence, found.trained

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.system.quantities import OUTSIDE_THE_EQUATIONS
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.reported.model_evidence import of_motion
+from pinn_cli.training.solver import Inference
 
 # The pull, in standard deviations that it moves a parameter, that is not worth a round.
 NEGLIGIBLE = 0.1
@@ -24,9 +24,9 @@ NEGLIGIBLE = 0.1
 LARGEST, STEP = 2.0, 0.1
 
 
-def at_marginal_peak(found: Inferred) -> Inferred | None:
+def move_to_marginal_peak(found: Inference) -> Inference | None:
     """The solution with the most probable parameters, the motion integrated out; None where it has them."""
-    if found.is_told:
+    if found.is_informed:
         return None
     evidence, trained = found.evidence, found.trained
     held, pulls, moved = zip(*evidence.each_record(pull_on, trained), strict=True)

@@ -48,10 +48,10 @@ def part_of_record(problem: Problem, network: LinearReadout) -> tuple[Problem, S
     steps in a part than in the whole, which would move what is reported.
     """
     record = problem.record
-    told = bool(problem.further) or problem.prior is not None or problem.initial_state is not None
+    informed = bool(problem.further) or problem.prior is not None or problem.initial_state is not None
     irregular = bool(record.gauges or record.missing) or record.repeats is not None
     linear = problem.structure.nonlinearity_name == "linear"
-    if told or irregular or problem.inputs.forces or not problem.identifies or not linear:
+    if informed or irregular or problem.inputs.forces or not problem.identifies or not linear:
         return None
     if not isinstance(network, SplineNetwork) or network.channels > 1:
         return None

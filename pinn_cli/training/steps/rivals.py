@@ -22,9 +22,9 @@ from pinn_cli.system.structure import Structure
 from pinn_cli.system.twins import Seen, twins
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.minimise import followed
 from pinn_cli.training.point import Point
+from pinn_cli.training.solver import Inference
 
 # Solutions that are weighed at most.
 MOST = 3
@@ -36,9 +36,9 @@ AS_GOOD = 6.0
 LOWEST = 0.01
 
 
-def nearest_to_the_start(found: Inferred) -> Inferred | None:
+def choose_equivalent_structure(found: Inference) -> Inference | None:
     """The solution that lies nearest to the start among those that are as probable as any; None: there is one alone."""
-    if found.is_told:
+    if found.is_informed:
         return None
     evidence, trained = found.evidence, found.trained
     solutions = [trained]

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.steps.driving import Drive, level_in_band, reaches_beyond, spectrum_in_band
+from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.first_solution import first_solution
+from pinn_cli.training.steps.force_spectrum import Drive, level_in_band, reaches_beyond, spectrum_in_band
 
 # Rounds of the noise levels under each spectrum.
 CORRELATION_ROUNDS = 3
 
 
-def in_a_wider_band(found: Inferred) -> Inferred | None:
+def widen_force_band(found: Inference) -> Inference | None:
     """The solution with unknown forces that reach as far as they do, see :func:`reaches_beyond`; None: they do."""
     factors, solver = found.evidence.each_record(reaches_beyond, found.trained), found.solver
     if max(factors) <= 1.0:
@@ -35,7 +35,7 @@ def _of_wider_band(problem: Problem, factor: float) -> Problem:
     return replace(problem, inputs=wider, alternatives=())
 
 
-def in_their_colour(found: Inferred) -> Inferred | None:
+def fit_force_spectrum(found: Inference) -> Inference | None:
     """The solution under the most probable spectrum of the unknown forces; None where it has that already."""
     drives = found.evidence.each_record(spectrum_in_band, found.trained)
     if not any(drives):
@@ -58,7 +58,7 @@ def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
     return replace(problem, inputs=inputs)
 
 
-def of_their_level(found: Inferred) -> Inferred | None:
+def set_force_level(found: Inference) -> Inference | None:
     """The solution with unknown forces as large as they are in the record's band; None without any."""
     if not found.problem.has_unknown_forces:
         return None

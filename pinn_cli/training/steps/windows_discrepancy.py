@@ -16,11 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pinn_cli.model.knowledge import DiscrepancyTold
+from pinn_cli.model.knowledge import DiscrepancyEvidence
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.levels import floor
 from pinn_cli.training.record_scales import force_and_velocity_scale
+from pinn_cli.training.solver import Inference
 from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, NEGLIGIBLE_GAIN
 
 # From one discrepancy that is tried to the next, decades.
@@ -35,17 +35,17 @@ CONTRADICTION = 3.0
 NEAR = 1e-3
 
 
-def as_all_windows_say(found: Inferred) -> Inferred | None:
+def combine_windows(found: Inference) -> Inference | None:
     """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
     problem, known = found.problem, found.solver.known
-    goes_on = problem.prior is not None and problem.prior.levels.told is not None
+    goes_on = problem.prior is not None and problem.prior.levels.windows is not None
     if known is not None or problem.has_unknown_forces or not (problem.hand_over is not None or goes_on):
         return None
-    trained, told = of_all_windows(found.evidence, found.trained)
-    return replace(found, trained=trained, told=told)
+    trained, discrepancy = of_all_windows(found.evidence, found.trained)
+    return replace(found, trained=trained, discrepancy=discrepancy)
 
 
-def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyTold]:
+def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, DiscrepancyEvidence]:
     """The solution under the discrepancy that all windows say, and what they say of it.
 
     Args:
@@ -53,7 +53,7 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
         trained: Its solution, with settled noise levels.
     """
     prior = evidence.problem.prior
-    before = None if prior is None else prior.levels.told
+    before = None if prior is None else prior.levels.windows
     unit = discrepancy_unit(evidence)
     top = float(np.log10(trained.noise.discrepancy / unit))
     found_before = np.inf if before is None or not before.common else float(np.log10(before.start))
@@ -62,7 +62,7 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
     own = _own(evidence, trained, unit, (least, top))
     places = _places(own, before)
     if own is None:
-        return trained, DiscrepancyTold(10.0**top, False, places, _at(before, places))
+        return trained, DiscrepancyEvidence(10.0**top, False, places, _at(before, places))
     total = own.at(places) + _at(before, places)
     least = float(own.places[0])
     tried = np.sort(np.concatenate((places[places > least], [least, top])))
@@ -74,7 +74,7 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
         chosen, found = top, trained
     factor = before.start / 10.0**chosen if before is not None and before.common and common else 1.0
     found = replace(found, noise=found.noise.each(lambda own: replace(own, earlier_misfit=factor)))
-    return found, DiscrepancyTold(10.0**chosen, common, places, total)
+    return found, DiscrepancyEvidence(10.0**chosen, common, places, total)
 
 
 def discrepancy_unit(evidence: Evidence) -> float:
@@ -83,7 +83,7 @@ def discrepancy_unit(evidence: Evidence) -> float:
     return float(force * (evidence.equations.each[0].refinement / evidence.problem.record.step) ** 0.5)
 
 
-def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]) -> DiscrepancyTold | None:
+def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]) -> DiscrepancyEvidence | None:
     """What a window says by itself, over its own most probable one; None where even none at all is improbable."""
     least, top = between
     found = {top: 0.0}
@@ -112,7 +112,7 @@ def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float
         place += STEP
     found[place] = max(found.values()) - DECISIVE_DROP  # or less: as improbable
     places = sorted(found)
-    return DiscrepancyTold(10.0**top, True, np.array(places), np.array([found[place] for place in places]))
+    return DiscrepancyEvidence(10.0**top, True, np.array(places), np.array([found[place] for place in places]))
 
 
 def _under(evidence: Evidence, trained: Trained, unit: float, place: float) -> Trained | None:
@@ -120,13 +120,13 @@ def _under(evidence: Evidence, trained: Trained, unit: float, place: float) -> T
     return found if found is not None and found.solution.converged else None
 
 
-def _places(*each: DiscrepancyTold | None) -> np.ndarray:
+def _places(*each: DiscrepancyEvidence | None) -> np.ndarray:
     """Whole steps over all that was tried."""
-    every = np.concatenate([np.zeros(0), *(told.places for told in each if told is not None)])
+    every = np.concatenate([np.zeros(0), *(one.places for one in each if one is not None)])
     if len(every) == 0:
         return every
     return STEP * np.arange(np.floor(every.min() / STEP), np.ceil(every.max() / STEP) + 1)
 
 
-def _at(told: DiscrepancyTold | None, places: np.ndarray) -> np.ndarray:
-    return np.zeros(len(places)) if told is None else told.at(places)
+def _at(windows: DiscrepancyEvidence | None, places: np.ndarray) -> np.ndarray:
+    return np.zeros(len(places)) if windows is None else windows.at(places)

@@ -225,11 +225,11 @@ class Whittle:
         worst, parts, size = 0.0, part[-1] + 1, power.shape[-1]
         for number in range(parts):
             own = part == number
-            told = count[own].sum()
-            if told < FEWEST_IN_PART:
+            values = count[own].sum()
+            if values < FEWEST_IN_PART:
                 continue
-            left = np.einsum("g,gst->st", count[own], power[own]) / told - np.eye(size)
-            by_chance = chdtrc(size**2, told * np.sum(np.abs(left) ** 2)) * parts
+            left = np.einsum("g,gst->st", count[own], power[own]) / values - np.eye(size)
+            by_chance = chdtrc(size**2, values * np.sum(np.abs(left) ** 2)) * parts
             if by_chance < IMPROBABLE:
                 worst = max(worst, float(np.linalg.norm(left, 2)))
         return worst
@@ -242,8 +242,8 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
         problem: With its record.
         learn_spread: See :class:`Whittle`.
     """
-    if problem.told is not None:
-        return _as_told(problem)
+    if problem.spectral is not None:
+        return _already_estimated(problem)
     # What a measured force does at the ends of a record leaks: beside it held parameters would be doubted for nothing.
     if not is_spectral(problem) or (not problem.uncertain and problem.record.sensors(FORCE).any()):
         return None
@@ -268,12 +268,12 @@ def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParame
     return KnownParameters(x[own], covariance[own, own], -scored.value, converged, misfit, float(before[2]), doubt)
 
 
-def _as_told(problem: Problem) -> KnownParameters:
-    """What somebody else has told already."""
-    told, unit = problem.told, np.array([parameter.prior_std for parameter in problem.uncertain])
-    assert told is not None
-    covariance = told.covariance / np.outer(unit, unit)
-    return KnownParameters(np.zeros(len(unit)), covariance, told.log_likelihood, True, told.misfit, 1.0)
+def _already_estimated(problem: Problem) -> KnownParameters:
+    """What somebody else has found already."""
+    found, unit = problem.spectral, np.array([parameter.prior_std for parameter in problem.uncertain])
+    assert found is not None
+    covariance = found.covariance / np.outer(unit, unit)
+    return KnownParameters(np.zeros(len(unit)), covariance, found.log_likelihood, True, found.misfit, 1.0)
 
 
 def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> DampingDoubt | None:
@@ -292,8 +292,8 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     if found is None or without is None:
         return None
     there, scored, _ = found
-    told = np.linalg.slogdet(without.information)[1] - np.linalg.slogdet(scored.information)[1]
-    log_odds = without.value - scored.value + 0.5 * float(told)
+    volume = np.linalg.slogdet(without.information)[1] - np.linalg.slogdet(scored.information)[1]
+    log_odds = without.value - scored.value + 0.5 * float(volume)
     unit = more.model.spread
     distances = start[: p + new] * unit, there[: p + new] * unit
     return damping_doubt(problem, extended, extended.uncertain, distances, log_odds)
@@ -312,6 +312,6 @@ def _spread(rows: np.ndarray, x: np.ndarray, covariance: np.ndarray, before: flo
     """The most probable prior spread of some sums of unknowns (MacKay 1992)."""
     if not len(rows):
         return before
-    told = len(rows) - np.trace(rows @ covariance @ rows.T) / before**2
-    found = np.sqrt(np.sum((rows @ x) ** 2) / max(told, 1e-3 * len(rows)))
+    determined = len(rows) - np.trace(rows @ covariance @ rows.T) / before**2
+    found = np.sqrt(np.sum((rows @ x) ** 2) / max(determined, 1e-3 * len(rows)))
     return float(np.clip(found, max(LEAST_SPREAD, 0.2 * before), 5.0 * before))

@@ -253,13 +253,13 @@ def test_parameters_that_are_told_stay_and_their_covariance_counts():
     random, (system, whole) = np.random.default_rng(0), random_system(2, 6, 2)
     root = random.standard_normal((2, 2)) / np.sqrt(np.diag(whole))[6:]
     covariance = root.T @ root + np.diag(1.0 / np.diag(whole)[6:])
-    together = shared(system, told=covariance)
+    together = shared(system, held=covariance)
     factor = together.factor()
     weights, parameters = factor.step(together, np.full(2, -np.inf))
     assert np.array_equal(parameters, np.zeros(2))
     np.testing.assert_allclose(weights, -np.linalg.solve(whole[:6, :6], system.gradient), rtol=1e-8)
     np.testing.assert_allclose(factor.corner_covariance, covariance, rtol=1e-10)
-    drawn = np.vstack(factored(system, told=covariance).draws(np.eye(8)))
+    drawn = np.vstack(factored(system, held=covariance).draws(np.eye(8)))
     moved = -np.linalg.solve(whole[:6, :6], whole[:6, 6:])
     of_weights = np.linalg.inv(whole[:6, :6]) + moved @ covariance @ moved.T
     expected = np.block([[of_weights, moved @ covariance], [covariance @ moved.T, covariance]])

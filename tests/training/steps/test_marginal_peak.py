@@ -14,7 +14,7 @@ from pinn_cli.system.connection import Linear
 from pinn_cli.training import inference
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.steps.marginal_peak import at_marginal_peak
+from pinn_cli.training.steps.marginal_peak import move_to_marginal_peak
 
 M, C, K = 50.0, 120.0, 2e4
 RATE, FINER, SAMPLES = 100.0, 8, 1000
@@ -57,7 +57,7 @@ def off(estimate: Estimate) -> np.ndarray:
 def test_a_mass_under_unmeasured_forces_is_not_too_small(monkeypatch):
     records = [pushed(seed) for seed in range(3)]
     found = np.mean([off(identified(record)) for record in records], axis=0)
-    others = tuple(one for one in inference.STEPS if one[0] is not at_marginal_peak)
+    others = tuple(one for one in inference.STEPS if one[0] is not move_to_marginal_peak)
     monkeypatch.setattr(inference, "STEPS", others)
     joint = np.mean([off(identified(record)) for record in records], axis=0)
     assert joint[0] < -0.01

@@ -13,8 +13,8 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.history import History
-from pinn_cli.training.inference import inferred
-from pinn_cli.training.inferred import Inferred, Solver
+from pinn_cli.training.inference import infer
+from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps import discrepancy_search, part_of_record
 
 SAMPLES, DURATION = 1500, 72.0
@@ -31,9 +31,9 @@ def problem() -> Problem:
     return Problem(small_chain("linear"), accelerations(record, (1, 2, 3)), UNCERTAIN)
 
 
-def solved(problem: Problem) -> tuple[Inferred, History]:
+def solved(problem: Problem) -> tuple[Inference, History]:
     history = History(False)
-    return inferred(problem, Solver((Spline(),), history)), history
+    return infer(problem, Solver((Spline(),), history)), history
 
 
 def in_parts(monkeypatch, samples: int = 400) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pinn_cli.model.knowledge import DiscrepancyTold
+from pinn_cli.model.knowledge import DiscrepancyEvidence
 from pinn_cli.training.evidence import Trained
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.steps import windows_discrepancy
@@ -26,8 +26,8 @@ def hidden(values: float, found: float) -> Callable[[float], float]:
 
 
 def window(
-    log_evidence: Callable[[float], float], own: float, before: DiscrepancyTold | None
-) -> tuple[Any, DiscrepancyTold]:
+    log_evidence: Callable[[float], float], own: float, before: DiscrepancyEvidence | None
+) -> tuple[Any, DiscrepancyEvidence]:
     """A window of that evidence whose own search ended somewhere; where all windows put it."""
 
     def train(noise: NoiseLevels, *arguments: object, **settings: object) -> Any:
@@ -37,7 +37,7 @@ def window(
     def floors(_: object, trained: Any) -> list[Any]:
         return [SimpleNamespace(discrepancy=min(LEAST, trained.noise.discrepancy))]
 
-    prior = None if before is None else SimpleNamespace(levels=SimpleNamespace(told=before))
+    prior = None if before is None else SimpleNamespace(levels=SimpleNamespace(windows=before))
     evidence: Any = SimpleNamespace(problem=SimpleNamespace(prior=prior), train=train, each_record=floors)
     return of_all_windows(evidence, train(NOISE.with_discrepancy(own)))
 

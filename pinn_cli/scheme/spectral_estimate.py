@@ -1,4 +1,4 @@
-"""Parameters that something has told before the motion is estimated."""
+"""Parameters that spectra determine, before the motion is estimated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pinn_cli.system.parameters import Parameter
 
 
 @dataclass(frozen=True, eq=False)
-class ToldParameters:
+class SpectralEstimate:
     """What spectra say of parameters; the motion under a measured force then says no more of them.
 
     Attributes:

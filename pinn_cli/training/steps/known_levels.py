@@ -28,7 +28,7 @@ WORTHWHILE = 1.1
 ON_THE_WAY = 1e-2
 
 
-def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
+def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
     """The solution under the levels of the problem's model; None where it has none, or they explain nothing.
 
     The discrepancy is taken for as large a part of the force as it was. A structure that is not linear is first solved
@@ -39,8 +39,8 @@ def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
         noise: Where its levels would start without a model; the discrepancy is the force that acts.
     """
     problem = evidence.problem
-    if problem.told is not None:
-        return _under_told_levels(evidence, noise, problem.told.levels)
+    if problem.spectral is not None:
+        return _under_levels(evidence, noise, problem.spectral.levels)
     if problem.prior is None:
         return None
     levels, equations = problem.prior.levels, evidence.equations.each[0]
@@ -49,8 +49,8 @@ def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
     force, _ = force_and_velocity_scale(problem)
     rate = (levels.step / problem.record.step * equations.refinement) ** 0.5
     known = levels.discrepancy * rate * force / levels.force
-    if levels.told is not None:
-        known = levels.told.start * discrepancy_unit(evidence)
+    if levels.windows is not None:
+        known = levels.windows.start * discrepancy_unit(evidence)
     discrepancy = max(known, LEAST_START * force)
     if discrepancy > SUSPICIOUS_DISCREPANCY * force * rate:
         return None
@@ -61,7 +61,7 @@ def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
     try:
         # Uncertain springs times a motion are no linear force either: physics is stiff after a window, and where
         # forces or the ground are functions that are found with the motion.
-        stiff = levels.told is not None or not equations.dynamics.is_plain
+        stiff = levels.windows is not None or not equations.dynamics.is_plain
         bilinear = stiff and len(problem.uncertain) > 0
         if problem.structure.nonlinearity_name != "linear" or bilinear:
             softer = evidence.train(softened(own, force), point, ON_THE_WAY)
@@ -76,11 +76,11 @@ def near_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained | None:
     return trained if trained is not None and trained.solution.converged else None
 
 
-def _under_told_levels(evidence: Evidence, noise: NoiseLevels, told: Mapping[str, np.ndarray]) -> Trained | None:
-    """The solution under levels that spectra have told; what disturbs the motion is no more than the load cell's."""
+def _under_levels(evidence: Evidence, noise: NoiseLevels, levels: Mapping[str, np.ndarray]) -> Trained | None:
+    """The solution under levels that spectra say; what disturbs the motion is no more than the load cell's."""
     least = LEAST_START * force_and_velocity_scale(evidence.problem)[0]
-    discrepancy = float(max(np.nanmax(told[FORCE]), least))
-    known = noise.each(_with_known_response, told).with_discrepancy(discrepancy)
+    discrepancy = float(max(np.nanmax(levels[FORCE]), least))
+    known = noise.each(_with_known_response, levels).with_discrepancy(discrepancy)
     return evidence.train(known, evidence.equations.start())
 
 

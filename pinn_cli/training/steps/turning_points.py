@@ -13,10 +13,10 @@ import numpy as np
 import torch
 
 from pinn_cli.network.spline import SplineNetwork
-from pinn_cli.scheme.problem import Problem, Turns
-from pinn_cli.training.inferred import Inferred
+from pinn_cli.scheme.problem import Problem, TurningPoints
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
+from pinn_cli.training.solver import Inference
 
 # A contact turns where it is slower than so many times the speed over which its friction does.
 STRAIGHT = 3.0
@@ -31,15 +31,17 @@ def has_turns(problem: Problem) -> bool:
     return problem.dynamics.structure is not problem.structure
 
 
-def at_turns(found: Inferred, problem: Problem) -> Problem:
+def with_turning_points(found: Inference, problem: Problem) -> Problem:
     """The problem with the turns of a solution of it; the same where all laws are smooth."""
     if not has_turns(problem):
         return problem
     each = zip(problem.by_record, found.by_record, found.trained.noise.records, strict=True)
-    return Problem.together([replace(one, turns=_turns(*own, noise.discrepancy)) for one, own, noise in each])
+    return Problem.together(
+        [replace(one, turning_points=_turning_points(*own, noise.discrepancy)) for one, own, noise in each]
+    )
 
 
-def _turns(equations: NormalEquations, point: Point, discrepancy: float) -> Turns | None:
+def _turning_points(equations: NormalEquations, point: Point, discrepancy: float) -> TurningPoints | None:
     """Those of one record, and how much larger the residual is about them; None where it is not."""
     if equations.averages is None:
         return None
@@ -55,12 +57,12 @@ def _turns(equations: NormalEquations, point: Point, discrepancy: float) -> Turn
             turning |= (own.abs() < STRAIGHT * speed).any(1)
             turning[1:] |= (own[1:] * own[:-1] < 0).any(1)
     assert isinstance(equations.network, SplineNetwork)
-    turns = Turns(time[turning].cpu().numpy(), 1.0, 1.0, discrepancy)
+    turns = TurningPoints(time[turning].cpu().numpy(), 1.0, 1.0, discrepancy)
     near = turns.near(equations.averages.times(time), equations.network.spacing)
     square = equations.motion.residual(point)[:, 0, equations.dynamics.has_mass].square().mean(1).cpu().numpy()
     if not 0.0 < near.mean() < MOST:
         return None
-    before, (level, other) = equations.problem.turns, (float(np.sqrt(square[x].mean())) for x in (near, ~near))
+    before, (level, other) = equations.problem.turning_points, (float(np.sqrt(square[x].mean())) for x in (near, ~near))
     if before is None:
         return replace(turns, level=level, looser=max(FIRST, level / other))
     return replace(turns, level=before.level, looser=before.level / other)

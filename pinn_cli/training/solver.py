@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pinn_cli.model.knowledge import DiscrepancyTold
+from pinn_cli.model.knowledge import DiscrepancyEvidence
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.scheme.problem import Problem
@@ -38,7 +38,7 @@ class Solver:
         learn_spread: Whether the common spread of the prescribed parameters is learned from the record.
         pooled: Whether the sensors of one quantity share one noise level.
         device: Where it is solved.
-        known: Parameters that spectra have told, and that are held.
+        known: Parameters that spectra determine, and that are held.
     """
 
     designs: tuple[NetworkDesign, ...]
@@ -90,7 +90,7 @@ class FreeRunning:
 
 
 @dataclass(frozen=True, eq=False)
-class Inferred:
+class Inference:
     """A solution, and what is known beside it.
 
     Attributes:
@@ -98,7 +98,7 @@ class Inferred:
         trained: The solution.
         solver: How it was looked for.
         rivals: Others that explain the record as well.
-        told: What the windows of a record told so far of the discrepancy.
+        discrepancy: What the windows of a record say of it so far.
         narrowed: How many times as large the deviation of an unknown parameter was before the features were last made
             finer; of all the most.
         free: Where the model does not quite hold, solutions whose structure runs free.
@@ -108,7 +108,7 @@ class Inferred:
     trained: Trained
     solver: Solver
     rivals: tuple[Rival, ...] = ()
-    told: DiscrepancyTold | None = None
+    discrepancy: DiscrepancyEvidence | None = None
     narrowed: float = 1.0
     free: Sequence[FreeRunning] = ()
 
@@ -124,6 +124,6 @@ class Inferred:
         return list(zip(equations.each, equations.split(self.trained.solution.point), strict=True))
 
     @property
-    def is_told(self) -> bool:
+    def is_informed(self) -> bool:
         """Whether the parameters or the levels are known from elsewhere: from spectra, or from earlier records."""
         return self.solver.known is not None or self.problem.prior is not None

@@ -17,10 +17,10 @@ from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
-# Draws from the posterior that tell how much of what drives the forces the record has told.
+# Draws from the posterior that tell how much of what drives the forces the record determines.
 DRAWS = 8
-# Part of the drive in the band that must be told: of less no level can be read.
-LEAST_TOLD = 0.02
+# Part of the drive in the band that must be determined: of less no level can be read.
+LEAST_DETERMINED = 0.02
 # Parts of the band, on a logarithmic axis, and the lowest corners that are tried over the band's edge.
 PARTS, CORNERS = 16, (1.0, 0.3, 0.1, 0.03, 0.01)
 # Another spectrum must be so much more probable, as a logarithm.
@@ -45,23 +45,23 @@ class Drive:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class DriveSpectrum:
     """The drive of the solution over the frequencies of a band.
 
     Attributes:
         frequency: (F,), Hz.
         power: (F,), of all functions together, N^2; of the ground (m/s^2)^2.
-        told: (F,), how many of its values the record has told.
+        determined: (F,), how many of its values the record determines.
     """
 
     frequency: np.ndarray
     power: np.ndarray
-    told: np.ndarray
+    determined: np.ndarray
 
     @property
     def is_enough(self) -> bool:
         """Whether a level can be read off it."""
-        return float(self.told.sum()) > LEAST_TOLD * len(self.told)
+        return float(self.determined.sum()) > LEAST_DETERMINED * len(self.determined)
 
     @property
     def level(self) -> float | None:
@@ -70,11 +70,11 @@ class Told:
         sigma^2 = sum |n|^2 / sum (1 - var / sigma^2) over the frequencies of the band (MacKay 1992): n is the drive of
         the solution at a frequency, var its posterior variance there, from draws.
         """
-        return math.sqrt(float(self.power.sum() / self.told.sum())) if self.is_enough else None
+        return math.sqrt(float(self.power.sum() / self.determined.sum())) if self.is_enough else None
 
 
 def level_in_band(evidence: RecordEvidence, solution: RecordSolution) -> float | None:
-    """:attr:`Told.level` of the unknown forces; None without any."""
+    """:attr:`DriveSpectrum.level` of the unknown forces; None without any."""
     seen = _of_forces(evidence, solution)
     return None if seen is None else seen.level
 
@@ -95,10 +95,10 @@ def spectrum_in_band(evidence: RecordEvidence, solution: RecordSolution) -> Driv
     def fit(correlation_time: float, damping_ratio: float) -> tuple[float, Drive]:
         """Whittle's likelihood of the parts, and what drives the process at its most probable level."""
         ratio = (_gain(correlation_time, damping_ratio, seen.frequency) / present) ** 2
-        power, told = (np.bincount(part, x, PARTS) for x in (seen.power * ratio, np.maximum(seen.told, 0.0)))
-        level = power.sum() / told.sum()
-        shape = np.bincount(part, np.maximum(seen.told, 0.0) * np.log(ratio), PARTS)
-        likelihood = float((shape - told * np.log(level) - power / level).sum())
+        power, values = (np.bincount(part, x, PARTS) for x in (seen.power * ratio, np.maximum(seen.determined, 0.0)))
+        level = power.sum() / values.sum()
+        shape = np.bincount(part, np.maximum(seen.determined, 0.0) * np.log(ratio), PARTS)
+        likelihood = float((shape - values * np.log(level) - power / level).sum())
         return likelihood, Drive(math.sqrt(level), correlation_time, damping_ratio)
 
     now, _ = fit(inputs.correlation_time, inputs.damping_ratio)
@@ -141,13 +141,15 @@ def reaches_beyond(evidence: RecordEvidence, solution: RecordSolution) -> float:
     return wider if share.size and OF_FORCES[0] < np.median(share) < OF_FORCES[1] else 1.0
 
 
-def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> Told | None:
+def _of_forces(evidence: RecordEvidence, solution: RecordSolution) -> DriveSpectrum | None:
     """What drives the unknown forces, in the record's band; None without any."""
     equations = evidence.equations
-    return told_below(evidence, solution, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
+    return drive_below(evidence, solution, equations.dynamics.forces, equations.problem.inputs.edge / (2.0 * np.pi))
 
 
-def told_below(evidence: RecordEvidence, solution: RecordSolution, functions: slice, top: float) -> Told | None:
+def drive_below(
+    evidence: RecordEvidence, solution: RecordSolution, functions: slice, top: float
+) -> DriveSpectrum | None:
     """What drives some functions alike, up to a frequency (Hz); None without any, or without averages over intervals.
 
     Args:
@@ -171,7 +173,7 @@ def told_below(evidence: RecordEvidence, solution: RecordSolution, functions: sl
     scatter = np.zeros_like(found)
     for of_draw in zip(*moved, strict=True):
         scatter += power(torch.cat(of_draw)) / DRAWS
-    told = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
+    determined = functions.stop - functions.start - scatter / float(innovation[functions][0]) ** 2
     frequency = rate * np.arange(len(found)) / (2.0 * (len(found) - 1))
     inside = (frequency > 0.0) & (frequency <= top)
-    return Told(frequency[inside], found[inside], told[inside])
+    return DriveSpectrum(frequency[inside], found[inside], determined[inside])

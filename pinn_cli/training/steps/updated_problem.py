@@ -9,11 +9,11 @@ import numpy as np
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import FACTOR
-from pinn_cli.training.inferred import Inferred, Solver
 from pinn_cli.training.noise_model import NoiseLevels
-from pinn_cli.training.steps.near_levels import WORTHWHILE, softer_point
+from pinn_cli.training.solver import Inference, Solver
+from pinn_cli.training.steps.known_levels import WORTHWHILE, softer_point
 from pinn_cli.training.steps.resolution import carried_over, knots_wanted
-from pinn_cli.training.steps.turns import at_turns
+from pinn_cli.training.steps.turning_points import with_turning_points
 
 # Relative change of damping's matrix below which modes are the same: beside what else is uncertain of damping that is
 # nothing. So is what coordinates that are exact at factors so far off leave out: 1e-4 of the motion.
@@ -24,7 +24,7 @@ SAME_LEVEL = 0.7
 SUSPECT = 2.0
 
 
-def in_present_modes(found: Inferred) -> Inferred | None:
+def update_modes(found: Inference) -> Inference | None:
     """The solution in its own modes, which move with masses and stiffnesses: damping of the whole, and coordinates.
 
     The next modes are those of the last solution. What parameters do to the modes is left out of the linearised
@@ -32,17 +32,17 @@ def in_present_modes(found: Inferred) -> Inferred | None:
     """
     before, problem = found.problem.structure, _present(found)
     moved = not problem.structure.shares_coordinates(before) or problem.structure.damping_apart(before) > SAME_MODES
-    return _posed_again(found, problem, found.solver) if moved else None
+    return _carried_to(found, problem, found.solver) if moved else None
 
 
-def apart_from_turns(found: Inferred) -> Inferred | None:
+def loosen_at_turning_points(found: Inference) -> Inference | None:
     """The solution with a level of its own where contacts turn; None where what is left elsewhere falls no more."""
-    before, problem = found.problem.turns, at_turns(found, _present(found))
+    before, problem = found.problem.turning_points, with_turning_points(found, _present(found))
     settled = before is not None and found.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
-    return None if problem.turns is None or settled else _posed_again(found, problem, found.solver)
+    return None if problem.turning_points is None or settled else _carried_to(found, problem, found.solver)
 
 
-def in_finer_features(found: Inferred) -> Inferred | None:
+def refine_features(found: Inference) -> Inference | None:
     """The solution in finer features for the records that want them; None where none does, or they find none.
 
     Finer ones would reach further beyond the band, where forces that nobody measured are free.
@@ -55,29 +55,29 @@ def in_finer_features(found: Inferred) -> Inferred | None:
     if not any(finer):
         return None
     designs: tuple[NetworkDesign, ...] = tuple(new or old for new, old in zip(finer, found.solver.designs, strict=True))
-    again = _posed_again(found, at_turns(found, _present(found)), replace(found.solver, designs=designs))
+    again = _carried_to(found, with_turning_points(found, _present(found)), replace(found.solver, designs=designs))
     return None if again is None else replace(again, narrowed=_narrowed(found, again))
 
 
-def _narrowed(coarse: Inferred, fine: Inferred) -> float:
+def _narrowed(coarse: Inference, fine: Inference) -> float:
     """How many times as large the deviation of an unknown parameter was in coarser features; of all the most."""
     unknown = fine.evidence.equations.unknown
     before, after = (np.diag(found.trained.factor.corner_covariance)[unknown] for found in (coarse, fine))
     return float(np.sqrt(np.max(before / after, initial=0.0)))
 
 
-def _present(found: Inferred) -> Problem:
+def _present(found: Inference) -> Problem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     equations, point = found.by_record[0]
     problem, values = found.problem, {k: x.cpu().numpy() for k, x in equations.parameters(point).items()}
-    # A state that is handed over has its coordinates, and so have parameters that spectra have told.
+    # A state that is handed over has its coordinates, and so have parameters that spectra determine.
     free = problem.prior is None and problem.hand_over is None and equations.known is None
     if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
         problem = problem.reduced_at(values[FACTOR])
     return problem.present(values)
 
 
-def _posed_again(found: Inferred, problem: Problem, solver: Solver) -> Inferred | None:
+def _carried_to(found: Inference, problem: Problem, solver: Solver) -> Inference | None:
     """The same solution of a problem that is posed in another way; None where it cannot be solved."""
     evidence = solver.evidence(replace(problem, alternatives=()))
     levels, points = [], []
@@ -92,7 +92,7 @@ def _posed_again(found: Inferred, problem: Problem, solver: Solver) -> Inferred 
         point = softer_point(evidence, every, point)
     again = evidence.train(every, point)
     # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
-    if again is None or not (again.solution.converged or problem.turns is not None):
+    if again is None or not (again.solution.converged or problem.turning_points is not None):
         return None
     again = solver.settled(evidence, again)
     if _is_noisier(again.noise, found.trained.noise):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.inferred import Inferred
 from pinn_cli.training.record_evidence import occupied_share
+from pinn_cli.training.solver import Inference
 
 
-def widened_for_colour(found: Inferred) -> Inferred:
+def count_independent_values(found: Inference) -> Inference:
     """The solution with the discrepancy that its own colour asks for."""
     return replace(found, trained=widened(found.evidence, found.trained))
 
