@@ -54,7 +54,7 @@ def posteriors(
             config = RunConfig.read(compose("config", overrides=[*settings, f"seed={seed}", *overrides]))
         true, prescribed = config.model_error.structures(config.structure)
         measurements = config.source.measure(true)
-        problem = config.scheme.problem(prescribed, config.observe(measurements.record))
+        problem = config.scheme.pose(prescribed, [config.observe(measurements.record)])
         run = RunContext(seed=seed)
         estimate = config.estimator.solve(problem, run)
         assert estimate.likelihoods is not None

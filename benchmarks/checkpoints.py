@@ -59,7 +59,7 @@ def main() -> None:
         composed = compose("config", overrides=overrides)
     config = RunConfig.read(composed)
     true, prescribed = config.model_error.structures(config.structure)
-    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(true).record))
+    problem = config.scheme.pose(prescribed, [config.observe(config.source.measure(true).record)])
     with TemporaryDirectory(dir=".") as scratch:
         kept = Timed(Path(scratch), config.identity, config.checkpoint_every_s)
         estimate = config.estimator.solve(problem, RunContext(directory=Path(scratch), checkpoints=kept))

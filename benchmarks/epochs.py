@@ -41,7 +41,7 @@ def objective(overrides: list[str]) -> tuple[Objective, Adam]:
     training = config.training
     assert isinstance(training, Adam)
     _, prescribed = config.model_error.structures(config.structure)
-    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.structure).record))
+    problem = config.scheme.pose(prescribed, [config.observe(config.source.measure(config.structure).record)]).alone
     return training.objective(problem, config.network, RunContext()), training
 
 

@@ -192,9 +192,9 @@ def _prepare(
     context = RunContext(config.device, config.seed, directory, progress, checkpoints)
     setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
     for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
-        for problem in prepared.problem.by_record:
+        for problem in prepared.problem:
             estimator.check(problem)
-    for problem in prepared.problem.by_record if prepared.problem.priors else ():
+    for problem in prepared.problem if prepared.problem.priors else ():
         config.posterior.check(problem)
     check_records(prepared.problem, config.estimator, config.baseline, config.validation)
     config.validation.check(prepared.problem, setup)
@@ -253,13 +253,13 @@ def _carry_out(
         baseline,
         posterior,
         score,
-        None if config.scheme.predicts else replace(problem, record=record),  # there is nothing to judge
+        None if config.scheme.predicts else replace(problem.each[0], record=record),  # there is nothing to judge
         linear,
         prepared.problem.true if config.source.simulated else None,
         prepared.problem.validation,
         config.model,
     )
-    further = further_results(results, problem.further, prepared.problem.truths[1:])
+    further = further_results(results, problem.each[1:], prepared.problem.truths[1:])
     report = RunReport(replace(results, further=further), directory, stages, config.exports)
     with (
         report.drawing() if drawn else nullcontext(),

@@ -59,7 +59,7 @@ def source(
 def posed(chain: Structure, scheme: Bayesian | None = None, **settings) -> Problem:
     """The problem of a simulated record, of whose chain the scheme knows the masses only; see :func:`source`."""
     scheme = scheme or Bayesian()
-    return scheme.problem(chain, scheme.observe(source(chain, **settings).measure(chain).record))
+    return scheme.pose(chain, [scheme.observe(source(chain, **settings).measure(chain).record)]).alone
 
 
 def solved(problem: Problem, intervals: int | None = None) -> Example:

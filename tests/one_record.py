@@ -52,14 +52,14 @@ def weights_of(equations: NormalEquations, noise: NoiseModel) -> dict[str, torch
     return {factor.name: factor.weight(noise) for factor in each}
 
 
-def shared(system: BorderedSystem, told: np.ndarray | None = None) -> SharedSystem:
+def shared(system: BorderedSystem, held: np.ndarray | None = None) -> SharedSystem:
     p = len(system.corner)
-    return SharedSystem(Items([None]), [np.arange(p)], [system], np.zeros(p), np.zeros(p), told)
+    return SharedSystem(Items([None]), [np.arange(p)], [system], np.zeros(p), np.zeros(p), held)
 
 
-def factored(system: BorderedSystem, damping: float = 0.0, told: np.ndarray | None = None) -> BorderedFactor:
+def factored(system: BorderedSystem, damping: float = 0.0, held: np.ndarray | None = None) -> BorderedFactor:
     """Of all its unknowns."""
-    return BorderedFactor(shared(system, told).factor(damping).schur, system.eliminated(damping).readout)
+    return BorderedFactor(shared(system, held).factor(damping).schur, system.eliminated(damping).readout)
 
 
 def of_record(function, evidence: Evidence, trained: Trained, *arguments: Any) -> Any:

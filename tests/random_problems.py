@@ -20,6 +20,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.initial_motion import CHOICES
 from pinn_cli.scheme.inputs import FREE, GAUSSIAN_PROCESS
 from pinn_cli.scheme.joint_prior import JointPrior
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import THROUGH, Problem, TurningPoints
 from pinn_cli.system.finite_elements import FiniteElements
 from pinn_cli.system.quantities import CONNECTION_FORCE, FORCE, GROUND, HIGH_PASS, MOTION, SUPPORT, TILT
@@ -196,7 +197,7 @@ def goes_on(problem: Problem, rng: Generator) -> Problem:
 
 
 @st.composite
-def problems(draw: st.DrawFn, plain: bool) -> Problem:
+def problems(draw: st.DrawFn, plain: bool) -> JointProblem:
     """One record or two of one structure, with any of its parameters uncertain."""
     structure, rng = draw(structures(plain)), draw(generators())
     own = [draw(records(structure, plain)) for _ in range(draw(st.integers(1, 2)))]
@@ -206,11 +207,13 @@ def problems(draw: st.DrawFn, plain: bool) -> Problem:
     )
     through = draw(st.sampled_from(THROUGH)) if plain else THROUGH[0]
     begins, force = draw(st.sampled_from(CHOICES)), FREE if plain else GAUSSIAN_PROCESS
-    problem = Problem.of_records(structure, own, uncertain, through, begins, force)
+    problem = JointProblem.of_records(structure, own, uncertain, through, begins, force)
     further = draw(st.sampled_from((None, None, "state", "turns")))
     if further == "turns":
-        return replace(problem, turning_points=TurningPoints(np.array([START + 1.0]), 0.1, 5.0, 1.0))
-    return goes_on(problem, rng) if further == "state" and len(own) == 1 else problem
+        first, *others = problem
+        turning = replace(first, turning_points=TurningPoints(np.array([START + 1.0]), 0.1, 5.0, 1.0))
+        return JointProblem.of(turning, *others)
+    return JointProblem.of(goes_on(problem.alone, rng)) if further == "state" and len(own) == 1 else problem
 
 
 @st.composite
@@ -223,12 +226,12 @@ def equations(draw: st.DrawFn, plain: bool) -> list[NormalEquations]:
     """
     problem = draw(problems(plain))
     designs = st.builds(Spline, degree=st.sampled_from((6, 6, 5)), intervals=st.sampled_from((5, 11)))
-    if not any(own.record.gauges for own in problem.by_record):
+    if not any(own.record.gauges for own in problem):
         designs |= st.builds(Fourier, harmonics=st.just(4))
     design = draw(designs)
-    if plain and not any(own.record.gauges for own in problem.by_record):
+    if plain and not any(own.record.gauges for own in problem):
         design = replace(design, continuity=draw(st.sampled_from(CONTINUITIES)))
-    return [NormalEquations(built(design, own), own) for own in problem.by_record]
+    return [NormalEquations(built(design, own), own) for own in problem]
 
 
 def noise_of(equations: NormalEquations, seed: Generator | int = 0) -> NoiseModel:

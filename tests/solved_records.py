@@ -5,6 +5,7 @@ from __future__ import annotations
 from independent_records import IndependentRecord
 
 from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Duffing
@@ -21,4 +22,4 @@ def model(made: IndependentRecord) -> Structure:
 
 def estimated(made: IndependentRecord, **settings) -> Estimate:
     """With its parameters known; ``settings`` of the training."""
-    return GaussNewton(**settings).solve(Problem(model(made), made.record), Spline(), RunContext())
+    return GaussNewton(**settings).solve(JointProblem.of(Problem(model(made), made.record)), Spline(), RunContext())

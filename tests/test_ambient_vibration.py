@@ -24,7 +24,7 @@ from pinn_cli.verdict.noise_findings import noise_findings
 
 
 def solved(made, uncertainty=0.0):
-    problem = SparseRecovery(parameter_uncertainty=uncertainty).problem(made.structure, made.record)
+    problem = SparseRecovery(parameter_uncertainty=uncertainty).pose(made.structure, [made.record])
     return problem, TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
 
 
@@ -49,7 +49,7 @@ def test_motion_and_forces_with_their_bands(first_frequency, rate, duration, edg
     assert estimate.summary["std_unknown_force"] == pytest.approx(truth.force.std(), rel=0.2)
     sigma = np.array([s for s in estimate.summary["sigma_acceleration"] if s is not None])
     assert np.all((sigma > 0.5 * made.noise) & (sigma < 4.0 * made.noise))
-    assert judge(problem, estimate).word == "sound"
+    assert judge(problem.alone, estimate).word == "sound"
 
 
 def test_the_colour_of_forces_is_found():
@@ -68,7 +68,7 @@ def test_uncertain_parameters_come_from_the_spectra_and_the_motion_allows_for_th
     assert all(abs(p.estimate / p.prescribed - 1.0) < 0.02 for p in estimate.parameters if p.kind == "k")
     held = inside(estimate.response.displacement, estimate.std.displacement, made.truth.displacement)
     assert 0.88 < held < 0.999
-    assert judge(problem, estimate).word == "sound"
+    assert judge(problem.alone, estimate).word == "sound"
 
 
 @pytest.mark.slow
@@ -82,26 +82,26 @@ def test_springs_and_dampers_without_a_start_come_from_the_resonances(first_freq
     }
     masses = dict(zip(names, made.structure.parameters["m"].tolist(), strict=True))
     nothing = build_partial_structure(names, masses, connections)
-    problem = StateParameter(unobserved=[], unknown="missing").problem(nothing, made.record)
+    problem = StateParameter(unobserved=[], unknown="missing").pose(nothing, [made.record])
     estimate = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
     for p in estimate.parameters:
         truth = float(made.structure.parameters[p.kind][p.parameter.index])
         assert p.estimate == pytest.approx(truth, rel={"k": 0.05, "c": 0.5}[p.kind])
         assert abs(p.estimate - truth) < 4.0 * p.std
-    assert judge(problem, estimate).word == "sound"
+    assert judge(problem.alone, estimate).word == "sound"
 
 
 def test_a_sensor_of_another_scale_than_it_says_makes_uncertain_parameters_questionable():
     made = ambient_record(4.0, 50.0, 60.0, 15.0)
     scaled = made.record.acceleration * np.array([1.0, np.nan, 1.3])
-    problem = SparseRecovery(parameter_uncertainty=0.1).problem(
-        made.structure, replace(made.record, acceleration=scaled)
+    problem = SparseRecovery(parameter_uncertainty=0.1).pose(
+        made.structure, [replace(made.record, acceleration=scaled)]
     )
     known = known_parameters(problem)
     estimate = Estimate(made.truth, made.truth, [], pd.DataFrame(), {"spectral_misfit": known.misfit})
-    found = input_findings(problem, estimate, made.structure)
+    found = input_findings(problem.alone, estimate, made.structure)
     assert any(finding.kind == "spectra" and finding.word == "questionable" for finding in found)
-    right = known_parameters(SparseRecovery(parameter_uncertainty=0.1).problem(made.structure, made.record))
+    right = known_parameters(SparseRecovery(parameter_uncertainty=0.1).pose(made.structure, [made.record]))
     assert right.misfit == 0.0
 
 
@@ -114,11 +114,11 @@ def test_uncertain_parameters_beside_a_nonlinear_connection_are_questionable():
     bent = build_structure(names, dict.fromkeys(names, 1000.0), connections)
     pushed = np.full_like(made.record.force, np.nan)
     pushed[:, 0] = made.truth.force[:, 0]
-    problem = SparseRecovery(parameter_uncertainty=0.1).problem(bent, replace(made.record, force=pushed))
+    problem = SparseRecovery(parameter_uncertainty=0.1).pose(bent, [replace(made.record, force=pushed)])
     assert known_parameters(problem) is None
-    found = input_findings(problem, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
+    found = input_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert any(finding.kind == "output_only_parameters" for finding in found)
-    known = SparseRecovery(parameter_uncertainty=0.0).problem(bent, replace(made.record, force=pushed))
+    known = SparseRecovery(parameter_uncertainty=0.0).pose(bent, [replace(made.record, force=pushed)])
     found = input_findings(known, Estimate(made.truth, made.truth, [], pd.DataFrame(), {}), bent)
     assert not any(finding.kind == "output_only_parameters" for finding in found)
 
@@ -128,8 +128,8 @@ def test_sensors_are_rightly_followed_where_as_many_forces_are_unknown(measured,
     made = ambient_record(4.0, 50.0, 10.0, 15.0)
     pushed = np.full_like(made.record.force, np.nan)
     pushed[:, measured] = made.truth.force[:, measured]
-    problem = SparseRecovery(parameter_uncertainty=0.0).problem(made.structure, replace(made.record, force=pushed))
+    problem = SparseRecovery(parameter_uncertainty=0.0).pose(made.structure, [replace(made.record, force=pushed)])
     samples = float(len(made.record.time))
     summary = {"effective_parameters": {"acceleration": [samples, None, samples]}}
-    found = noise_findings(problem, Estimate(made.truth, made.truth, [], pd.DataFrame(), summary))
+    found = noise_findings(problem.alone, Estimate(made.truth, made.truth, [], pd.DataFrame(), summary))
     assert free != any(finding.kind == "copied" for finding in found)

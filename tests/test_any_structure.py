@@ -27,7 +27,7 @@ ESTIMATORS = {
 def test_the_motion_of_a_mass_without_a_sensor(structure, estimator):
     measurements = measured(structure, "exact", snr_db=40.0, duration=12.0, samples=601)
     scheme = SparseRecovery(unobserved=[structure.ndof])
-    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    problem = scheme.pose(structure, [scheme.observe(measurements.record)])
     found, truth = ESTIMATORS[estimator](problem).response, measurements.truth.response
     for quantity in ("displacement", "velocity", "acceleration"):
         scores = fitness_percent(getattr(found, quantity), getattr(truth, quantity))

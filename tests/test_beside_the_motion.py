@@ -41,7 +41,7 @@ def test_a_hidden_force():
     measurements = Simulated(force, simulation, Noise(40.0)).measure(structure)
     truth = measurements.truth.response
     # An accelerometer does not tell where a structure with memory rests.
-    problem = SparseRecovery(initial_motion="rest").problem(structure, measurements.record.keep({"acceleration": [1]}))
+    problem = SparseRecovery(initial_motion="rest").pose(structure, [measurements.record.keep({"acceleration": [1]})])
     estimate = solved(problem)
     found, std = estimate.response, estimate.std
     assert np.all(fitness_percent(found.displacement, truth.displacement) > 97.0)
@@ -69,7 +69,7 @@ def test_the_ground(frame):
     noisy = Noise(40.0).added_to(truth)
     unforced = np.ones(3, dtype=bool)
     record = Record(**noisy.measurable, unforced=unforced, frame=frame).keep({"acceleration": [3]})
-    estimate = solved(SparseRecovery(parameter_uncertainty=0.03).problem(structure, record))
+    estimate = solved(SparseRecovery(parameter_uncertainty=0.03).pose(structure, [record]))
     found, std = estimate.response, estimate.std
     for quantity in ("displacement", "velocity", "acceleration"):
         assert np.all(fitness_percent(getattr(found, quantity), getattr(truth, quantity)) > 97.0), quantity
@@ -86,16 +86,16 @@ def test_a_force_that_nobody_measured():
     force[:, 0] = np.nan
     record = replace(measurements.record.keep({"acceleration": [1, 2, 3]}), force=force)
     truth = measurements.truth.response
-    estimate = solved(SparseRecovery(parameter_uncertainty=0.0).problem(structure, record))
+    estimate = solved(SparseRecovery(parameter_uncertainty=0.0).pose(structure, [record]))
     assert fitness_percent(estimate.response.force[:, :1], truth.force[:, :1])[0] > 95.0
     assert inside(estimate.response.force[:, 0], estimate.std.force[:, 0], truth.force[:, 0]) > 0.85
-    free = solved(SparseRecovery(parameter_uncertainty=0.0, unknown_force="free").problem(structure, record))
+    free = solved(SparseRecovery(parameter_uncertainty=0.0, unknown_force="free").pose(structure, [record]))
     assert fitness_percent(free.response.force[:, :1], truth.force[:, :1])[0] < 90.0
 
 
 def test_who_cannot_find_them_says_so_before_any_work():
     structure = hysteretic()
     measurements = Simulated(excitation(structure), Simulation(12.0, 257), Noise(40.0)).measure(structure)
-    problem = SparseRecovery().problem(structure, measurements.record)
+    problem = SparseRecovery().pose(structure, [measurements.record])
     with pytest.raises(InputError, match="network.*spline.*hidden force"):
-        TrainedNetwork(GaussNewton(), Mlp()).check(problem)
+        TrainedNetwork(GaussNewton(), Mlp()).check(problem.alone)

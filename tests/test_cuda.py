@@ -14,6 +14,7 @@ from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.base import Training
@@ -40,7 +41,7 @@ def problem() -> Problem:
 
 
 def on(device: str, training: Training, design: NetworkDesign) -> Estimate:
-    return training.solve(problem(), design, RunContext(device))
+    return training.solve(JointProblem.of(problem()), design, RunContext(device))
 
 
 def assert_the_same(training: Training, design: NetworkDesign, limit: float, bands: float | None) -> None:

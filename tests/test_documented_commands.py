@@ -75,7 +75,7 @@ def test_a_documented_run_gets_as_far_as_training(line: str, rig: Path) -> None:
     true, prescribed = config.model_error.structures(config.structure)
     record = config.observe(config.source.measure(true).record)
     modes = config.modes
-    posed = config.scheme.problem(prescribed, record) if modes is None else modal_problem(modes, prescribed, [record])
+    posed = config.scheme.pose(prescribed, [record]) if modes is None else modal_problem(modes, prescribed, [record])
     if config.scheme.predicts:  # nothing is trained
         assert config.estimator.solve(posed, RunContext()).peaks
         return

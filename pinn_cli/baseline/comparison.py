@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -12,7 +12,7 @@ from pinn_cli.training.estimate import Estimate, RunContext
 log = logging.getLogger(__name__)
 
 
-def baseline_estimate(baseline: Estimator | None, problem: Problem, run: RunContext) -> Estimate | None:
+def baseline_estimate(baseline: Estimator | None, problem: JointProblem, run: RunContext) -> Estimate | None:
     """What the baseline makes of a problem; None where there is no baseline, or it fails.
 
     A baseline that fails says so in the log: the network's estimate is not lost for it.

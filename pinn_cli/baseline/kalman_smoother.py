@@ -11,6 +11,7 @@ from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
 from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
 from pinn_cli.record.steps import has_stiff_law
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
@@ -65,9 +66,9 @@ class KalmanSmoother(Estimator):
             raise InputError("baseline", self.name, "none where factors of parts are in doubt", hint)
         check_gauges(problem.record, self.name)
 
-    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""
-        smoother = IteratedSmoother(StateSpace(problem), self.iterations, self.learn_spread)
+        smoother = IteratedSmoother(StateSpace(problem.alone), self.iterations, self.learn_spread)
         try:
             last = self._last_pass(smoother, smoother.space.first_levels())
             summary = {

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pinn_cli.cli.config import RunConfig
     from pinn_cli.record.record import Record, Truth
     from pinn_cli.record.validation_data import ValidationRecord
-    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.system.structure import Structure
 
 
@@ -40,7 +40,7 @@ class PreparedProblem:
     prescribed: Structure
     record: Record
     truth: Truth
-    problem: Problem
+    problem: JointProblem
     truths: tuple[Truth, ...]
     validation: ValidationRecord | None = None
 
@@ -70,7 +70,7 @@ def prepare_problem(config: RunConfig, stages: Stages | None = None) -> Prepared
     with stages("problem"):
         if config.modes is None:
             prescribed = config.scheme.damped(prescribed, records)
-            problem = config.scheme.joint_problem(prescribed, records)
+            problem = config.scheme.pose(prescribed, records)
         else:
             problem = modal_problem(config.modes, prescribed, records)
             prescribed = problem.structure

@@ -12,7 +12,7 @@ from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.suggestion import suggestion
 
 if TYPE_CHECKING:
-    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.training.base import Estimator, TrainedNetwork
     from pinn_cli.validation.base import Validation
 
@@ -68,16 +68,16 @@ def of_record(number: int, records: int) -> Iterator[None]:
 
 
 def check_records(
-    problem: Problem, estimator: TrainedNetwork, baseline: Estimator | None, validation: Validation
+    problem: JointProblem, estimator: TrainedNetwork, baseline: Estimator | None, validation: Validation
 ) -> None:
     """Refuse what has one record at a time, where there are several.
 
     Raises:
         InputError: Naming the setting.
     """
-    if not problem.further:
+    if len(problem) == 1:
         return
-    several = f"with the {len(problem.by_record)} records of {SETTING}"
+    several = f"with the {len(problem)} records of {SETTING}"
     if not estimator.solves_records:
         allowed = f"spline or fourier, with training=gauss_newton and inferred weights, {several}"
         raise InputError("network", estimator.design.name, allowed, "other trainings have one record at a time")

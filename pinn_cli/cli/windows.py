@@ -102,7 +102,7 @@ def windowed_run(
             first = next(windows.after(0))
         problem, _ = solver.posed(first, None)
         for estimator in (solver.first, solver.later):
-            estimator.check(problem)
+            estimator.check(problem.alone)
     return WindowedRun(solver, windows, directory, identity, goes_on, config.exports, drawn, say, follows)
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from pinn_cli.posterior.base import Posterior, PosteriorSamples
-    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.scheme.joint_problem import JointProblem
     from pinn_cli.training.estimate import Estimate, RunContext
     from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
 
@@ -65,7 +65,7 @@ class PosteriorResult:
 
 
 def posterior_result(
-    posterior: Posterior, problem: Problem, estimate: Estimate, run: RunContext
+    posterior: Posterior, problem: JointProblem, estimate: Estimate, run: RunContext
 ) -> PosteriorResult | None:
     """Draw from the posterior of a problem whose parameters have priors; None for any other problem.
 
@@ -77,7 +77,7 @@ def posterior_result(
     likelihoods = estimate.likelihoods
     samples = posterior.sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
     table = diagnose(samples)
-    repeats = 1 if problem.record.repeats is None else problem.record.repeats.count
+    repeats = 1 if problem.each[0].record.repeats is None else problem.each[0].record.repeats.count
     predictive = force_predictive(likelihoods, samples, run.seed, repeats) if len(samples.force_dofs) else None
     return PosteriorResult(samples, table, tuple(verdict(table, samples)), predictive)
 

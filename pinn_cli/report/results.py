@@ -126,7 +126,7 @@ def further_results(first: Results, problems: Sequence[Problem], truths: Sequenc
         truths: Of the other records.
     """
     found = []
-    for problem, truth, estimate in zip(problems, truths, first.estimate.further, strict=True):
+    for problem, truth, estimate in zip(problems, truths, first.estimate.by_record[1:], strict=True):
         record = as_calibrated(problem.record, estimate)
         own = replace(first, record=record, truth=truth, estimate=estimate, problem=replace(problem, record=record))
         found.append(replace(own, baseline=None, posterior=None, score=None, linear_response=None))

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from pinn_cli.model.model import Model
 from pinn_cli.record.record import Record
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.structure import Structure
 
@@ -46,24 +46,24 @@ class Scheme(ABC):
         return prescribed
 
     @abstractmethod
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        """The estimation problem of a prescribed chain and an observed record.
-
-        Raises:
-            InputError: A setting does not fit the chain.
-        """
-
-    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
-        """The estimation problem of one structure and several records, to be solved together.
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        """The estimation problem of a prescribed structure and observed records, to be solved together.
 
         Raises:
             InputError: A setting does not fit, or the scheme has one record at a time.
         """
+
+    def only_one(self, records: Sequence[Record]) -> Record:
+        """The record of a scheme that has one at a time.
+
+        Raises:
+            InputError: There are several.
+        """
         if len(records) > 1:
             raise InputError("data.records", f"{len(records)} records", f"one record with scheme={self.name}")
-        return self.problem(prescribed, records[0])
+        return records[0]
 
-    def next_problem(self, model: Model, record: Record) -> Problem:
+    def next_problem(self, model: Model, record: Record) -> JointProblem:
         """The problem of a record that goes on where an earlier one handed over: a window, and the next.
 
         Args:
@@ -77,12 +77,12 @@ class Scheme(ABC):
             "data.window", record.duration, f"null with scheme={self.name}", "it solves a record as a whole"
         )
 
-    def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
+    def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
         """The same problem from fewer sensors; what was unknown stays so, and nothing else becomes it.
 
         Args:
             problem: As it was posed.
-            prescribed: See :meth:`problem`.
-            record: Likewise.
+            prescribed: See :meth:`pose`.
+            record: In place of its own.
         """
-        return self.problem(prescribed, record)
+        return self.pose(prescribed, [record])

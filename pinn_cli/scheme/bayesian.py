@@ -15,6 +15,7 @@ from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.prior_settings import WIDE, checked_priors, read_priors, with_defaults
 from pinn_cli.scheme.problem import THROUGH, Problem
@@ -77,12 +78,8 @@ class Bayesian(Scheme):
         """See :meth:`Scheme.observe`."""
         return self.sensors.observe(record)
 
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
-        return self.joint_problem(prescribed, [record])
-
-    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
-        """See :meth:`Scheme.joint_problem`."""
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        """See :meth:`Scheme.pose`."""
         record, *further = records
         _check_sensors(records)
         if prescribed.is_modal:
@@ -104,8 +101,7 @@ class Bayesian(Scheme):
         unknown = tuple(_unknown(p, priors[p], starts[p], p in own) for p in said)
         structure = at_starts(prescribed, unknown)
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        problem = Problem.of_records(structure, records, unknown, *settings)
-        return Problem.together([_with_priors(each) for each in problem.by_record])
+        return JointProblem.of(*map(_with_priors, JointProblem.of_records(structure, records, unknown, *settings)))
 
 
 def _given(record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

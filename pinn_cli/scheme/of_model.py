@@ -14,6 +14,7 @@ from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE
 from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.joint_prior import JointPrior
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 
@@ -22,7 +23,7 @@ SETTING = "model"
 
 def problem_of_model(
     model: Model, record: Record, updates: bool, acceleration_through: str, initial_motion: str, unknown_force: str
-) -> Problem:
+) -> JointProblem:
     """The problem of a new record of an identified structure.
 
     Args:
@@ -53,7 +54,7 @@ def problem_of_model(
     before = known if updates else ParameterKnowledge(mean, covariance, nothing, nothing, std)
     prior = JointPrior.of(before, model.levels)
     sensors = sensor_parameters(record)
-    return Problem(
+    own_problem = Problem(
         model.structure.with_values({p: p.prescribed for p in own}),
         record,
         (*own, *sensors),
@@ -62,9 +63,10 @@ def problem_of_model(
         inputs=inputs_of(model.structure, record, unknown_force),
         prior=prior.with_independent([p.prior_std for p in sensors]),
     )
+    return JointProblem.of(own_problem)
 
 
-def problem_going_on(model: Model, record: Record, acceleration_through: str, unknown_force: str) -> Problem:
+def problem_going_on(model: Model, record: Record, acceleration_through: str, unknown_force: str) -> JointProblem:
     """The problem of a record that goes on where another one handed over.
 
     Args:
@@ -74,7 +76,7 @@ def problem_going_on(model: Model, record: Record, acceleration_through: str, un
         unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
     """
     problem = problem_of_model(model, record, True, acceleration_through, FREE, unknown_force)
-    return replace(problem, initial_state=model.end)
+    return JointProblem.of(replace(problem.alone, initial_state=model.end))
 
 
 def given(model: Model | None, scheme: str) -> Model:

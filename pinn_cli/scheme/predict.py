@@ -14,8 +14,8 @@ from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import FREE
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.of_model import given, problem_of_model
-from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import entries, is_finite_number, true_or_false, whole_number
 from pinn_cli.system.structure import Structure
@@ -59,12 +59,13 @@ class Predict(Scheme):
         blank = {quantity: np.full_like(getattr(record, quantity), np.nan) for quantity in RESPONSE_QUANTITIES}
         return replace(record, **blank, gauges=(), responds=False)
 
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        """See :meth:`Scheme.problem`.
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        """See :meth:`Scheme.pose`.
 
         Raises:
             InputError: A response was measured; or something acts that nobody knows.
         """
+        record = self.only_one(records)
         if record.observed.any() or record.gauges:
             hint = "scheme.predict sees no response: data.holdout scores against a column"
             raise InputError("data", "columns of a response", "forces and the ground alone with scheme=predict", hint)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,17 +12,13 @@ from pinn_cli.model.knowledge import EndState
 from pinn_cli.record.amplitudes import motion_amplitudes
 from pinn_cli.record.record import Record
 from pinn_cli.record.steps import has_stiff_law
-from pinn_cli.scheme.calibration import sensor_parameters
 from pinn_cli.scheme.initial_motion import FREE, initial_deviation
-from pinn_cli.scheme.inputs import inputs_of
 from pinn_cli.scheme.joint_prior import JointPrior
 from pinn_cli.scheme.spectral_estimate import SpectralEstimate
-from pinn_cli.settings.errors import InputError
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.functions import Inputs
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Prior
-from pinn_cli.system.quantities import CALIBRATION_UNITS, OF_ONE_CHANNEL
 from pinn_cli.system.structure import Structure
 
 # What measured accelerations can be compared with.
@@ -62,7 +58,7 @@ class TurningPoints:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One estimation problem.
+    """What is asked of one record.
 
     Attributes:
         structure: The prescribed model; of an unknown parameter it has the value at which it starts.
@@ -72,9 +68,6 @@ class Problem:
             (``derivative``), with the observer equation (paper, eq. 8; ``observer``), or with ``both``.
         initial_motion: Whether the motion begins anyhow (``free``) or at ``rest`` at the record's first sample.
         inputs: What acts beside measured forces.
-        alternatives: The same from other starts of the unknown parameters, for a training that can compare solutions.
-        further: The same structure in further records, to be solved together with this one: what is uncertain in two
-            of them is one parameter. Each has its own sensors, length, noise, initial motion and inputs.
         prior: What earlier records say of the uncertain parameters together; None: each is believed by itself.
         initial_state: Where the motion of an earlier record ended, if this one goes on from there: its first sample is
             that record's last. The parameters of ``with_parameters`` are the first of ``uncertain``.
@@ -88,64 +81,16 @@ class Problem:
     uncertain: tuple[Parameter, ...] = ()
     acceleration_through: str = "derivative"
     initial_motion: str = FREE
-    alternatives: tuple[Problem, ...] = ()
     inputs: Inputs = field(default_factory=Inputs)
-    further: tuple[Problem, ...] = ()
     prior: JointPrior | None = None
     initial_state: EndState | None = None
     hand_over: float | None = None
     turning_points: TurningPoints | None = None
     spectral: SpectralEstimate | None = None
 
-    @classmethod
-    def of_records(
-        cls,
-        structure: Structure,
-        records: Sequence[Record],
-        uncertain: tuple[Parameter, ...],
-        acceleration_through: str,
-        initial_motion: str,
-        unknown_force: str,
-    ) -> Problem:
-        """That of one record or of several; each has the inputs and the calibrations that its own channels leave open.
-
-        Args:
-            structure: See above.
-            records: See :meth:`together`.
-            uncertain: Of the structure.
-            acceleration_through: Likewise.
-            initial_motion: Likewise.
-            unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
-        """
-        believed: dict[tuple[str, str], Parameter] = {}
-        each = [
-            cls(
-                structure,
-                record,
-                (*uncertain, *(_as_before(p, believed) for p in sensor_parameters(record))),
-                acceleration_through,
-                initial_motion,
-                inputs=inputs_of(structure, record, unknown_force),
-            )
-            for record in records
-        ]
-        return cls.together(each)
-
-    @classmethod
-    def together(cls, each: Sequence[Problem]) -> Problem:
-        """That of all records from that of each: the first one's has the others' as ``further``."""
-        first, *further = each
-        return replace(first, further=tuple(further)) if further else first
-
     def present(self, values: Mapping[str, np.ndarray]) -> Problem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
-        structure = self.structure.present(values)
-        further = tuple(replace(own, structure=structure) for own in self.further)
-        return replace(self, structure=structure, further=further)
-
-    def reduced_at(self, factors: np.ndarray) -> Problem:
-        """The same in coordinates that are exact for some factors, see :meth:`Structure.reduced_at`."""
-        return self.in_coordinates_of(self.structure.reduced_at(factors))
+        return replace(self, structure=self.structure.present(values))
 
     def in_coordinates_of(self, structure: Structure) -> Problem:
         """The same with its structure in the coordinates that a reduction of its finite-element model has."""
@@ -154,16 +99,7 @@ class Problem:
         structure = self.structure.in_coordinates_of(structure)
         held = {p: float(structure.parameters[p.kind][p.index]) for p in structure.every_parameter()}
         moved = tuple(replace(p, prescribed=held.get(p, p.prescribed)) for p in self.uncertain)
-        further, others = (
-            tuple(one.in_coordinates_of(structure) for one in each) for each in (self.further, self.alternatives)
-        )
-        return replace(self, structure=structure, uncertain=moved, further=further, alternatives=others)
-
-    @property
-    def by_record(self) -> tuple[Problem, ...]:
-        """A problem for every record, this one's first."""
-        own = replace(self, further=(), alternatives=()) if self.further else self
-        return (own, *self.further)
+        return replace(self, structure=structure, uncertain=moved)
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -187,33 +123,6 @@ class Problem:
         return tuple(parameter.prior for parameter in self.uncertain if parameter.prior is not None)
 
     @property
-    def starts(self) -> tuple[Problem, ...]:
-        """The same from every start of the unknown parameters, this one's first."""
-        return (replace(self, alternatives=()) if self.alternatives else self, *self.alternatives)
-
-    @property
-    def has_unknown_forces(self) -> bool:
-        """Whether forces act that nobody measured, in any record."""
-        return any(own.inputs.forces for own in self.by_record)
-
-    @property
     def identifies(self) -> bool:
         """Whether any parameter is unknown."""
         return any(parameter.unknown for parameter in self.uncertain)
-
-
-def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter]) -> Parameter:
-    """A sensor's parameter as an earlier record has it: a sensor of one name is one sensor.
-
-    An unknown delay's width depends on how a record was sampled, that of offset and drift on what it holds.
-    """
-    if parameter.kind not in CALIBRATION_UNITS or parameter.kind in OF_ONE_CHANNEL:
-        return parameter
-    known = believed.setdefault((parameter.kind, parameter.label), parameter)
-    if parameter.unknown and known.unknown:
-        return replace(parameter, prior_std=known.prior_std)
-    if (parameter.prescribed, parameter.prior_std) != (known.prescribed, known.prior_std):
-        said = f"{parameter.prescribed:g} +- {parameter.prior_std:g} and {known.prescribed:g} +- {known.prior_std:g}"
-        hint = "a sensor that was calibrated anew has another name"
-        raise InputError("data.channels", f"{parameter.name}: {said}", "the same in all records", hint)
-    return parameter

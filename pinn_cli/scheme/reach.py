@@ -10,7 +10,8 @@ import numpy as np
 from pinn_cli.system.parameters import MASS
 
 if TYPE_CHECKING:
-    from pinn_cli.scheme.problem import Problem
+    from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.problem import Problem
 
 log = logging.getLogger(__name__)
 
@@ -48,11 +49,11 @@ def unreached_dofs(problem: Problem) -> list[int]:
     return np.flatnonzero(record.observed & ~reached).tolist() if reached.any() else []
 
 
-def tell_if_unreached(problem: Problem) -> None:
+def tell_if_unreached(problem: JointProblem) -> None:
     """Say before anything is solved which sensors no force of the model can move."""
-    for number, own in enumerate(problem.by_record, start=1):
+    for number, own in enumerate(problem, start=1):
         dofs = unreached_dofs(own)
         if dofs:
-            of = f"record {number}: " if problem.further else ""
+            of = f"record {number}: " if len(problem) > 1 else ""
             text = "%sno force reaches %s, where there is a sensor: no connection joins it to where one acts; add the "
             log.warning(text + "connection, or the force there (data.force)", of, own.record.dof_names(dofs))

@@ -11,9 +11,10 @@ from pinn_cli.scheme.beliefs import believed_parameters, checked_uncertainty
 from pinn_cli.scheme.calibration import calibrated_starts, sensor_parameters
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.of_model import only_one, problem_going_on, problem_of_model
-from pinn_cli.scheme.problem import THROUGH, Problem
+from pinn_cli.scheme.problem import THROUGH
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import parameter_starts
 from pinn_cli.settings.legal_values import one_of
@@ -62,12 +63,8 @@ class SparseRecovery(Scheme):
         """See :meth:`Scheme.observe`."""
         return self.sensors.observe(record)
 
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        """See :meth:`Scheme.problem`."""
-        return self.joint_problem(prescribed, [record])
-
-    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
-        """See :meth:`Scheme.joint_problem`."""
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        """See :meth:`Scheme.pose`."""
         through, begins = self.acceleration_through, self.initial_motion
         if self.model is not None:
             (record,) = _calibrated(self.model.structure, [only_one(records)])
@@ -75,9 +72,9 @@ class SparseRecovery(Scheme):
         check_given(prescribed)
         uncertain = believed_parameters(prescribed, self.parameter_uncertainty)
         calibrated = _calibrated(prescribed, records)
-        return Problem.of_records(prescribed, calibrated, uncertain, through, begins, self.unknown_force)
+        return JointProblem.of_records(prescribed, calibrated, uncertain, through, begins, self.unknown_force)
 
-    def next_problem(self, model: Model, record: Record) -> Problem:
+    def next_problem(self, model: Model, record: Record) -> JointProblem:
         """See :meth:`Scheme.next_problem`."""
         return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
 

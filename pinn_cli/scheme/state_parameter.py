@@ -20,9 +20,10 @@ from pinn_cli.scheme.calibration import calibrated_starts
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import FREE as FREE_FORCE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
 from pinn_cli.scheme.of_model import problem_going_on
-from pinn_cli.scheme.problem import THROUGH, Problem
+from pinn_cli.scheme.problem import THROUGH
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import AUTO, Start, checked_starts, parameter_starts
 from pinn_cli.scheme.unknowns import (
@@ -118,7 +119,7 @@ class StateParameter(Scheme):
         if not whole:
             log.warning("nothing is said of damping: Rayleigh's is unknown, a_0 and a_1 (system.damping)")
             return damped(undamped, {"rayleigh": [None, None]})
-        start = self.joint_problem(damped(undamped, {"ratio": None}), records).structure
+        start = self.pose(damped(undamped, {"ratio": None}), records).structure
         modes = NaturalModes.of(start)
         frequencies = np.zeros(1) if modes is None else modes.frequencies
         count = max(1, int((frequencies <= max(map(record_band, records))).sum()))
@@ -129,19 +130,15 @@ class StateParameter(Scheme):
         )
         return damped(undamped, {"ratio": [None] * count})
 
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        """See :meth:`Scheme.problem`; what was prescribed for an unknown parameter is forgotten."""
-        return self.joint_problem(prescribed, [record])
-
-    def joint_problem(self, prescribed: Structure, records: Sequence[Record]) -> Problem:
-        """See :meth:`Scheme.joint_problem`."""
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        """See :meth:`Scheme.pose`."""
         record, *further = records
         chosen = self._chosen(prescribed, records)
         check_given(prescribed, chosen)
         check_used(prescribed, chosen, self.initial, self.positive)
         believed = believed_parameters(prescribed, self.parameter_uncertainty, but=chosen)
         order = {kind: i for i, kind in enumerate(prescribed.parameters)}
-        problems: list[Problem] = []
+        problems: list[JointProblem] = []
         given = self._given(prescribed, record, chosen)
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
         for start in parameter_starts(prescribed, record, chosen, given, self.starts, further):
@@ -150,23 +147,23 @@ class StateParameter(Scheme):
             values = {parameter: one.value for parameter, one in start.items()}
             own = [calibrated_starts(each, values) for each in records]
             structure = at_starts(prescribed, unknown)
-            problems.append(Problem.of_records(structure, own, uncertain, *settings))
-        return replace(problems[0], alternatives=tuple(problems[1:]))
+            problems.append(JointProblem.of_records(structure, own, uncertain, *settings))
+        return replace(problems[0], other_starts=tuple(problems[1:]))
 
     def _chosen(self, prescribed: Structure, records: Sequence[Record]) -> list[Parameter]:
         record, *further = records
         return unknown_parameters(prescribed, record, self.unknown, further, self.unknown_force == FREE_FORCE)
 
-    def next_problem(self, model: Model, record: Record) -> Problem:
+    def next_problem(self, model: Model, record: Record) -> JointProblem:
         """See :meth:`Scheme.next_problem`."""
         return problem_going_on(model, record, self.acceleration_through, self.unknown_force)
 
-    def with_record(self, problem: Problem, prescribed: Structure, record: Record) -> Problem:
+    def with_record(self, problem: JointProblem, prescribed: Structure, record: Record) -> JointProblem:
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""
         again = copy(self)
         structural = problem.structure.parameters
-        again.unknown = [p.name for p in problem.uncertain if p.unknown and p.kind in structural]
-        return again.problem(prescribed, record)
+        again.unknown = [p.name for p in problem.each[0].uncertain if p.unknown and p.kind in structural]
+        return again.pose(prescribed, [record])
 
     def _given(self, prescribed: Structure, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:
         """What the user says about the unknown parameters."""

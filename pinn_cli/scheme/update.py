@@ -9,8 +9,9 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.of_model import check_updatable, given, problem_going_on, problem_of_model
-from pinn_cli.scheme.problem import THROUGH, Problem
+from pinn_cli.scheme.problem import THROUGH
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.settings.legal_values import one_of
 from pinn_cli.system.structure import Structure
@@ -55,11 +56,11 @@ class Update(Scheme):
         """See :meth:`Scheme.observe`."""
         return self.sensors.observe(record)
 
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        """See :meth:`Scheme.problem`; what is prescribed is the model's."""
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        """See :meth:`Scheme.pose`; what is prescribed is the model's."""
         settings = self.acceleration_through, self.initial_motion, self.unknown_force
-        return problem_of_model(self.model, record, True, *settings)
+        return problem_of_model(self.model, self.only_one(records), True, *settings)
 
-    def next_problem(self, model: Model, record: Record) -> Problem:
+    def next_problem(self, model: Model, record: Record) -> JointProblem:
         """See :meth:`Scheme.next_problem`."""
         return problem_going_on(model, record, self.acceleration_through, self.unknown_force)

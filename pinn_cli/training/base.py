@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from pinn_cli.network.base import Network, NetworkDesign
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -24,15 +25,15 @@ class Estimator(ABC):
     name: ClassVar[str]
 
     def check(self, problem: Problem) -> None:  # noqa: B027 - most can solve any
-        """Refuse a problem that it cannot solve, before any work is done.
+        """Refuse a problem of one record that it cannot solve, before any work is done.
 
         Raises:
             InputError: It cannot.
         """
 
     @abstractmethod
-    def solve(self, problem: Problem, run: RunContext) -> Estimate:
-        """Motion, forces and parameters, with their uncertainty, from a record.
+    def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
+        """Motion, forces and parameters, with their uncertainty, from the records of a problem.
 
         Raises:
             InputError: The problem cannot be solved this way.
@@ -46,7 +47,7 @@ class Estimator(ABC):
 
     @property
     def solves_records(self) -> bool:
-        """Whether it solves the records of a problem together, its ``further`` ones included."""
+        """Whether it solves several records together."""
         return False
 
 
@@ -61,7 +62,7 @@ class Training(ABC):
     """A way of making the residuals of a problem small. A new one is a file here and a file in ``conf/training``."""
 
     @abstractmethod
-    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
         """Train a network of the given design on the problem.
 
         Raises:
@@ -118,7 +119,7 @@ class TrainedNetwork(Estimator):
             hint = f"with {problem.dynamics.beside_motion} the observer equation has no one force"
             raise InputError("scheme.acceleration_through", problem.acceleration_through, "derivative", hint)
 
-    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`."""
         return self.training.solve(problem, self.design, run)
 

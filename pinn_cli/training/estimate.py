@@ -263,9 +263,9 @@ class Estimate:
         correlation: (p, p), posterior correlation of ``parameters``, None where the training gives none.
         likelihoods: Of the parameters, for a sampler; None where no posterior distribution was asked for.
         connections: Their elongations; None where the training gives no standard deviations of them.
-        further: Of further records that were solved together with this one, each with its own parameters; history is
-            the same. ``parameters`` and ``correlation`` are then those of all records.
-        own: How many of ``parameters``, the first ones, are this record's own; None: all.
+        records: Of every record that was solved together with others, each with its own parameters and the same
+            history; empty of a lone one. Motion, forces and noise are then those of the first, ``parameters`` and
+            ``correlation`` those of all records.
         rivals: Other solutions that explain the record as well.
         damping_doubt: What the record says of another model of damping; None where that was not asked.
         disagreements: Of every record that was solved together with others; none of a lone one.
@@ -289,8 +289,7 @@ class Estimate:
     correlation: np.ndarray | None = None
     likelihoods: ParameterLikelihoods | None = None
     connections: ConnectionHistories | None = None
-    further: tuple[Estimate, ...] = ()
-    own: int | None = None
+    records: tuple[Estimate, ...] = ()
     rivals: tuple[Rival, ...] = ()
     damping_doubt: DampingDoubt | None = None
     disagreements: tuple[Disagreement, ...] = ()
@@ -321,13 +320,12 @@ class Estimate:
 
     @property
     def by_record(self) -> tuple[Estimate, ...]:
-        """That of every record, this one's first."""
-        if not self.further:
+        """That of every record; the first one's with what is said of all."""
+        if not self.records:
             return (self,)
-        correlation = None if self.correlation is None else self.correlation[: self.own, : self.own]
-        bare = replace(self, further=(), disagreements=(), own=None)
-        alone = replace(bare, parameters=self.parameters[: self.own], correlation=correlation)
-        return (alone, *self.further)
+        first, *others = self.records
+        own = replace(self, records=(), disagreements=())
+        return (replace(own, parameters=first.parameters, correlation=first.correlation), *others)
 
 
 @dataclass(frozen=True, eq=False)

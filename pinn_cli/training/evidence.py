@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.least_squares import LeastSquares
 from pinn_cli.training.minimise import Solution, minimise
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
@@ -68,7 +68,7 @@ class Evidence:
         count: Callable[[int], None] = lambda factorisations: None,
     ) -> None:
         self.records = tuple(map(RecordEvidence, each))
-        self.equations, self.problem = LeastSquares(self.records), Problem.together([own.problem for own in each])
+        self.equations, self.problem = LeastSquares(self.records), JointProblem.of(*(own.problem for own in each))
         self.iterations, self.tolerance = iterations, tolerance
         self.watch, self.learn_spread, self.count = watch, learn_spread, count
         self._is_cautious = False  # whether the last solution refused its undamped step: the next may as well

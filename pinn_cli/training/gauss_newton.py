@@ -17,7 +17,7 @@ from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.training.base import Training, built
@@ -77,27 +77,28 @@ class GaussNewton(Training):
             whole_number("training.collocation_points", collocation_points, least=2)
         self.most_residuals = whole_number("training.most_residuals", most_residuals, least=100)
 
-    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
+        first = problem.each[0]
         if problem.priors and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
-        if problem.inputs.forces:
+        if problem.has_unknown_forces:
             design = design.within_band()
         elif problem.identifies:
             design = design.refined()
-        network = built(design, problem)
-        if problem.prior is not None and isinstance(network, LinearReadout):
-            design = as_fine_as_before(design, problem, network)
+        network = built(design, first)
+        if problem.is_informed and isinstance(network, LinearReadout):
+            design = as_fine_as_before(design, first, network)
         if not isinstance(network, LinearReadout):
             return self._over_all_weights(problem, design, run)
         self._left_alone(design, "has a linear readout", collocation_points=None, most_residuals=MOST_RESIDUALS)
         history = History(run.progress, run.watch)
         limits = self.iterations or ITERATIONS, self.tolerance or TOLERANCE
-        designs = (design,) * len(problem.by_record)
+        designs = (design,) * len(problem)
         solver = Solver(designs, history, *limits, self.learn_spread, self.pooled, run.device)
         with history:
             found = self._weighed(problem, solver) if self.weights else infer(problem, solver)
-            handed = None if problem.hand_over is None else handed_over(found)
+            handed = None if first.hand_over is None else handed_over(found)
         for equations, point in found.by_record:
             equations.network.readout.data = equations.readout(point)
         estimate = posterior_estimate(found.evidence, found.trained, history)
@@ -123,7 +124,7 @@ class GaussNewton(Training):
         """See :meth:`Training.solves_records`."""
         return not self.weights and design.name != "mlp"
 
-    def _over_all_weights(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+    def _over_all_weights(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
         """Of a network whose features are learned too, in the space of its residuals."""
         if problem.priors:
             hint = "an MLP gives no likelihood of its parameters"
@@ -146,12 +147,12 @@ class GaussNewton(Training):
                 value = getattr(self, setting)
                 raise InputError(f"training.{setting}", value, "left as it is, for this network", hint)
 
-    def _weighed(self, problem: Problem, solver: Solver) -> Inference:
+    def _weighed(self, problem: JointProblem, solver: Solver) -> Inference:
         """The solution under weights that the user has fixed."""
         evidence = solver.evidence(problem)
-        force, velocity = force_and_velocity_scale(problem)
+        force, velocity = force_and_velocity_scale(problem.alone)
         starting = starting_noise(evidence.equations.each[0])
-        noise = NoiseLevels((self._fixed(starting, problem.record, force, velocity),))
+        noise = NoiseLevels((self._fixed(starting, problem.alone.record, force, velocity),))
         trained = evidence.train(noise, evidence.equations.start())
         if trained is None:
             raise InputError(

@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.first_solution import first_solution, identify_by_spectra
 from pinn_cli.training.steps.free_running import fit_free_run
@@ -57,7 +57,7 @@ STEPS: tuple[tuple[Step, int], ...] = (
 NEAR_TOLERANCE = 3e-5
 
 
-def infer(problem: Problem, solver: Solver) -> Inference:
+def infer(problem: JointProblem, solver: Solver) -> Inference:
     """The most probable readout and parameters under the most probable noise levels.
 
     Raises:
@@ -74,13 +74,13 @@ def infer(problem: Problem, solver: Solver) -> Inference:
     return found
 
 
-def _as_believed(problem: Problem, solver: Solver) -> Solver:
+def _as_believed(problem: JointProblem, solver: Solver) -> Solver:
     """The common spread of the parameters is learned where these are beliefs of a user, which forces can contradict.
 
     What earlier records leave open is no such belief, and forces that are free on every DOF follow any parameters: the
     spread would grow without end.
     """
-    if problem.prior is not None:
+    if problem.is_informed:
         solver = replace(solver, tolerance=max(solver.tolerance, NEAR_TOLERANCE))
-    is_free = all(len(own.inputs.forces) == own.record.ndof for own in problem.by_record)
-    return replace(solver, learn_spread=False) if is_free or problem.prior is not None else solver
+    is_free = all(len(own.inputs.forces) == own.record.ndof for own in problem)
+    return replace(solver, learn_spread=False) if is_free or problem.is_informed else solver

@@ -16,6 +16,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS, Response
 from pinn_cli.record.spectrum import lowest_level, visible_floor
 from pinn_cli.record.supports import SupportErrors
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import MASS
@@ -48,24 +49,25 @@ class Predictor(TrainedNetwork):
     def check(self, problem: Problem) -> None:
         """See :meth:`Estimator.check`: any can be."""
 
-    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`.
 
         Raises:
             DivergenceError: The identified structure cannot be simulated under this force.
         """
-        structure, record = problem.structure, problem.record
+        own = problem.alone
+        structure, record = own.structure, own.record
         start = [*self.scheme.start, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
         try:
             response = free_run(structure, record, start)
         except NoFreeRunError as error:
             raise DivergenceError(str(error)) from error
-        parameters, correlation = _estimates(problem), None if problem.prior is None else problem.prior.correlation
-        draws = self._draws(problem, parameters, correlation, run.seed)
+        parameters, correlation = _estimates(own), None if own.prior is None else own.prior.correlation
+        draws = self._draws(own, parameters, correlation, run.seed)
         state = np.tile(np.concatenate(start), (len(draws), 1))
-        white, replay = _left_out(problem, self.model, response, len(draws), run.seed)
+        white, replay = _left_out(own, self.model, response, len(draws), run.seed)
         rows = [*(white * np.eye(structure.coordinates))] if white else []
-        rows += _input_noise(problem, self.model) if self.scheme.measured_input else []
+        rows += _input_noise(own, self.model) if self.scheme.measured_input else []
         sources = np.array(rows).reshape(-1, structure.coordinates)
         levels = self.model.levels.sensors if self.scheme.measured_input else {}
         members = Members(

@@ -10,7 +10,7 @@ import numpy as np
 from pinn_cli.model.knowledge import DiscrepancyEvidence
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.base import built
 from pinn_cli.training.estimate import Rival
 from pinn_cli.training.evidence import Evidence, Trained
@@ -50,15 +50,15 @@ class Solver:
     device: str = "cpu"
     known: KnownParameters | None = None
 
-    def networks(self, problem: Problem) -> list[LinearReadout]:
+    def networks(self, problem: JointProblem) -> list[LinearReadout]:
         """One for every record."""
-        networks = [built(design, own) for design, own in zip(self.designs, problem.by_record, strict=True)]
+        networks = [built(design, own) for design, own in zip(self.designs, problem, strict=True)]
         assert all(isinstance(network, LinearReadout) for network in networks)
         return networks  # type: ignore[return-value]
 
-    def evidence(self, problem: Problem, networks: Sequence[LinearReadout] | None = None) -> Evidence:
+    def evidence(self, problem: JointProblem, networks: Sequence[LinearReadout] | None = None) -> Evidence:
         """What finds the solutions of a problem; with these networks, else with those of the designs."""
-        pairs = zip(problem.by_record, networks or self.networks(problem), strict=True)
+        pairs = zip(problem, networks or self.networks(problem), strict=True)
         each = [NormalEquations(network, own, self.device, self.known) for own, network in pairs]
         history = self.history
         return Evidence(each, self.iterations, self.tolerance, history.add_step, self.learn_spread, history.count)
@@ -113,7 +113,7 @@ class Inference:
     free: Sequence[FreeRunning] = ()
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> JointProblem:
         """Of all records."""
         return self.evidence.problem
 
@@ -126,4 +126,4 @@ class Inference:
     @property
     def is_informed(self) -> bool:
         """Whether the parameters or the levels are known from elsewhere: from spectra, or from earlier records."""
-        return self.solver.known is not None or self.problem.prior is not None
+        return self.solver.known is not None or self.problem.is_informed

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.base import TrainedNetwork
 from pinn_cli.training.changes import found_changes, left_open, released
@@ -22,36 +23,36 @@ WORTHWHILE = 0.05
 class UpdatedNetwork(TrainedNetwork):
     """A network whose problem's prior is what earlier records say."""
 
-    def solve(self, problem: Problem, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, run: RunContext) -> Estimate:
         """See :meth:`Estimator.solve`; where something changed, again with it left open.
 
         A parameter that changed much is pulled by the others' prior as well: only a solution with it left open says by
         how much it changed, and whether another one did.
         """
-        if problem.prior is None:
+        if not problem.is_informed:
             return super().solve(problem, run)
-        problem, estimate = self._under_their_spread(problem, run)
-        solved, changes = problem, None
+        own, estimate = self._under_their_spread(problem.alone, run)
+        solved, changes = own, None
         for number in range(ROUNDS):
-            estimate = estimate if number == 0 else super().solve(solved, run)
+            estimate = estimate if number == 0 else super().solve(JointProblem.of(solved), run)
             if estimate.known is None:
                 return estimate
-            before, changes = changes, found_changes(problem, estimate.known, solved)
+            before, changes = changes, found_changes(own, estimate.known, solved)
             if _names(changes) == _names(before):
                 break
-            solved = released(problem, changes)
-        return _handing_over(replace(estimate, changes=changes), problem)
+            solved = released(own, changes)
+        return _handing_over(replace(estimate, changes=changes), own)
 
     def _under_their_spread(self, problem: Problem, run: RunContext) -> tuple[Problem, Estimate]:
         """The problem and its solution under the common spread that all records together ask for."""
-        estimate = super().solve(problem, run)
+        estimate = super().solve(JointProblem.of(problem), run)
         if estimate.known is None or problem.prior is None or problem.initial_state is not None:
             return problem, estimate  # a state that is handed over goes with what was handed over of the parameters
         spread = common_spread(estimate.known)
         if abs(np.log(spread / problem.prior.spread)) < WORTHWHILE:
             return problem, estimate
         problem = under_spread(problem, spread)
-        return problem, super().solve(problem, run)
+        return problem, super().solve(JointProblem.of(problem), run)
 
 
 def _handing_over(estimate: Estimate, problem: Problem) -> Estimate:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pandas as pd
 
 from pinn_cli.scheme.base import Scheme
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.base import Estimator
 from pinn_cli.training.estimate import Estimate, RunContext
@@ -71,7 +71,7 @@ class Validation(ABC):
     scores_records: ClassVar[bool] = False
 
     @abstractmethod
-    def check(self, problem: Problem, setup: Setup) -> None:
+    def check(self, problem: JointProblem, setup: Setup) -> None:
         """Refuse, before anything is trained, what cannot be scored.
 
         Raises:
@@ -79,7 +79,7 @@ class Validation(ABC):
         """
 
     @abstractmethod
-    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score | None:
+    def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score | None:
         """The score; None where none was asked for.
 
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.validation.base import Score, Setup, Validation
@@ -20,13 +20,13 @@ class EvidenceScore(Validation):
     name = "evidence"
     scores_records = True
 
-    def check(self, problem: Problem, setup: Setup) -> None:
+    def check(self, problem: JointProblem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
         if not setup.estimator.gives_evidence:
             allowed = "used with training=gauss_newton (weights inferred) and network=spline or fourier"
             raise InputError("validation", self.name, allowed, "validation=heldout scores any training")
 
-    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score:
+    def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         value = -float(estimate.summary["log_evidence"])
         return Score(value, pd.DataFrame([{"validation": self.name, "score": value}]))

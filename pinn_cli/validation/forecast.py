@@ -16,7 +16,7 @@ from pinn_cli.record.channels import channels
 from pinn_cli.record.free_run import NoFreeRunError, free_run_of
 from pinn_cli.record.record import MINIMUM_SAMPLES, Record
 from pinn_cli.record.response import Response
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, whole_number
 from pinn_cli.training.estimate import Estimate
@@ -51,13 +51,13 @@ class Forecast(Validation):
         self.blocks = whole_number("validation.blocks", blocks, least=1)
         self.share = fraction("validation.share", share)
 
-    def check(self, problem: Problem, setup: Setup) -> None:
+    def check(self, problem: JointProblem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
-        unknown = np.flatnonzero(np.isnan(problem.record.force).any(axis=0))
+        unknown = np.flatnonzero(np.isnan(problem.each[0].record.force).any(axis=0))
         if unknown.size:
-            hint = f"that on {problem.record.dof_names(unknown)} is neither measured nor known to be zero"
+            hint = f"that on {problem.each[0].record.dof_names(unknown)} is neither measured nor known to be zero"
             raise InputError("validation", self.name, "used with a record whose forces are all known", hint)
-        starts, length = self._starts(problem.record), self._length(problem.record)
+        starts, length = self._starts(problem.each[0].record), self._length(problem.each[0].record)
         if min(length, starts[0]) < MINIMUM_SAMPLES:
             allowed = f"{MINIMUM_SAMPLES} samples or more in each block and before the first"
             hint = f"with validation.blocks={self.blocks} there are {length} and {max(0, starts[0])}"
@@ -65,19 +65,21 @@ class Forecast(Validation):
         for start in starts:
             self._up_to(start, problem, setup)
 
-    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score:
+    def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
-        for start in self._starts(problem.record):
+        for start in self._starts(problem.each[0].record):
             try:
                 before = self._up_to(start, problem, setup)
                 found = setup.estimator.solve(before, setup.run)
-                forecast = _forecast(problem.record, found, setup, start, start + self._length(problem.record))
+                forecast = _forecast(
+                    problem.each[0].record, found, setup, start, start + self._length(problem.each[0].record)
+                )
             except (DivergenceError, NoFreeRunError) as error:
-                reason = f"with the record up to {problem.record.time[start]:.4g} s: {error}"
+                reason = f"with the record up to {problem.each[0].record.time[start]:.4g} s: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
-            rows += self._rows(problem.record, forecast, start)
+            rows += self._rows(problem.each[0].record, forecast, start)
         return Score.mean(rows, over="dof")
 
     def _length(self, record: Record) -> int:
@@ -88,9 +90,9 @@ class Forecast(Validation):
         """First sample of each block; what is left of the record lies before them."""
         return [len(record.time) - left * self._length(record) for left in range(self.blocks, 0, -1)]
 
-    def _up_to(self, start: int, problem: Problem, setup: Setup) -> Problem:
+    def _up_to(self, start: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """The same problem with the record up to a block."""
-        return setup.scheme.with_record(problem, setup.prescribed, problem.record.until(start))
+        return setup.scheme.with_record(problem, setup.prescribed, problem.each[0].record.until(start))
 
     def _rows(self, record: Record, forecast: Response, start: int) -> list[dict[str, Any]]:
         rows = []

@@ -16,7 +16,7 @@ import pandas as pd
 from pinn_cli.record.channels import channels
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import RESPONSE_QUANTITIES
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import entries, is_whole_number
 from pinn_cli.training.estimate import Estimate
@@ -47,38 +47,38 @@ class HeldOut(Validation):
             raise InputError("validation.dofs", dofs, "null or a list of observed DOFs, counted from 1")
         self.dofs = None if dofs is None else sorted({int(dof) for dof in given})
 
-    def check(self, problem: Problem, setup: Setup) -> None:
+    def check(self, problem: JointProblem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
-        observed = np.flatnonzero(problem.record.observed) + 1
+        observed = np.flatnonzero(problem.each[0].record.observed) + 1
         if len(observed) < 2:
             hint = "with one DOF observed there is none to spare; validation=forecast withholds blocks of time"
             raise InputError("validation", self.name, "used with sensors on two DOFs or more", hint)
         for dof in self.dofs or ():
             if dof not in observed:
                 raise InputError("validation.dofs", self.dofs, f"observed DOFs: {', '.join(map(str, observed))}")
-        for dof in self._withheld(problem.record):
+        for dof in self._withheld(problem.each[0].record):
             self._without(dof, problem, setup)
 
-    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> Score:
+    def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
-        for dof in self._withheld(problem.record):
+        for dof in self._withheld(problem.each[0].record):
             reduced = self._without(dof, problem, setup)
             try:
                 found = setup.estimator.solve(reduced, setup.run)
             except DivergenceError as error:
-                reason = f"without the sensors of DOF {problem.record.dof_name(dof - 1)}: {error}"
+                reason = f"without the sensors of DOF {problem.each[0].record.dof_name(dof - 1)}: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
-            rows += self._rows(problem.record, dof, found)
+            rows += self._rows(problem.each[0].record, dof, found)
         return Score.mean(rows, over="withheld_dof")
 
     def _withheld(self, record: Record) -> list[int]:
         return self.dofs or [int(dof) + 1 for dof in np.flatnonzero(record.observed)]
 
-    def _without(self, dof: int, problem: Problem, setup: Setup) -> Problem:
+    def _without(self, dof: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """The same problem without one DOF's response sensors."""
-        record = problem.record
+        record = problem.each[0].record
         left = {q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != dof] for q in RESPONSE_QUANTITIES}
         return setup.scheme.with_record(problem, setup.prescribed, record.keep(left))
 

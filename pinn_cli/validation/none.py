@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.estimate import Estimate
 from pinn_cli.validation.base import Setup, Validation
 
@@ -13,9 +13,9 @@ class NoValidation(Validation):
     name = "none"
     scores_records = True
 
-    def check(self, problem: Problem, setup: Setup) -> None:
+    def check(self, problem: JointProblem, setup: Setup) -> None:
         """Anything goes."""
 
-    def score(self, problem: Problem, estimate: Estimate, setup: Setup) -> None:
+    def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> None:
         """Nothing to score."""
         return

@@ -19,6 +19,7 @@ from pinn_cli.report.run_report import write_tables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import write_table
 from pinn_cli.scheme.base import Scheme
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.parameters import Parameter
@@ -65,7 +66,7 @@ class WindowSolver:
     context: RunContext
     earlier: int = 0
 
-    def posed(self, window: Window, before: Model | None) -> tuple[Problem, Measurements]:
+    def posed(self, window: Window, before: Model | None) -> tuple[JointProblem, Measurements]:
         """The problem of a window, and what was measured in it.
 
         Args:
@@ -78,14 +79,14 @@ class WindowSolver:
         measured = self.measure(window)
         record = self.observe(measured.record)
         if before is None:
-            problem = self.scheme.joint_problem(self.prescribed, [record])
+            problem = self.scheme.pose(self.prescribed, [record])
         else:
             problem = self.scheme.next_problem(before, record)
-            if not _goes_on(problem):
-                problem = replace(problem, initial_state=None)
-        _check_sensors(problem)
-        others = tuple(replace(other, hand_over=window.hand_over) for other in problem.alternatives)
-        return replace(problem, hand_over=window.hand_over, alternatives=others), measured
+            if not _goes_on(problem.alone):
+                problem = JointProblem.of(replace(problem.alone, initial_state=None))
+        _check_sensors(problem.alone)
+        first, *others = (JointProblem.of(replace(start.alone, hand_over=window.hand_over)) for start in problem.starts)
+        return replace(first, other_starts=tuple(others)), measured
 
     def solve(self, window: Window, before: Model | None, store: WindowStore, stages: Stages) -> None:
         """Solve a window and leave all that is known of it in its folder.
@@ -102,9 +103,9 @@ class WindowSolver:
             raise DivergenceError(f"{window.name}: {error}") from error
         if estimate.structure is not None:
             problem = problem.in_coordinates_of(estimate.structure)
-        report = _Report(self, window, problem, measured, estimate, before)
+        report = _Report(self, window, problem.alone, measured, estimate, before)
         verdict = report.write(store, stages)
-        content = report.content(verdict, self.beliefs(problem, store, window))
+        content = report.content(verdict, self.beliefs(problem.alone, store, window))
         store.conclude(window, report.handed_over(verdict), content)
 
     def beliefs(self, problem: Problem, store: WindowStore, window: Window) -> list[list[Any]]:

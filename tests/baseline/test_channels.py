@@ -14,6 +14,7 @@ from pinn_cli.baseline.state_space import StateSpace
 from pinn_cli.record.gauge import Calibration, Gauge, unknown_calibration
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
@@ -65,10 +66,10 @@ def test_a_sample_that_is_missing_tells_nothing() -> None:
 def test_gains_and_offsets_are_found_beside_the_motion() -> None:
     measurements = made(snr_db=40.0)
     record = in_doubt(measurements.record)
-    problem = SparseRecovery().problem(small_chain("linear"), record)
+    problem = SparseRecovery().pose(small_chain("linear"), [record]).alone
     smoother = KalmanSmoother()
     smoother.check(problem)
-    estimate = smoother.solve(problem, RunContext())
+    estimate = smoother.solve(JointProblem.of(problem), RunContext())
     true = {"gain_a2": GAIN, "offset_a2": OFFSET, "gain_f": LOAD_GAIN, "offset_f": LOAD_OFFSET}
     found = {p.name: p for p in estimate.parameters}
     for name, value in true.items():

@@ -21,6 +21,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
 from pinn_cli.record.simulation import Simulation
 from pinn_cli.scheme.bayesian import Bayesian
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.settings.errors import InputError
@@ -30,7 +31,7 @@ from pinn_cli.training.estimate import Estimate, RunContext
 
 
 def solved(problem: Problem, **settings) -> Estimate:
-    estimate = KalmanSmoother(**settings).solve(problem, RunContext())
+    estimate = KalmanSmoother(**settings).solve(JointProblem.of(problem), RunContext())
     assert estimate is not None
     return estimate
 
@@ -69,7 +70,7 @@ def test_parameters_that_are_wrong_are_put_right_with_honest_intervals() -> None
     offs = {"c": 1.05, "k": 0.95, "kappa": 1.06}
     wrong = true.with_parameters(**{name: true.parameters[name] * factor for name, factor in offs.items()})
     record = accelerations(measurements.record)
-    problem = SparseRecovery(parameter_uncertainty=0.075).problem(wrong, record)
+    problem = SparseRecovery(parameter_uncertainty=0.075).pose(wrong, [record]).alone
     estimate = solved(problem)
     by_name = {p.name: p for p in estimate.parameters}
     assert list(by_name) == [p.name for p in problem.uncertain]
@@ -133,7 +134,7 @@ def test_a_force_that_nobody_measures_is_found() -> None:
 def test_hidden_forces_and_modes(structure: Structure) -> None:
     measurements = measured(structure, snr_db=40.0, duration=12.0, samples=601)
     scheme = SparseRecovery(unobserved=[structure.ndof])
-    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    problem = scheme.pose(structure, [scheme.observe(measurements.record)]).alone
     KalmanSmoother().check(problem)
     estimate, truth = solved(problem), measurements.truth.response
     for quantity in ("velocity", "acceleration"):
@@ -181,7 +182,7 @@ def test_every_parameter_may_be_unknown() -> None:
     """On the way from the record's own scale to the truth, damping turns negative: the smoother must get through."""
     true = small_chain("duffing")
     record = measured(true, snr_db=30.0, duration=120.0, samples=2049).record
-    problem = Bayesian().problem(true, Bayesian().observe(record))
+    problem = Bayesian().pose(true, [Bayesian().observe(record)]).alone
     estimate = solved(problem)
     for parameter in estimate.parameters:
         truth = float(true.parameters[parameter.name.partition("_")[0]][int(parameter.name[-1]) - 1])
@@ -199,7 +200,7 @@ def test_a_smoother_that_breaks_says_so_and_gives_no_estimate(
     monkeypatch.setattr(StateSpace, "linearise", broken)
     problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
     with caplog.at_level(logging.WARNING):
-        assert baseline_estimate(KalmanSmoother(), problem, RunContext()) is None
+        assert baseline_estimate(KalmanSmoother(), JointProblem.of(problem), RunContext()) is None
     assert "overflow at sample 3" in caplog.text
 
 
@@ -214,4 +215,4 @@ def test_settings_out_of_range(setting: str, value: object) -> None:
 
 def test_none_is_no_baseline() -> None:
     problem = Problem(small_chain(), accelerations(measured(small_chain()).record))
-    assert baseline_estimate(None, problem, RunContext()) is None
+    assert baseline_estimate(None, JointProblem.of(problem), RunContext()) is None

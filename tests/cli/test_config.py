@@ -226,7 +226,7 @@ def test_unusable_values(composed: Compose, overrides: str, told: str) -> None:
     def pose() -> None:
         config = RunConfig.read(composed(*overrides.split()))
         true, prescribed = config.model_error.structures(config.structure)
-        config.scheme.problem(prescribed, config.observe(config.source.measure(true).record))
+        config.scheme.pose(prescribed, [config.observe(config.source.measure(true).record)])
 
     with pytest.raises(InputError) as error:
         pose()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -18,6 +17,7 @@ from pinn_cli.cli.records import check_records, data_of_records
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
 from pinn_cli.runs.identity import Identity
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.labels import Labels
 from pinn_cli.training.base import TrainedNetwork
@@ -71,14 +71,14 @@ def test_every_record_has_its_own_sensors_length_and_force(composed: Compose, tm
         f"data.records=[{{path: '{a}', acceleration: {{1: a1}}}}, {{path: '{b}', acceleration: {{2: a2, 3: a3}}}}]"
     )
     prepared = prepare_problem(RunConfig.read(composed(*CHAIN, "+data.force={3: f}", records)))
-    first, second = (problem.record for problem in prepared.problem.by_record)
+    first, second = (problem.record for problem in prepared.problem)
     assert (len(first.time), len(second.time)) == (200, 300)
     assert first.sensors("acceleration").tolist() == [True, False, False]
     assert second.sensors("acceleration").tolist() == [False, True, True]
     assert all(record.sensors("force").tolist() == [False, False, True] for record in (first, second))
     assert prepared.record is first
     assert len(prepared.truths) == 2
-    assert len({problem.uncertain for problem in prepared.problem.by_record}) == 1
+    assert len({problem.uncertain for problem in prepared.problem}) == 1
 
 
 def test_an_error_says_which_record_it_is_about(composed: Compose, tmp_path: Path):
@@ -98,7 +98,7 @@ def test_data_to_try_the_system_on_beside_several_records(composed: Compose, tmp
     records = f"data.records=[{{path: '{a}'}}, {{path: '{b}', acceleration: {{2: a2, 3: a3}}}}]"
     settings = "+data.force={3: f}", "+data.acceleration={1: a1}", f"+data.validation={{path: '{b}', start: 2}}"
     prepared = prepare_problem(RunConfig.read(composed(*CHAIN, *settings, records)))
-    assert [len(problem.record.time) for problem in prepared.problem.by_record] == [200, 200]
+    assert [len(problem.record.time) for problem in prepared.problem] == [200, 200]
     assert prepared.validation.of == 1
     assert prepared.validation.record.sensors("acceleration").tolist() == [False, True, True]
 
@@ -128,8 +128,8 @@ def test_another_content_of_any_record_is_another_run(tmp_path: Path):
     Identity.of(config)
 
 
-def problem(records: int) -> SimpleNamespace:
-    return SimpleNamespace(further=(None,) * (records - 1), by_record=(None,) * records)
+def problem(records: int) -> JointProblem:
+    return JointProblem((None,) * records)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from pinn_cli.training.gauss_newton import GaussNewton
 def test_short_chains_draw_it_as_well_as_the_parameters():
     """R-hat was 1.1 and 13 to 90 of 1000 draws were effective: the likelihood's peak lay beyond its table."""
     made = storeys.record(1)
-    problem = Bayesian(unknown=["k_*", "c_*"]).problem(model(made), made.record)
+    problem = Bayesian(unknown=["k_*", "c_*"]).pose(model(made), [made.record])
     found = GaussNewton().solve(problem, Spline(), RunContext()).likelihoods
     scales = np.linspace(-5.0, 5.0, 101) * found.marginal.s_std
     values = [found.marginal.evaluate(found.marginal.peak, s)[0] for s in scales]

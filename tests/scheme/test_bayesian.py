@@ -29,7 +29,7 @@ def measurements() -> Measurements:
 
 def posed(measurements: Measurements, nonlinearity: str = "duffing", **settings) -> Problem:
     scheme = Bayesian(**settings)
-    return scheme.problem(small_chain(nonlinearity), scheme.observe(measurements.record))
+    return scheme.pose(small_chain(nonlinearity), [scheme.observe(measurements.record)]).alone
 
 
 def names(problem: Problem) -> list[str]:
@@ -91,7 +91,7 @@ def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements,
     elsewhere["c"][1] = 3.0
     elsewhere["m"][1] = 55.0
     record = scheme.observe(measurements.record)
-    told, other = (scheme.problem(c, record) for c in (structure, structure.with_parameters(**elsewhere)))
+    told, other = (scheme.pose(c, [record]).alone for c in (structure, structure.with_parameters(**elsewhere)))
     for kind, values in told.structure.parameters.items():
         np.testing.assert_array_equal(values, other.structure.parameters[kind])
     for a, b in zip(told.uncertain, other.uncertain, strict=True):
@@ -101,7 +101,7 @@ def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements,
 def test_the_prescribed_chain_stays_as_it_was(measurements):
     structure = small_chain()
     scheme = Bayesian(unknown="k_2", priors={"k": {"kind": "normal", "mean": 4.0, "std": 1.0}})
-    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    problem = scheme.pose(structure, [scheme.observe(measurements.record)]).alone
     np.testing.assert_array_equal(structure.parameters["k"], [15.0] * 3)
     np.testing.assert_array_equal(problem.structure.parameters["k"], [15.0, 4.0, 15.0])
 
@@ -161,8 +161,8 @@ def test_starts_scale_with_the_record(measurements):
     record, structure = measurements.record, small_chain()
     heavy = structure.with_parameters(**{**structure.parameters, "m": 1e3 * structure.parameters["m"]})
     scheme = Bayesian()
-    weak = scheme.problem(structure, scheme.observe(record))
-    strong = scheme.problem(heavy, scheme.observe(replace(record, force=1e3 * record.force)))
+    weak = scheme.pose(structure, [scheme.observe(record)]).alone
+    strong = scheme.pose(heavy, [scheme.observe(replace(record, force=1e3 * record.force))]).alone
     for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
         assert b.prescribed == pytest.approx(1e3 * a.prescribed, rel=1e-3)
         assert b.prior_std == pytest.approx(1e3 * a.prior_std, rel=1e-3)
@@ -212,7 +212,7 @@ def test_a_dof_without_a_sensor_is_named_with_the_scheme_to_take(measurements):
 def test_priors_are_for_this_scheme_alone(measurements):
     assert posed(measurements).priors
     for other in (StateParameter(unobserved=[2]), SparseRecovery()):
-        assert other.problem(small_chain(), other.observe(measurements.record)).priors == ()
+        assert other.pose(small_chain(), [other.observe(measurements.record)]).alone.priors == ()
 
 
 def test_accelerometers_alone_are_warned_of(measurements, caplog):
@@ -250,7 +250,7 @@ ALL = (1, 2, 3)
 def test_a_measured_record_with_displacement_or_velocity_on_every_dof(measurements, tmp_path, caplog, sensors):
     record = from_csv(tmp_path, measurements.record, **sensors)
     with caplog.at_level(logging.WARNING, "pinn_cli"):
-        problem = Bayesian().problem(small_chain(), record)
+        problem = Bayesian().pose(small_chain(), [record]).alone
     assert names(problem) == every(("c", "k", "kappa"))
     assert problem.record is record
     assert not caplog.records
@@ -259,12 +259,12 @@ def test_a_measured_record_with_displacement_or_velocity_on_every_dof(measuremen
 def test_a_measured_record_that_leaves_dofs_out_is_told_why_it_cannot_be(measurements, tmp_path):
     record = from_csv(tmp_path, measurements.record, displacement=(2,), velocity=(2,))
     with pytest.raises(InputError, match=r"^scheme=bayesian: .*none on DOFs 1, 3") as error:
-        Bayesian().problem(small_chain(), record)
+        Bayesian().pose(small_chain(), [record])
     assert "\n" not in str(error.value)
 
 
 def test_a_measured_record_of_accelerations_is_warned_of_where_nothing_else_is(measurements, tmp_path, caplog):
     record = from_csv(tmp_path, measurements.record, acceleration=ALL, displacement=(1,))
     with caplog.at_level(logging.WARNING, "pinn_cli"):
-        Bayesian().problem(small_chain(), record)
+        Bayesian().pose(small_chain(), [record])
     assert [entry.args[0] for entry in caplog.records] == ["2", "3"]

@@ -89,18 +89,18 @@ def test_one_gain_must_be_known():
 def test_schemes_have_them_among_their_parameters():
     record, k = with_gauges(changed("acceleration", 0, 1.0, 0)), exact().structure.k
     names = {"gain_a1", "delay_a1"}
-    assert names <= {p.name for p in SparseRecovery().problem(chain(k), record).uncertain}
-    assert names <= {p.name for p in StateParameter(unknown=["k_*"]).problem(chain(), record).uncertain}
+    assert names <= {p.name for p in SparseRecovery().pose(chain(k), [record]).alone.uncertain}
+    assert names <= {p.name for p in StateParameter(unknown=["k_*"]).pose(chain(), [record]).alone.uncertain}
 
 
 def test_bayesian_has_a_prior_for_what_is_in_doubt_of_a_sensor():
-    problem = Bayesian(unknown=["k_*"]).problem(chain(), with_gauges(changed("acceleration", 0, 1.3, 3)))
+    problem = Bayesian(unknown=["k_*"]).pose(chain(), [with_gauges(changed("acceleration", 0, 1.3, 3))]).alone
     priors = {p.name: p.prior for p in problem.uncertain}
     assert priors["gain_a1"].mean == pytest.approx(1.3, rel=0.03)
     assert (priors["gain_a1"].std, priors["delay_a1"].std) == (WIDEST_GAIN, pytest.approx(WIDEST_DELAY / RATE))
     assert len(problem.priors) == len(problem.uncertain)
     believed = replace(changed("acceleration", 0, 1.0, 0), calibration=BELIEVED)
-    priors = {p.name: p.prior for p in Bayesian().problem(chain(), with_gauges(believed)).uncertain}
+    priors = {p.name: p.prior for p in Bayesian().pose(chain(), [with_gauges(believed)]).alone.uncertain}
     assert (priors["gain_a1"].mean, priors["gain_a1"].std, priors["offset_a1"].std) == (1.0, 0.05, 0.1)
 
 
@@ -113,7 +113,7 @@ class TestScreening:
         return with_gauges(*(changed(*one) for one in self.each))
 
     def test_springs_gains_and_delays_are_found_together(self):
-        problem = StateParameter(unknown=["k_*"]).problem(chain(), self.record())
+        problem = StateParameter(unknown=["k_*"]).pose(chain(), [self.record()]).alone
         start = {p.name: p.prescribed for p in problem.uncertain}
         for i, k in enumerate(exact().structure.k, 1):
             assert start[f"k_{i}"] == pytest.approx(k, rel=0.02)
@@ -125,7 +125,7 @@ class TestScreening:
         assert problem.structure.parameters["k"][0] == start["k_1"]
 
     def test_sparse_recovery_starts_there_too(self):
-        problem = SparseRecovery().problem(chain(exact().structure.k), self.record())
+        problem = SparseRecovery().pose(chain(exact().structure.k), [self.record()]).alone
         start = {p.name: p.prescribed for p in problem.uncertain}
         assert start["delay_a3"] == pytest.approx(-0.02, abs=2e-3)
         assert start["gain_f3"] == pytest.approx(1.2, rel=0.03)

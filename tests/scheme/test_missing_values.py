@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def posed(composition: DictConfig, folder: Path) -> Problem:
     config = RunConfig.read(composition, folder)
     record = config.observe(config.source.measure(config.structure).record)
-    return config.scheme.problem(config.structure, record)
+    return config.scheme.pose(config.structure, [record]).alone
 
 
 REFUSED = {

@@ -24,7 +24,7 @@ def posed(joint: tuple[float, float], unknown: str | list[str] = "k_a") -> Probl
     springs = dict.fromkeys(ENDS, (3000.0, 1.5e6)) | {"d": joint}
     connections = {n: {"between": ENDS[n], "law": "linear", "c": c, "k": k} for n, (c, k) in springs.items()}
     structure = build_structure(["x1", "x2", "x3"], {"x1": 2000, "x2": 2000, "x3": 2000}, connections)
-    return StateParameter(unobserved=[], unknown=unknown).problem(structure, frame_record(duration=8.0).record)
+    return StateParameter(unobserved=[], unknown=unknown).pose(structure, [frame_record(duration=8.0).record]).alone
 
 
 @pytest.mark.parametrize(
@@ -51,4 +51,4 @@ def test_the_ground_reaches_everything_and_a_free_decay_needs_no_force():
     decay = Record(record.time, **columns, force=nothing, unforced=np.ones(3, bool))
     shaken = replace(decay, ground_acceleration=record.force[:, 2] / 2000.0)
     for other in (decay, shaken):
-        assert unreached_dofs(SparseRecovery().problem(problem.structure, other)) == []
+        assert unreached_dofs(SparseRecovery().pose(problem.structure, [other]).alone) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.screening import screened
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
@@ -36,22 +38,21 @@ def roving(dofs: tuple[int, ...] = (1, 2, 3)) -> list[Record]:
 def test_believed_parameters_are_one_set_and_every_record_has_its_own_inputs():
     first, second = roving((1, 2))
     second = replace(second, force=np.where(second.unforced, second.force, np.nan))
-    problem = SparseRecovery().joint_problem(CHAIN, [first, second])
-    one, other = problem.by_record
+    problem = SparseRecovery().pose(CHAIN, [first, second])
+    one, other = problem
     assert one.uncertain == other.uncertain
     assert [p.prior_std for p in one.uncertain] == [p.prior_std for p in other.uncertain]
     assert one.inputs.forces == ()
     assert other.inputs.forces == (0,)
     assert (one.record, other.record) == (first, second)
-    assert not one.further
-    assert SparseRecovery().joint_problem(CHAIN, [first]).further == ()
+    assert len(SparseRecovery().pose(CHAIN, [first])) == 1
 
 
 def test_a_connection_is_hidden_where_no_record_has_a_sensor():
     def unknown(dofs: tuple[int, ...]) -> list[str]:
-        problem = StateParameter(parameter_uncertainty=0.0).joint_problem(CHAIN, roving(dofs))
-        assert {p.uncertain for p in problem.by_record} == {problem.uncertain}
-        return [p.name for p in problem.uncertain]
+        problem = StateParameter(parameter_uncertainty=0.0).pose(CHAIN, roving(dofs))
+        (uncertain,) = {p.uncertain for p in problem}
+        return [p.name for p in uncertain]
 
     assert unknown((1,)) == ["k_2", "k_3"]
     assert unknown((1, 2)) == ["k_3"]
@@ -59,20 +60,20 @@ def test_a_connection_is_hidden_where_no_record_has_a_sensor():
         unknown((1, 2, 3))
 
 
-def test_all_records_start_at_the_same_place_and_so_do_their_alternatives():
-    problem = StateParameter(unknown="k_*", parameter_uncertainty=0.0).joint_problem(CHAIN, roving((1, 3)))
-    for start in (problem, *problem.alternatives):
-        assert len(start.by_record) == 2
-        assert len({own.structure for own in start.by_record}) == 1
-        starts = [[p.prescribed for p in own.uncertain] for own in start.by_record]
+def test_all_records_start_at_the_same_place_and_so_they_do_elsewhere():
+    problem = StateParameter(unknown="k_*", parameter_uncertainty=0.0).pose(CHAIN, roving((1, 3)))
+    for start in problem.starts:
+        assert len(start) == 2
+        assert len({own.structure for own in start}) == 1
+        starts = [[p.prescribed for p in own.uncertain] for own in start]
         assert starts[0] == starts[1]
 
 
 def test_a_roving_accelerometer_is_sensors_enough_for_a_bayesian_scheme():
-    problem = Bayesian(unknown="k_*").joint_problem(CHAIN, roving())
+    problem = Bayesian(unknown="k_*").pose(CHAIN, roving())
     assert len(problem.priors) == 3
     with pytest.raises(InputError, match="there is none on DOF 3"):
-        Bayesian(unknown="k_*").joint_problem(CHAIN, roving((1, 2)))
+        Bayesian(unknown="k_*").pose(CHAIN, roving((1, 2)))
 
 
 def test_scales_are_the_median_of_the_records():
@@ -102,15 +103,15 @@ class OneAtATime(Scheme):
     def observe(self, record: Record) -> Record:
         return record
 
-    def problem(self, prescribed: Structure, record: Record) -> Problem:
-        return Problem(prescribed, record)
+    def pose(self, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
+        return JointProblem.of(Problem(prescribed, self.only_one(records)))
 
 
-def test_a_scheme_of_ones_own_has_one_record_unless_it_says_otherwise():
+def test_a_scheme_of_ones_own_may_have_one_record_at_a_time():
     records = roving((1, 2))
-    assert OneAtATime().joint_problem(CHAIN, records[:1]).record is records[0]
+    assert OneAtATime().pose(CHAIN, records[:1]).alone.record is records[0]
     with pytest.raises(InputError, match=r"data\.records=2 records: must be one record with scheme=own"):
-        OneAtATime().joint_problem(CHAIN, records)
+        OneAtATime().pose(CHAIN, records)
 
 
 def with_gauge(record: Record, **calibration: Calibration) -> Record:
@@ -122,12 +123,12 @@ def test_a_sensor_of_one_name_is_one_sensor():
     unknown, believed = Calibration(1.0, 10.0, unknown=True), Calibration(1.0, 0.1)
     delay = [Calibration(0.0, width, unknown=True) for width in (0.1, 0.2)]
     records = [with_gauge(record, gain=unknown, delay=own) for record, own in zip(roving((1, 2)), delay, strict=True)]
-    problem = SparseRecovery(parameter_uncertainty=0.0).joint_problem(CHAIN, records)
-    widths = [[p.prior_std for p in own.uncertain] for own in problem.by_record]
+    problem = SparseRecovery(parameter_uncertainty=0.0).pose(CHAIN, records)
+    widths = [[p.prior_std for p in own.uncertain] for own in problem]
     assert widths == [[10.0, 0.1], [10.0, 0.1]]
     records = [with_gauge(record, gain=own) for record, own in zip(roving((1, 2)), (unknown, believed), strict=True)]
     with pytest.raises(InputError, match="gain_f.*the same in all records"):
-        SparseRecovery(parameter_uncertainty=0.0).joint_problem(CHAIN, records)
+        SparseRecovery(parameter_uncertainty=0.0).pose(CHAIN, records)
 
 
 def test_one_gain_of_several_records_is_found_together_with_where_springs_start():
@@ -144,20 +145,20 @@ def test_one_gain_of_several_records_is_found_together_with_where_springs_start(
         records.append(replace(record, acceleration=shown, gauges=gauges))
     truth = frame(cubic=False)
     structure = build_chain(3, Linear(), m=truth.m.tolist(), c=truth.c.tolist(), k=1000.0)
-    problem = StateParameter(unobserved=[], unknown="k_*").joint_problem(structure, records)
-    for one in problem.by_record:
+    problem = StateParameter(unobserved=[], unknown="k_*").pose(structure, records)
+    for one in problem:
         start = {p.name: p.prescribed for p in one.uncertain if p.unknown}
         assert start["gain_v1"] == pytest.approx(0.16, rel=0.05)
         assert [start[f"k_{i}"] for i in (1, 2, 3)] == pytest.approx(truth.k, rel=0.05)
     right = structure.with_parameters(k=torch.as_tensor(truth.k))
-    for one in SparseRecovery().joint_problem(right, records).by_record:
+    for one in SparseRecovery().pose(right, records):
         assert {p.name: p.prescribed for p in one.uncertain}["gain_v1"] == pytest.approx(0.16, rel=0.02)
 
 
 def test_a_bayesian_scheme_has_priors_of_what_is_in_doubt_of_sensors():
     records = [with_gauge(record, gain=Calibration(1.0, 0.1)) for record in roving()]
     assert sensor_parameters(records[0])
-    problem = Bayesian(unknown="k_*").joint_problem(CHAIN, records)
-    for own in problem.by_record:
+    problem = Bayesian(unknown="k_*").pose(CHAIN, records)
+    for own in problem:
         (gain,) = (p for p in own.uncertain if p.kind == "gain")
         assert (gain.prior.mean, gain.prior.std) == (1.0, 0.1)

@@ -27,11 +27,11 @@ def posed(made: IndependentRecord, factor: float, **settings):
         3, Duffing(), m=s.m.tolist(), c=s.c.tolist(), k=(factor * s.k).tolist(), kappa=s.kappa.tolist()
     )
     scheme = StateParameter(unobserved=[], unknown="k_*", **settings)
-    return scheme.problem(structure, made.record)
+    return scheme.pose(structure, [made.record])
 
 
 def starts(problem) -> list[np.ndarray]:
-    return [np.array([q.prescribed for q in p.uncertain if q.unknown]) for p in (problem, *problem.alternatives)]
+    return [np.array([q.prescribed for q in p.alone.uncertain if q.unknown]) for p in problem.starts]
 
 
 def test_auto_and_whole_numbers_are_settings():
@@ -69,11 +69,11 @@ def test_what_the_user_says_is_a_start_of_its_own_beside_those_of_the_record(mad
     said = factor * made.structure.k * np.array([1.0, 1.3, 0.8])
     structure = build_chain(3, Duffing(), m=2000.0, c=[3000.0, 2800.0, 2400.0], k=said.tolist(), kappa=[5e9, 0.0, 0.0])
     for settings, last in (({}, True), ({"starts": 2}, True), ({"starts": 1}, False)):
-        problem = StateParameter(unobserved=[], unknown="k_*", **settings).problem(structure, made.record)
+        problem = StateParameter(unobserved=[], unknown="k_*", **settings).pose(structure, [made.record])
         assert np.allclose(starts(problem)[-1], said, rtol=1e-12) is last
-        assert [p.said for p in problem.uncertain if p.unknown] == pytest.approx(said)
+        assert [p.said for p in problem.alone.uncertain if p.unknown] == pytest.approx(said)
     alone = build_chain(3, Duffing(), m=2000.0, c=3000.0, k=(1.05 * starts(problem)[0]).tolist(), kappa=0.0)
-    near = StateParameter(unobserved=[], unknown="k_*").problem(alone, made.record)
+    near = StateParameter(unobserved=[], unknown="k_*").pose(alone, [made.record])
     assert not any(np.allclose(one, [p.said for p in near.uncertain if p.unknown]) for one in starts(near))
 
 
@@ -84,7 +84,7 @@ def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(m
     one = slice(2, 3)
     columns = {q: getattr(made.record, q)[:, one] for q in ("displacement", "velocity", "acceleration", "force")}
     record = Record(made.record.time, **columns, unforced=np.zeros(1, bool))
-    unknown = {p.kind: p for p in StateParameter(unobserved=[], unknown="missing").problem(structure, record).uncertain}
+    unknown = {p.kind: p for p in StateParameter(unobserved=[], unknown="missing").pose(structure, [record]).uncertain}
     force, size = record.force.std(), motion_amplitudes(record)
     assert unknown["c"].scale == pytest.approx(force / size["velocity"], rel=0.01)
     assert unknown["F_c"].scale == pytest.approx(force, rel=0.1)
@@ -93,10 +93,10 @@ def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(m
 
 def test_alternatives_are_the_same_problem_from_elsewhere(made):
     problem = posed(made, 10.0, starts=3)
-    for other in problem.alternatives:
-        assert other.record is problem.record
-        assert [p.name for p in other.uncertain] == [p.name for p in problem.uncertain]
-        assert not other.alternatives
+    for other in problem.other_starts:
+        assert other.alone.record is problem.alone.record
+        assert [p.name for p in other.alone.uncertain] == [p.name for p in problem.alone.uncertain]
+        assert not other.other_starts
 
 
 def test_priors_are_as_wide_as_the_start_is_large_and_as_starts_of_its_kind_are(made):

@@ -41,7 +41,7 @@ def measurements() -> Measurements:
 def test_springs_and_dampers_start_near_the_truth(measurements):
     unknown = ["k_storey_*", "k_brace", "c_*", "kappa_*", "k_3_*", "F_c_*"]
     scheme = StateParameter(unobserved=[], unknown=unknown)
-    problem = scheme.problem(FRAME, scheme.observe(measurements.record))
+    problem = scheme.pose(FRAME, [scheme.observe(measurements.record)]).alone
     starts = {p.name: p for p in problem.uncertain if p.unknown}
     for name in ("storey_1", "storey_2", "storey_3", "brace"):
         assert starts[f"k_{name}"].prescribed == pytest.approx(CONNECTIONS[name]["k"], rel=0.3)
@@ -58,7 +58,7 @@ def test_the_bayesian_scheme_takes_every_parameter_but_the_masses(measurements):
     scheme = Bayesian(
         priors={"k_3": {"kind": "normal", "mean": 0.0, "std": 1e9}, "k_brace": {"kind": "half_normal", "scale": 1e6}}
     )
-    problem = scheme.problem(FRAME, scheme.observe(measurements.record))
+    problem = scheme.pose(FRAME, [scheme.observe(measurements.record)]).alone
     assert [p.name for p in problem.uncertain] == [p.name for p in FRAME.every_parameter() if p.kind != "m"]
     priors = {p.name: p.prior for p in problem.uncertain}
     assert (priors["k_3_brace"].name, priors["k_brace"].scale) == ("normal", 1e6)

@@ -25,7 +25,7 @@ def names(problem, unknown: bool = True) -> list[str]:
 
 def posed(measurements, nonlinearity: str = "duffing", **settings):
     scheme = StateParameter(**{"unobserved": [2], **settings})
-    return scheme.problem(small_chain(nonlinearity), scheme.observe(measurements.record))
+    return scheme.pose(small_chain(nonlinearity), [scheme.observe(measurements.record)]).alone
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements,
     elsewhere["k"] *= 7.0
     elsewhere["c"][1] = 3.0
     scheme = StateParameter(unobserved=[2], unknown=["k_*", "c_2"])
-    other = scheme.problem(structure.with_parameters(**elsewhere), scheme.observe(measurements.record))
+    other = scheme.pose(structure.with_parameters(**elsewhere), [scheme.observe(measurements.record)]).alone
     for kind, values in told.structure.parameters.items():
         np.testing.assert_array_equal(values, other.structure.parameters[kind])
     assert [(p.prescribed, p.prior_std) for p in told.uncertain] == [
@@ -80,7 +80,7 @@ def test_what_was_prescribed_for_an_unknown_parameter_is_forgotten(measurements,
 def test_the_prescribed_chain_stays_as_it_was(measurements):
     structure = small_chain()
     scheme = StateParameter(unobserved=[2], initial={"k": 3.0})
-    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    problem = scheme.pose(structure, [scheme.observe(measurements.record)]).alone
     np.testing.assert_array_equal(structure.parameters["k"], [15.0] * 3)
     np.testing.assert_array_equal(problem.structure.parameters["k"][[0, 2]], 15.0)
     (k,) = (p for p in problem.uncertain if p.name == "k_2")
@@ -100,10 +100,8 @@ def test_where_a_force_is_unknown_what_was_given_is_a_start(measurements):
     force, unforced = measurements.record.force.copy(), measurements.record.unforced.copy()
     force[:, 2], unforced[2] = np.nan, False
     scheme = StateParameter(unobserved=[2], unknown=["k_1", "k_2"], initial={"k": 10.0, "k_2": 12.0})
-    problem = scheme.problem(
-        small_chain(), scheme.observe(replace(measurements.record, force=force, unforced=unforced))
-    )
-    starts = [[p.prescribed for p in one.uncertain if p.unknown] for one in (problem, *problem.alternatives)]
+    problem = scheme.pose(small_chain(), [scheme.observe(replace(measurements.record, force=force, unforced=unforced))])
+    starts = [[p.prescribed for p in one.alone.uncertain if p.unknown] for one in problem.starts]
     assert [10.0, 12.0] in starts
 
 
@@ -113,7 +111,7 @@ def test_starting_values_from_the_record_scale_with_it(measurements):
     heavy = structure.with_parameters(**{**structure.parameters, "m": 1e3 * structure.parameters["m"]})
     stronger = replace(record, force=1000.0 * record.force)
     scheme = StateParameter(unobserved=[2], unknown=["c_*", "k_*", "kappa_*"])
-    weak, strong = (scheme.problem(c, scheme.observe(r)) for c, r in ((structure, record), (heavy, stronger)))
+    weak, strong = (scheme.pose(c, [scheme.observe(r)]).alone for c, r in ((structure, record), (heavy, stronger)))
     for a, b in zip(weak.uncertain, strong.uncertain, strict=True):
         # They come from an iterative fit.
         assert b.prescribed == pytest.approx(1000.0 * a.prescribed, rel=3e-3)
@@ -159,14 +157,14 @@ def test_a_parameter_that_no_equation_contains_is_named(measurements):
     unforced = np.array([False, True, False])
     record = replace(measurements.record, force=force, unforced=unforced)
     with pytest.raises(InputError, match=r"scheme\.unknown=m_3.*nothing says what it is"):
-        StateParameter(unknown="m_3", unknown_force="free").problem(small_chain(), record)
-    StateParameter(unknown="k_3", unknown_force="free").problem(small_chain(), record)
+        StateParameter(unknown="m_3", unknown_force="free").pose(small_chain(), [record])
+    StateParameter(unknown="k_3", unknown_force="free").pose(small_chain(), [record])
     # A force that is a process holds the equation, too.
-    StateParameter(unknown="m_3").problem(small_chain(), record)
+    StateParameter(unknown="m_3").pose(small_chain(), [record])
 
 
 def test_a_mass_whose_acceleration_jumps_is_named():
     record = measured(small_chain(), "zero_order", duration=3.0, samples=33).record
     with pytest.raises(InputError, match=r"scheme\.unknown=m_1"):
-        StateParameter(unknown="m_1").problem(small_chain(), record)
-    StateParameter(unknown="m_2").problem(small_chain(), record)
+        StateParameter(unknown="m_1").pose(small_chain(), [record])
+    StateParameter(unknown="m_2").pose(small_chain(), [record])

@@ -35,9 +35,9 @@ def estimated(problem, network=TrainedNetwork) -> Estimate:
 
 def model_of(problem, estimate: Estimate) -> Model:
     """As a report writes it, without the file."""
-    summary, seen = estimate.summary, problem.record
+    summary, seen = estimate.summary, problem.alone.record
     sensors = {q: np.array(summary[f"sigma_{q}"], dtype=float) for q in ("acceleration", "force")}
-    force, _ = force_and_velocity_scale(problem)
+    force, _ = force_and_velocity_scale(problem.alone)
     levels = Levels(
         sensors, summary["sigma_discrepancy"], seen.step, force, summary["features_per_dof"] / seen.duration
     )
@@ -48,7 +48,7 @@ def model_of(problem, estimate: Estimate) -> Model:
 
 @cache
 def first(seed: int = 1) -> tuple[Estimate, Model]:
-    problem = SCHEME.problem(PRESCRIBED, record(seed).record)
+    problem = SCHEME.pose(PRESCRIBED, [record(seed).record])
     found = estimated(problem)
     return found, model_of(problem, found)
 
@@ -61,10 +61,10 @@ def test_two_halves_one_after_the_other_are_both_together():
     whole = record(3, duration=24.0).record
     half = len(whole.time) // 2
     halves = [cut(whole, slice(0, half)), cut(whole, slice(half, None))]
-    together, both = values(estimated(SCHEME.joint_problem(PRESCRIBED, halves)))
-    problem = SCHEME.problem(PRESCRIBED, halves[0])
+    together, both = values(estimated(SCHEME.pose(PRESCRIBED, halves)))
+    problem = SCHEME.pose(PRESCRIBED, [halves[0]])
     model = model_of(problem, estimated(problem))
-    after, spread = values(estimated(Update(model).problem(PRESCRIBED, halves[1]), UpdatedNetwork))
+    after, spread = values(estimated(Update(model).pose(PRESCRIBED, [halves[1]]), UpdatedNetwork))
     assert np.abs(after - together).max() > 0.0
     assert np.abs((after - together) / both).max() < 0.3
     np.testing.assert_allclose(spread, both, rtol=0.1)
@@ -72,11 +72,11 @@ def test_two_halves_one_after_the_other_are_both_together():
 
 def test_a_spring_that_lost_a_twentieth_is_named_and_left_open():
     _, model = first()
-    same = estimated(Update(model).problem(PRESCRIBED, record(2).record), UpdatedNetwork)
+    same = estimated(Update(model).pose(PRESCRIBED, [record(2).record]), UpdatedNetwork)
     assert same.changes is not None
     assert same.changes.found == ()
     assert same.changes.chance > 1e-3
-    less = estimated(Update(model).problem(PRESCRIBED, record(2, third=0.95).record), UpdatedNetwork)
+    less = estimated(Update(model).pose(PRESCRIBED, [record(2, third=0.95).record]), UpdatedNetwork)
     assert less.changes is not None
     assert [change.parameter.name for change in less.changes.found] == ["k_3"]
     change = less.changes.found[0]
@@ -92,11 +92,11 @@ def test_a_spring_that_lost_a_twentieth_is_named_and_left_open():
 def test_a_new_record_without_a_search():
     _, model = first()
     new = record(2)
-    problem = SparseRecovery(model=model).problem(PRESCRIBED, new.record)
-    assert [p.unknown for p in problem.uncertain] == [False] * 6
+    problem = SparseRecovery(model=model).pose(PRESCRIBED, [new.record])
+    assert [p.unknown for p in problem.alone.uncertain] == [False] * 6
     found = estimated(problem)
     exact = build_chain(3, Linear(), m=M.tolist(), c=C.tolist(), k=K.tolist())
-    known = estimated(SparseRecovery(parameter_uncertainty=0.0).problem(exact, new.record))
+    known = estimated(SparseRecovery(parameter_uncertainty=0.0).pose(exact, [new.record]))
     for quantity in ("displacement", "velocity", "acceleration"):
         true = getattr(new.truth, quantity)
         ours, theirs = (np.linalg.norm(getattr(e.response, quantity) - true) for e in (found, known))
@@ -120,7 +120,7 @@ def test_the_state_at_the_end():
 def test_what_misfit_hides_does_not_average_out_over_records():
     _, model = first()
     told = replace(model.known, told=np.full(6, 1e9), weight=np.full(6, 1e6))
-    problem = Update(replace(model, known=told)).problem(PRESCRIBED, record(2).record)
+    problem = Update(replace(model, known=told)).pose(PRESCRIBED, [record(2).record])
     found = estimated(problem)
     assert found.known is not None
     hidden = found.known.hidden
@@ -137,11 +137,11 @@ def test_what_cannot_be_updated_is_refused():
         Update(fixed)
     unsure = replace(model, known=replace(model.known, covariance=np.full((6, 6), np.nan)))
     with pytest.raises(InputError, match="gives standard deviations"):
-        Update(unsure).problem(PRESCRIBED, record(2).record)
+        Update(unsure).pose(PRESCRIBED, [record(2).record])
     both = [record(1).record, record(2).record]
     for scheme in (Update(model), SparseRecovery(model=model)):
         with pytest.raises(InputError, match="one record with"):
-            scheme.joint_problem(PRESCRIBED, both)
+            scheme.pose(PRESCRIBED, both)
 
 
 def test_a_gradient_training_is_refused():
@@ -149,6 +149,6 @@ def test_a_gradient_training_is_refused():
     from pinn_cli.training.gradient.adam import Adam
 
     _, model = first()
-    problem = Update(model).problem(PRESCRIBED, record(2).record)
+    problem = Update(model).pose(PRESCRIBED, [record(2).record])
     with pytest.raises(InputError, match="model"):
-        TrainedNetwork(Adam(), Mlp()).check(problem)
+        TrainedNetwork(Adam(), Mlp()).check(problem.alone)

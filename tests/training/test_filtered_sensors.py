@@ -12,6 +12,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.gauge import Calibration, Gauge
 from pinn_cli.record.record import Record
 from pinn_cli.record.response import Response
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.training.calibrated_record import as_calibrated
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
@@ -20,7 +21,7 @@ CORNER = 0.5
 
 
 def solved(record: Record) -> Estimate:
-    return GaussNewton().solve(posed(record), Spline(), RunContext())
+    return GaussNewton().solve(JointProblem.of(posed(record)), Spline(), RunContext())
 
 
 def assert_right(estimate: Estimate, truth: Response) -> None:

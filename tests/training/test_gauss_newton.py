@@ -36,7 +36,7 @@ def example(hold: str = "exact") -> Measurements:
 
 def recovered(prescribed: Structure | None = None, record=None, design=None, **settings) -> Estimate:
     scheme = SparseRecovery(unobserved=[3])
-    problem = scheme.problem(prescribed or small_chain(), scheme.observe(record or example().record))
+    problem = scheme.pose(prescribed or small_chain(), [scheme.observe(record or example().record)])
     return GaussNewton(**settings).solve(problem, design or Spline(), RunContext())
 
 
@@ -174,7 +174,7 @@ def test_coverage_over_noise_seeds_of_the_default_problem(composed: Compose):
         config = RunConfig.read(composed("noise.snr_db=20", f"seed={seed}"), base=Path.cwd())
         true, prescribed = config.model_error.structures(config.structure)
         measurements = config.source.measure(true)
-        problem = config.scheme.problem(prescribed, config.observe(measurements.record))
+        problem = config.scheme.pose(prescribed, [config.observe(measurements.record)])
         estimate = config.training.solve(problem, config.network, RunContext(seed=seed))
         shares.append([covered(estimate, measurements.truth.response, quantity).mean() for quantity in QUANTITIES[:2]])
     displacement, velocity = np.mean(shares, axis=0)

@@ -9,6 +9,7 @@ from pathlib import Path
 from small_problems import measured, small_chain
 
 from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training import inference
 from pinn_cli.training.history import History
@@ -34,7 +35,7 @@ def test_a_step_is_asked_until_it_has_nothing_better_and_so_many_times_at_most(m
 
     monkeypatch.setattr(inference, "STEPS", ((nothing, 5), (better, 3)))
     structure = small_chain("linear")
-    problem = Problem(structure, measured(structure, duration=4.0, samples=101).record)
+    problem = JointProblem.of(Problem(structure, measured(structure, duration=4.0, samples=101).record))
     found = inference.infer(problem, Solver((Spline(),), History(False)))
     assert asked == ["nothing"] + 3 * ["better"]
     assert found.narrowed == 4.0

@@ -15,6 +15,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.noise import Noise
 from pinn_cli.record.simulated import Simulated
 from pinn_cli.record.simulation import Simulation
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.evidence import Evidence, Trained
@@ -47,7 +48,9 @@ def test_pooled_sensors_have_the_noise_that_is_common():
     made, rng = frame_record(rate=100.0, duration=15.0), np.random.default_rng(8)
     acceleration = made.truth.acceleration + 0.05 * rng.standard_normal(made.truth.acceleration.shape)
     problem = Problem(model(made), replace(made.record, acceleration=acceleration))
-    found = GaussNewton(pooled=True).solve(problem, Spline(), RunContext()).summary["sigma_acceleration"]
+    found = (
+        GaussNewton(pooled=True).solve(JointProblem.of(problem), Spline(), RunContext()).summary["sigma_acceleration"]
+    )
     assert len(set(found)) == 1
     assert found[0] == pytest.approx(0.05, rel=0.1)
 
@@ -56,7 +59,7 @@ def test_a_lone_sensor_with_as_many_features_as_samples_does_not_lose_its_noise(
     """The motion could follow every sample; then the least of residuals is rounding, and no noise level."""
     made = frame_record(rate=100.0, duration=8.0, sensors=(("acceleration", (3,)),))
     problem, design = Problem(model(made), made.record), Spline(intervals=len(made.record.time))
-    estimate = GaussNewton().solve(problem, design, RunContext())
+    estimate = GaussNewton().solve(JointProblem.of(problem), design, RunContext())
     assert estimate.summary["features_per_dof"] >= len(made.record.time)
     assert 0.3 < ratios(made, estimate, "acceleration")[0] < 2.0
 
@@ -120,7 +123,7 @@ def test_the_scatter_of_repeats_stays_what_it_is():
     structure = small_chain()
     source = Simulated(excitation(structure), Simulation(12.0, 257), Noise(20.0, repeats=4))
     record = source.measure(structure).record.keep({"acceleration": (1, 2)})
-    summary = GaussNewton().solve(Problem(structure, record), Spline(), RunContext()).summary
+    summary = GaussNewton().solve(JointProblem.of(Problem(structure, record)), Spline(), RunContext()).summary
     for quantity in ("acceleration", "force"):
         there = record.sensors(quantity)
         found = np.array(summary[f"sigma_{quantity}"], dtype=float)[there]
@@ -134,6 +137,6 @@ def test_sensors_of_one_kind_and_very_different_noise_keep_their_own():
     acceleration = record.acceleration.copy()
     acceleration[:, 1] += extra * np.random.default_rng(9).standard_normal(len(acceleration))
     worse = replace(record, acceleration=acceleration)
-    summary = GaussNewton().solve(Problem(model(made), worse), Spline(), RunContext()).summary
+    summary = GaussNewton().solve(JointProblem.of(Problem(model(made), worse)), Spline(), RunContext()).summary
     found = np.array(summary["sigma_acceleration"]) / noisy.noise["acceleration"]
     np.testing.assert_allclose(found, [1.0, np.hypot(10.0, 1.0), 1.0], rtol=0.15)

@@ -47,7 +47,7 @@ def force_alone(seed: int = 5, duration: float = 12.0) -> Record:
 
 def predicted(given: Model, seen: Record, **settings) -> Estimate:
     scheme = Predict(given, **settings)
-    problem = scheme.problem(STRUCTURE, seen)
+    problem = scheme.pose(STRUCTURE, [seen])
     return Predictor(GaussNewton(), Spline(), given, scheme).solve(problem, RunContext())
 
 
@@ -136,7 +136,7 @@ def test_the_parameters_hide_no_more_of_it_than_there_is_at_their_frequencies():
     known = replace(model(0.01).known, told=np.full(3, 1e2), weight=np.full(3, 1e-2))  # 1e4 N/m may be hidden of each
     misfit = Misfit.of(0.02, np.zeros((4, 3)), 1.0, 0.0, at_motion=0.3)
     given = replace(model(0.01), known=known, misfit=misfit)
-    found = [p.prior_std for p in Predict(given).problem(STRUCTURE, force_alone(duration=4.0)).uncertain]
+    found = [p.prior_std for p in Predict(given).pose(STRUCTURE, [force_alone(duration=4.0)]).uncertain]
     hidden = 0.3 / np.hypot(1.0 / 1e4, 0.3 / known.first_std)
     np.testing.assert_allclose(found, np.hypot(0.01 * known.mean, hidden), rtol=1e-6)
 
@@ -155,7 +155,7 @@ def circuit(quadratic: float, seed: int) -> tuple[Structure, IndependentRecord]:
 def test_bands_of_a_circuit_hold_another_record_and_are_about_as_wide_as_the_error(quadratic, widest):
     """What a quadratic spring leaves out has other frequencies than the forces of the parameters, and acts again."""
     (chain, first), (_, second) = circuit(quadratic, 1), circuit(quadratic, 101)
-    problem = StateParameter(unknown=["c_1", "k_1", "kappa_1"]).problem(chain, first.record)
+    problem = StateParameter(unknown=["c_1", "k_1", "kappa_1"]).pose(chain, [first.record])
     found = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
     own, structure = tuple(p.parameter for p in found.parameters), estimated_structure(chain, found.parameters)
     assert found.known is not None
@@ -202,7 +202,7 @@ def test_what_is_no_prediction_is_refused():
     with pytest.raises(InputError, match="scheme.start"):
         Predict(model(), start="tomorrow")
     with pytest.raises(InputError, match="forces and the ground alone"):
-        Predict(model()).problem(STRUCTURE, record(1).record)
+        Predict(model()).pose(STRUCTURE, [record(1).record])
     still = replace(force_alone(), force=np.zeros((600, 3)), unforced=np.ones(3, dtype=bool))
     with pytest.raises(InputError, match="nothing moves the structure"):
-        Predict(model()).problem(STRUCTURE, still)
+        Predict(model()).pose(STRUCTURE, [still])

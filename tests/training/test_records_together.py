@@ -23,7 +23,7 @@ from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
-from pinn_cli.training.reported.agreement import told
+from pinn_cli.training.reported.agreement import own_information
 from pinn_cli.training.reported.posterior_estimate import posterior_estimate
 from pinn_cli.training.starting_noise import starting_noise
 
@@ -220,9 +220,9 @@ def test_the_estimate_has_all_parameters_and_every_record_its_own(uncertain):
         assert all(found.estimate == every[found.name].estimate for found in own.parameters)
         assert own.correlation.shape == (len(moving),) * 2
         assert len(own.response.time) == len(record.time)
-        assert not own.further
-    places = [list(every).index(found.name) for found in estimate.further[0].parameters]
-    np.testing.assert_array_equal(estimate.further[0].correlation, estimate.correlation[np.ix_(places, places)])
+        assert not own.records
+    places = [list(every).index(found.name) for found in estimate.by_record[1].parameters]
+    np.testing.assert_array_equal(estimate.by_record[1].correlation, estimate.correlation[np.ix_(places, places)])
     deviations = [every[name].std for name in every]
     covariance = np.diag(np.linalg.inv(dense(evidence, trained.solution.point, noise)[0]))[-3:]
     unit = evidence.equations.scale
@@ -233,7 +233,7 @@ def test_pulls_of_all_records_balance_the_prior() -> None:
     """At the most probable parameters the slopes of all records' misfits and of the prior add up to none."""
     evidence, noise = together(SHARED)
     trained = evidence.train(noise, evidence.equations.start())
-    each = evidence.each_record(told, trained)
+    each = evidence.each_record(own_information, trained)
     at = trained.solution.point.parameters.numpy()
     prior = evidence.equations.precision(noise).numpy() * at
     size = np.sqrt(sum(np.diag(information) for information, _ in each))

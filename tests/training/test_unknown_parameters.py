@@ -46,7 +46,7 @@ def identified(measurements: Measurements, structure: Structure, **settings) -> 
 
 
 def solved(scheme: Scheme, measurements: Measurements, structure: Structure) -> Estimate:
-    problem = scheme.problem(structure, scheme.observe(measurements.record))
+    problem = scheme.pose(structure, [scheme.observe(measurements.record)])
     return GaussNewton().solve(problem, Spline(), RunContext())
 
 

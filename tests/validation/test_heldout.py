@@ -16,6 +16,7 @@ from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Measurements, Record, Truth
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.record.simulated import Simulated
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
@@ -40,8 +41,8 @@ class Guess(Training):
     def __init__(self, response: Response, factor: float = 1.0) -> None:
         self.response, self.factor, self.seen = response, factor, list[Problem]()
 
-    def solve(self, problem: Problem, design: object, run: RunContext) -> Estimate:
-        self.seen.append(problem)
+    def solve(self, problem: JointProblem, design: object, run: RunContext) -> Estimate:
+        self.seen.append(problem.alone)
         found = replace(self.response, acceleration=self.factor * self.response.acceleration)
         std = replace(self.response, **{q: np.full_like(self.response.acceleration, 1e-3) for q in QUANTITIES})
         return Estimate(found, std, [], pd.DataFrame(), {})
@@ -62,7 +63,7 @@ def response_of() -> Response:
 
 def test_each_observed_dof_is_withheld_once(record: Record) -> None:
     guess = Guess(response_of())
-    problem = SparseRecovery().problem(small_chain(), record)
+    problem = SparseRecovery().pose(small_chain(), [record])
     HeldOut().score(problem, None, estimator(guess))
     assert [np.flatnonzero(p.record.observed).tolist() for p in guess.seen] == [[2], [0]]
     for seen in guess.seen:
@@ -71,7 +72,7 @@ def test_each_observed_dof_is_withheld_once(record: Record) -> None:
 
 
 def test_the_score_orders_predictions(record: Record) -> None:
-    problem = SparseRecovery().problem(small_chain(), record)
+    problem = SparseRecovery().pose(small_chain(), [record])
     factors = (1.0, 0.95, 0.8, 0.0)
     scores = [HeldOut().score(problem, None, estimator(Guess(response_of(), f))).value for f in factors]
     assert scores == sorted(scores)
@@ -79,7 +80,7 @@ def test_the_score_orders_predictions(record: Record) -> None:
 
 
 def test_chosen_dofs_and_the_table(record: Record) -> None:
-    problem = SparseRecovery().problem(small_chain(), record)
+    problem = SparseRecovery().pose(small_chain(), [record])
     score = HeldOut([3]).score(problem, None, estimator(Guess(response_of())))
     assert score.table["withheld_dof"].tolist() == [3, "all"]
     assert score.table["score"].iloc[-1] == score.value
@@ -87,20 +88,20 @@ def test_chosen_dofs_and_the_table(record: Record) -> None:
 
 def test_what_is_unknown_stays_unknown_and_nothing_else_becomes_it(record: Record) -> None:
     scheme = StateParameter(unobserved=None)
-    problem = scheme.problem(small_chain(), record)
+    problem = scheme.pose(small_chain(), [record])
     guess = Guess(response_of())
     HeldOut().score(problem, None, estimator(guess, scheme))
-    unknown = {p.name for p in problem.uncertain if p.unknown}
+    unknown = {p.name for p in problem.alone.uncertain if p.unknown}
     assert unknown == {"k_2", "kappa_2"}
     assert all({p.name for p in seen.uncertain if p.unknown} == unknown for seen in guess.seen)
 
 
 def test_a_fold_that_diverges_leaves_no_score(record: Record) -> None:
     class Diverges(Guess):
-        def solve(self, problem: Problem, design: object, run: RunContext) -> Estimate:
+        def solve(self, problem: JointProblem, design: object, run: RunContext) -> Estimate:
             raise DivergenceError("diverged at iteration 7")
 
-    problem = SparseRecovery().problem(small_chain(), record)
+    problem = SparseRecovery().pose(small_chain(), [record])
     score = HeldOut().score(problem, None, estimator(Diverges(response_of())))
     assert np.isnan(score.value)
     assert score.reason == "without the sensors of DOF 1: diverged at iteration 7"
@@ -113,10 +114,10 @@ def test_impossible_dofs_are_named(dofs: object) -> None:
 
 
 def test_what_cannot_be_scored_is_refused(record: Record) -> None:
-    alone = SparseRecovery().problem(small_chain(), accelerations(record, (1,)))
+    alone = SparseRecovery().pose(small_chain(), [accelerations(record, (1,))])
     with pytest.raises(InputError, match="two DOFs or more"):
         HeldOut().check(alone, estimator(Guess(response_of())))
-    two = SparseRecovery().problem(small_chain(), record)
+    two = SparseRecovery().pose(small_chain(), [record])
     with pytest.raises(InputError, match="observed DOFs: 1, 3"):
         HeldOut([2]).check(two, estimator(Guess(response_of())))
     with pytest.raises(InputError, match="gauss_newton"):

@@ -23,7 +23,7 @@ def findings(structure):
     measurements = measured(structure, duration=20.0, samples=401)
     scheme = SparseRecovery(unobserved=[])
     record = replace(scheme.observe(measurements.record), dofs=("a", "b"))
-    problem = scheme.problem(structure, record)
+    problem = scheme.pose(structure, [record]).alone
     estimate = make_estimate().estimate
     return [(f.kind, f.word, f.text) for f in parameter_findings(problem, replace(estimate, parameters=()), structure)]
 

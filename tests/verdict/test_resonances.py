@@ -18,7 +18,7 @@ def made(request) -> AmbientRecord:
 
 @pytest.mark.parametrize(("stiffer", "told"), [(1.0, ""), (0.6, "failed"), (1e-5, "failed")])
 def test_a_structure_has_the_resonances_that_the_sensors_show(made, stiffer, told):
-    problem = SparseRecovery().problem(made.structure, made.record)
+    problem = SparseRecovery().pose(made.structure, [made.record]).alone
     structure = made.structure.with_parameters(k=stiffer * made.structure.parameters["k"])
     estimate = Estimate(made.truth, made.truth, [], None, {})
     found = [f for f in input_findings(problem, estimate, structure) if f.kind == "resonances"]

@@ -10,6 +10,7 @@ import numpy as np
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.inputs import inputs_of
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.modal.band_spectra import BandSpectra
 from pinn_cli.scheme.modal.modal_fit import ModalFit
 from pinn_cli.scheme.modal.modal_search import missing_mode, searched
@@ -29,7 +30,7 @@ LINES_PER_MODE = 8
 LEAST_RESIDUE = 1e-3
 
 
-def modal_problem(sought: ModesSought, prescribed: Structure, records: Sequence[Record]) -> Problem:
+def modal_problem(sought: ModesSought, prescribed: Structure, records: Sequence[Record]) -> JointProblem:
     """Modes of the band that fit a record, as a structure, with what the record tells of their parameters.
 
     Args:
@@ -55,7 +56,8 @@ def modal_problem(sought: ModesSought, prescribed: Structure, records: Sequence[
     structure, estimate = _Modes(fit, driven).structure(prescribed)
     if sought.count is not None and fit.within.sum() < sought.count:
         log.warning("data.band shows %d modes, and system.modes asks for %d", fit.within.sum(), sought.count)
-    return Problem(structure, record, estimate.parameters, inputs=inputs_of(structure, record), spectral=estimate)
+    inputs = inputs_of(structure, record)
+    return JointProblem.of(Problem(structure, record, estimate.parameters, inputs=inputs, spectral=estimate))
 
 
 def _checked(records: Sequence[Record]) -> tuple[Record, int]:

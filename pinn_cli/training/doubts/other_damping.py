@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pinn_cli.record.channels import record_band
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.damping import RATIO
 from pinn_cli.system.natural_modes import NaturalModes
@@ -42,7 +43,7 @@ class DampingDoubt:
     others: np.ndarray
 
 
-def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Problem | None:
+def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) -> JointProblem | None:
     """The problem with the damping that its model lacks, unknown and at zero; None where that is not asked.
 
     Args:
@@ -50,8 +51,8 @@ def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Pr
         values: Every parameter by kind at its solution.
     """
     structure = problem.structure
-    plain = not structure.is_modal and structure.nonlinearity_name == "linear" and problem.prior is None
-    if not plain or structure.coordinates > MOST_COORDINATES or problem.initial_state is not None:
+    plain = not structure.is_modal and structure.nonlinearity_name == "linear" and not problem.is_informed
+    if not plain or structure.coordinates > MOST_COORDINATES or problem.each[0].initial_state is not None:
         return None
     if RATIO in structure.parameters:
         new = [structure.parameter("c", i) for i in range(len(values["c"]))]
@@ -60,19 +61,19 @@ def with_other_damping(problem: Problem, values: Mapping[str, np.ndarray]) -> Pr
     else:
         structure = damped(structure, {"ratio": [0.0] * structure.coordinates}).present(values)
         added = [replace(structure.parameter(RATIO, i), prior_std=USUAL) for i in range(structure.coordinates)]
-    added = [replace(p, unknown=True) for p in added if p not in problem.uncertain]
+    added = [replace(p, unknown=True) for p in added if p not in problem.each[0].uncertain]
     if not added:
         return None
 
     def extended(own: Problem) -> Problem:
         return replace(own, structure=structure, uncertain=(*own.uncertain, *added))
 
-    return Problem.together([extended(own) for own in problem.by_record])
+    return JointProblem.of(*map(extended, problem))
 
 
 def damping_doubt(
-    problem: Problem,
-    extended: Problem,
+    problem: JointProblem,
+    extended: JointProblem,
     uncertain: Sequence[Parameter],
     distances: tuple[np.ndarray, np.ndarray],
     log_odds: float,
@@ -101,6 +102,6 @@ def damping_doubt(
     ]
     if each[0] is None or each[1] is None or len(each[0].squares) != len(each[1].squares):
         return None
-    seen = each[0].frequencies < max(record_band(own.record) for own in extended.by_record)
+    seen = each[0].frequencies < max(record_band(own.record) for own in extended)
     others = each[1].damping_ratios[each[0].partners(each[1])]
     return DampingDoubt(log_odds, RATIO not in problem.structure.parameters, each[0].damping_ratios[seen], others[seen])

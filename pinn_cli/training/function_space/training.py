@@ -12,7 +12,7 @@ from pinn_cli.model.truncated_gaussian import TruncatedGaussian
 from pinn_cli.network.base import NetworkDesign
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.training.acting_force import acting_force
 from pinn_cli.training.bounded_estimates import bounded_estimates
@@ -62,24 +62,25 @@ class FunctionSpaceGaussNewton:
     collocation_points: int | None = None
     most_residuals: int = MOST_RESIDUALS
 
-    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`pinn_cli.training.base.Training.solve`."""
         if not isinstance(design, Mlp):
             hint = f"network={design.name} has neither a linear readout nor layers"
             raise InputError("training", "gauss_newton", "adam, lbfgs or ssbroyden for this network", hint)
-        every = targets(problem.record, problem.dynamics, run.device)
-        most = None if follows_features(design.build(problem.record)) else self.most_residuals
-        collocation = collocate(problem, every, self.collocation_points, most)
-        network = design.build(problem.record, torch.float64, points=len(collocation.target.physics_time))
+        own = problem.alone
+        every = targets(own.record, own.dynamics, run.device)
+        most = None if follows_features(design.build(own.record)) else self.most_residuals
+        collocation = collocate(own, every, self.collocation_points, most)
+        network = design.build(own.record, torch.float64, points=len(collocation.target.physics_time))
         network.reset(run.seed)
         gain = network.make_nearly_linear()
         network.to(run.device)
-        parameters = LearnedParameters(problem, torch.float64).to(run.device)
+        parameters = LearnedParameters(own, torch.float64).to(run.device)
         rows = ResidualRows(
-            problem.dynamics, collocation.target, problem.acceleration_through, network.continuity == "penalised",
-            problem.initial_deviation,
+            own.dynamics, collocation.target, own.acceleration_through, network.continuity == "penalised",
+            own.initial_deviation,
         )  # fmt: skip
-        force, velocity = force_and_velocity_scale(problem)
+        force, velocity = force_and_velocity_scale(own)
         noise = collocation.noise_model(SOFT * force, CONTINUITY_TOLERANCE * velocity)
         with History(run.progress, run.watch, iterations=self.iterations) as history:
             search = FunctionSpaceSearch(
@@ -87,10 +88,10 @@ class FunctionSpaceGaussNewton:
                 self.learn_spread, history, Solution(network, self.most_residuals),
             )  # fmt: skip
             train(search, run)
-        response = network_response(problem, every, network, parameters)
+        response = network_response(own, every, network, parameters)
         response = acting_force(response, collocation.filtered_force, search.noise)
         posterior = FunctionSpacePosterior(search)
-        std = posterior.std(every.observation_time, every.physics_time, problem.record.time)
+        std = posterior.std(every.observation_time, every.physics_time, own.record.time)
         estimates, correlation = _parameters(search, posterior)
         return Estimate(response, std, estimates, history.table(), _summary(search), correlation)
 

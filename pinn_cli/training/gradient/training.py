@@ -13,6 +13,7 @@ from pinn_cli.network.base import Network, NetworkDesign
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.physics import targets
 from pinn_cli.record.response import Response
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import one_of, positive_number, whole_number
@@ -77,20 +78,21 @@ class GradientTraining(Training):
     def remedy(self) -> str:
         """What a user may try where it diverges."""
 
-    def solve(self, problem: Problem, design: NetworkDesign, run: RunContext) -> Estimate:
+    def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
         if problem.priors:
             raise InputError("training", self.name, "gauss_newton with scheme=bayesian", "it gives no likelihood")
+        own = problem.alone
         # Clock times have too few digits in float32: begin at 0.
-        time = problem.record.time
-        problem = replace(problem, record=replace(problem.record, time=time - time[0]))
-        descent = self.descent(problem, design, run)
+        time = own.record.time
+        own = replace(own, record=replace(own.record, time=time - time[0]))
+        descent = self.descent(own, design, run)
         with descent.history:
             train(descent, run)
         objective, parameters = descent.objective, descent.objective.parameters
-        every = targets(problem.record, problem.dynamics, run.device, DTYPES[self.dtype])
-        response = replace(network_response(problem, every, objective.network, parameters), time=time)
-        unknown = Response.unknown(time, problem.record.ndof)
+        every = targets(own.record, own.dynamics, run.device, DTYPES[self.dtype])
+        response = replace(network_response(own, every, objective.network, parameters), time=time)
+        unknown = Response.unknown(time, own.record.ndof)
         summary = {**descent.summary(), "dtype": self.dtype}
         return Estimate(response, unknown, parameters.estimates(), descent.history.table(), summary)
 

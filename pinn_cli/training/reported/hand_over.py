@@ -15,6 +15,7 @@ import torch
 
 from pinn_cli.model.knowledge import HandOver
 from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.point import Point
 from pinn_cli.training.reported.end_state import end_state
@@ -32,12 +33,12 @@ def handed_over(found: Inference) -> HandOver:
     Raises:
         DivergenceError: The samples before that time have no solution.
     """
-    equations, problem = found.evidence.equations.each[0], found.evidence.problem
+    equations, problem = found.evidence.equations.each[0], found.evidence.problem.alone
     assert problem.hand_over is not None
     network, record = equations.network, problem.record
     assert isinstance(network, SplineNetwork)
     samples = int(np.searchsorted(record.time, problem.hand_over + 0.5 * record.step))
-    early = replace(problem, record=record.until(samples), alternatives=())
+    early = replace(problem, record=record.until(samples))
     # Beyond its last sample a record has as much of an interval as before its first one.
     margin = float(record.time[0]) - network.start
     intervals = math.ceil((float(early.record.time[-1]) + margin - network.start) / network.spacing - 1e-6)
@@ -45,7 +46,7 @@ def handed_over(found: Inference) -> HandOver:
         network.ndof, network.start, network.start + intervals * network.spacing, intervals, network.degree,
         network.continuity, network.readout.dtype,
     )  # fmt: skip
-    evidence = found.solver.evidence(early, [shorter])
+    evidence = found.solver.evidence(JointProblem.of(early), [shorter])
     point = found.trained.solution.point
     start = Point(point.unknowns[: evidence.equations.each[0].layout.size], point.parameters)
     if early.uncertain:

@@ -63,12 +63,12 @@ def with_parameters(
 ) -> Estimate:
     """One estimate of all records from that of each, with these parameters, their correlation, and what is known."""
     parameters, correlation, known = posterior
-    first, *further = (
+    records = tuple(
         replace(own, **_own_parameters(parameters, correlation, problem, columns[: len(problem.uncertain)]))
-        for own, problem, columns in zip(each, evidence.problem.by_record, evidence.equations.columns, strict=True)
+        for own, problem, columns in zip(each, evidence.problem, evidence.equations.columns, strict=True)
     )
-    every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "own": len(first.parameters)}
-    return replace(first, further=tuple(further), known=known, **every)
+    every: dict[str, Any] = {"parameters": parameters, "correlation": correlation, "known": known}
+    return replace(records[0], records=records if len(records) > 1 else (), **every)
 
 
 def _own_parameters(

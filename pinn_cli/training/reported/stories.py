@@ -37,14 +37,14 @@ def with_stories(found: Inference, estimate: Estimate) -> Estimate:
     """
     if not found.free:
         return estimate
-    problems = found.evidence.problem.by_record
+    problems = found.evidence.problem.each
     every = [of_free_running(found, free, estimate) for free in found.free]
     free, other = min(((_story(OF_RESPONSE, problems, own), own) for own in every), key=lambda one: _rank(one[0]))
     of_force = _story(OF_FORCE, problems, estimate)
     stories, chosen = ((free, of_force), other) if _rank(free) < _rank(of_force) else ((of_force, free), estimate)
-    first, *others = (tuple(own.parameters) for own in estimate.by_record)
-    further = [replace(own, of_motion=motion) for own, motion in zip(chosen.further, others, strict=True)]
-    return replace(chosen, stories=stories, of_motion=first, further=tuple(further))
+    motions = [tuple(own.parameters) for own in estimate.by_record]
+    records = tuple(replace(own, of_motion=motion) for own, motion in zip(chosen.records, motions, strict=False))
+    return replace(chosen, stories=stories, of_motion=motions[0], records=records)
 
 
 def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> Estimate:
@@ -64,7 +64,7 @@ def of_free_running(found: Inference, free: FreeRunning, estimate: Estimate) -> 
     changed_estimate = with_parameters(
         found.evidence, [replace(own, misfit=misfit) for own, misfit in each], (parameters, correlation, known)
     )
-    changed = ("parameters", "correlation", "known", "further", "misfit")
+    changed = ("parameters", "correlation", "known", "records", "misfit")
     return replace(estimate, **{name: getattr(changed_estimate, name) for name in changed})
 
 

@@ -10,6 +10,8 @@ import numpy as np
 
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.system.parameters import ParameterVector
@@ -30,20 +32,20 @@ from pinn_cli.training.whittle.whittle_estimate import known_parameters
 NOTHING_EXPLAINED, NOISIER = 0.3, (3.0, 10.0)
 
 
-def identify_by_spectra(problem: Problem, solver: Solver) -> tuple[Problem, Solver]:
+def identify_by_spectra(problem: JointProblem, solver: Solver) -> tuple[JointProblem, Solver]:
     """The problem and its solver, with the parameters that the spectra of its sensors tell, where these tell them."""
-    learn_spread = solver.learn_spread and problem.prior is None
+    learn_spread = solver.learn_spread and not problem.is_informed
     every = [(start, known_parameters(start, learn_spread)) for start in problem.starts]
     found = [(start, known) for start, known in every if known is not None and known.converged]
     if not found:
         return problem, solver
     best, known = max(found, key=lambda one: one[1].log_likelihood)
-    vector = ParameterVector(best.structure.parameters_like(np.empty(0)), best.uncertain)
+    vector = ParameterVector(best.structure.parameters_like(np.empty(0)), best.alone.uncertain)
     best = best.present(vector.values(known.distance * vector.each("prior_std")))
     return best, replace(solver, known=known, learn_spread=False)
 
 
-def first_solution(problem: Problem, solver: Solver) -> Inference:
+def first_solution(problem: JointProblem, solver: Solver) -> Inference:
     """The most probable solution of all starts of the unknown parameters, under its own noise levels.
 
     A long record is searched in a part of it first.
@@ -55,7 +57,7 @@ def first_solution(problem: Problem, solver: Solver) -> Inference:
     return replace(found, trained=solver.settled(found.evidence, found.trained))
 
 
-def _through_a_part(problem: Problem, solver: Solver) -> Inference | None:
+def _through_a_part(problem: JointProblem, solver: Solver) -> Inference | None:
     """The solution next to that of a part of the record; None where no part is a picture of the whole."""
     (network, *_), (start, *_) = solver.networks(problem), problem.starts
     part = None if solver.known is not None else part_of_record(start, network)
@@ -63,11 +65,11 @@ def _through_a_part(problem: Problem, solver: Solver) -> Inference | None:
         return None
     own, shorter = part
     try:
-        of_part = _from_every_start(replace(problem, record=own.record), solver, [shorter])
+        of_part = _from_every_start(_of_record(problem, own.record), solver, [shorter])
         largest = solver.starting_noise(of_part.evidence).discrepancy
         if not is_trustworthy(of_part.trained, largest):
             return None
-        evidence = solver.evidence(replace(of_part.problem, record=problem.record), [network])
+        evidence = solver.evidence(_of_record(of_part.problem, start.alone.record), [network])
         noise = solver.starting_noise(evidence)
         whole = whole_from(of_part.trained, of_part.evidence, largest, evidence, noise)
     except DivergenceError:
@@ -75,7 +77,15 @@ def _through_a_part(problem: Problem, solver: Solver) -> Inference | None:
     return None if whole is None else Inference(evidence, whole, solver)
 
 
-def _from_every_start(problem: Problem, solver: Solver, networks: Sequence[LinearReadout] | None = None) -> Inference:
+def _of_record(problem: JointProblem, record: Record) -> JointProblem:
+    """The same from every start, of another record in place of the only one."""
+    first, *others = (JointProblem.of(replace(start.alone, record=record)) for start in problem.starts)
+    return replace(first, other_starts=tuple(others))
+
+
+def _from_every_start(
+    problem: JointProblem, solver: Solver, networks: Sequence[LinearReadout] | None = None
+) -> Inference:
     """Of the solutions from every start the most probable one.
 
     Raises:
@@ -127,7 +137,7 @@ def inferred_sensor_noise(problem: Problem, device: str = "cpu") -> tuple[dict[s
 
     That of a spline's solution of the same problem; where there is none, what the spectra show.
     """
-    solver, (start, *_) = Solver((Spline(),), History(False), device=device), problem.starts
+    solver, start = Solver((Spline(),), History(False), device=device), JointProblem.of(problem)
     try:
         noise = first_solution(start, solver).trained.noise.records[0]
     except DivergenceError:

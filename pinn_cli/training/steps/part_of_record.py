@@ -13,6 +13,7 @@ import numpy as np
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import SplineNetwork
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.factors.frame import collocation_refinement
@@ -39,7 +40,7 @@ NEAR = 2
 MOST_STEPS = 16
 
 
-def part_of_record(problem: Problem, network: LinearReadout) -> tuple[Problem, SplineNetwork] | None:
+def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem, SplineNetwork] | None:
     """The problem of the first part of a record, with the same knots there; None where a part is of no use.
 
     That is where a record is short or not stationary, where samples are missing or come at times of their own, where
@@ -47,8 +48,8 @@ def part_of_record(problem: Problem, network: LinearReadout) -> tuple[Problem, S
     unknown, ten minutes of ten DOFs took as long either way. Scans of structures that are not linear take other
     steps in a part than in the whole, which would move what is reported.
     """
-    record = problem.record
-    informed = bool(problem.further) or problem.prior is not None or problem.initial_state is not None
+    problem, record = whole.each[0], whole.each[0].record
+    informed = len(whole) > 1 or problem.prior is not None or problem.initial_state is not None
     irregular = bool(record.gauges or record.missing) or record.repeats is not None
     linear = problem.structure.nonlinearity_name == "linear"
     if informed or irregular or problem.inputs.forces or not problem.identifies or not linear:
@@ -66,7 +67,7 @@ def part_of_record(problem: Problem, network: LinearReadout) -> tuple[Problem, S
         return None
     stop = network.start + intervals * network.spacing
     shape = intervals, network.degree, network.continuity, network.readout.dtype
-    own = replace(problem, record=record.until(round(samples)), alternatives=())
+    own = replace(problem, record=record.until(round(samples)))
     return own, SplineNetwork(network.ndof, network.start, stop, *shape)
 
 

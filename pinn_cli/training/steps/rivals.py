@@ -63,7 +63,7 @@ def _others(evidence: Evidence, trained: Trained) -> list[dict[Parameter, float]
     if not unknown or problem.structure.is_modal:
         return []
     structure = problem.structure.with_values({p: x for p, x in values.items() if p.kind not in CALIBRATION_UNITS})
-    found = twins(structure, unknown, seen_by(structure, [own.record for own in problem.by_record]), MOST)
+    found = twins(structure, unknown, seen_by(structure, [own.record for own in problem]), MOST)
     return [other | _dampers(values, other) for other in found]
 
 

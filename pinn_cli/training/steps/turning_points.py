@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from pinn_cli.network.spline import SplineNetwork
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem, TurningPoints
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
@@ -31,14 +32,13 @@ def has_turns(problem: Problem) -> bool:
     return problem.dynamics.structure is not problem.structure
 
 
-def with_turning_points(found: Inference, problem: Problem) -> Problem:
-    """The problem with the turns of a solution of it; the same where all laws are smooth."""
-    if not has_turns(problem):
+def with_turning_points(found: Inference, problem: JointProblem) -> JointProblem:
+    """The problem with the turning points of a solution of it; the same where all laws are smooth."""
+    if not has_turns(problem.each[0]):
         return problem
-    each = zip(problem.by_record, found.by_record, found.trained.noise.records, strict=True)
-    return Problem.together(
-        [replace(one, turning_points=_turning_points(*own, noise.discrepancy)) for one, own, noise in each]
-    )
+    each = zip(problem, found.by_record, found.trained.noise.records, strict=True)
+    turning = ((one, _turning_points(*own, noise.discrepancy)) for one, own, noise in each)
+    return JointProblem.of(*(replace(one, turning_points=points) for one, points in turning))
 
 
 def _turning_points(equations: NormalEquations, point: Point, discrepancy: float) -> TurningPoints | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.evidence import Evidence
 from pinn_cli.training.noise_model import NoiseLevels
@@ -21,18 +22,18 @@ def widen_force_band(found: Inference) -> Inference | None:
     factors, solver = found.evidence.each_record(reaches_beyond, found.trained), found.solver
     if max(factors) <= 1.0:
         return None
-    each = list(zip(solver.designs, factors, found.problem.by_record, strict=True))
+    each = list(zip(solver.designs, factors, found.problem, strict=True))
     designs = tuple(design.finer(factor, own.record) for design, factor, own in each)
     if not all(designs):
         return None
-    problem = Problem.together([_of_wider_band(own, factor) for _, factor, own in each])
+    problem = JointProblem.of(*(_of_wider_band(own, factor) for _, factor, own in each))
     return first_solution(problem, replace(solver, designs=designs))  # type: ignore[arg-type]
 
 
 def _of_wider_band(problem: Problem, factor: float) -> Problem:
     inputs = problem.inputs
     wider = replace(inputs, edge=inputs.edge * factor, correlation_time=inputs.correlation_time / factor)
-    return replace(problem, inputs=wider, alternatives=())
+    return replace(problem, inputs=wider)
 
 
 def fit_force_spectrum(found: Inference) -> Inference | None:
@@ -40,8 +41,8 @@ def fit_force_spectrum(found: Inference) -> Inference | None:
     drives = found.evidence.each_record(spectrum_in_band, found.trained)
     if not any(drives):
         return None
-    pairs = zip(found.problem.by_record, drives, strict=True)
-    problem = Problem.together([_of_spectrum(own, drive) for own, drive in pairs])
+    pairs = zip(found.problem, drives, strict=True)
+    problem = JointProblem.of(*(_of_spectrum(own, drive) for own, drive in pairs))
     evidence = found.solver.evidence(problem, [own.network for own in found.evidence.equations.each])
     levels = [None if drive is None else drive.level for drive in drives]
     again = evidence.train(_with_levels(found.evidence, found.trained.noise, levels), found.trained.solution.point)
@@ -51,7 +52,6 @@ def fit_force_spectrum(found: Inference) -> Inference | None:
 
 
 def _of_spectrum(problem: Problem, drive: Drive | None) -> Problem:
-    problem = replace(problem, alternatives=())
     if drive is None:
         return problem
     inputs = replace(problem.inputs, correlation_time=drive.correlation_time, damping_ratio=drive.damping_ratio)

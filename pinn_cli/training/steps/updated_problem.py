@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pinn_cli.network.base import NetworkDesign
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.solver import Inference, Solver
@@ -37,9 +37,9 @@ def update_modes(found: Inference) -> Inference | None:
 
 def loosen_at_turning_points(found: Inference) -> Inference | None:
     """The solution with a level of its own where contacts turn; None where what is left elsewhere falls no more."""
-    before, problem = found.problem.turning_points, with_turning_points(found, _present(found))
+    before, problem = found.problem.each[0].turning_points, with_turning_points(found, _present(found))
     settled = before is not None and found.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
-    return None if problem.turning_points is None or settled else _carried_to(found, problem, found.solver)
+    return None if problem.each[0].turning_points is None or settled else _carried_to(found, problem, found.solver)
 
 
 def refine_features(found: Inference) -> Inference | None:
@@ -50,7 +50,7 @@ def refine_features(found: Inference) -> Inference | None:
     if found.problem.has_unknown_forces:
         return None
     wanted = found.evidence.each_record(knots_wanted, found.trained)
-    each = zip(found.solver.designs, wanted, found.problem.by_record, strict=True)
+    each = zip(found.solver.designs, wanted, found.problem, strict=True)
     finer = [design.finer(factor, own.record) if factor >= WORTHWHILE else None for design, factor, own in each]
     if not any(finer):
         return None
@@ -66,20 +66,21 @@ def _narrowed(coarse: Inference, fine: Inference) -> float:
     return float(np.sqrt(np.max(before / after, initial=0.0)))
 
 
-def _present(found: Inference) -> Problem:
+def _present(found: Inference) -> JointProblem:
     """The problem of a solution, with damping of the whole and coordinates in the modes of the structure there."""
     equations, point = found.by_record[0]
     problem, values = found.problem, {k: x.cpu().numpy() for k, x in equations.parameters(point).items()}
     # A state that is handed over has its coordinates, and so have parameters that spectra determine.
-    free = problem.prior is None and problem.hand_over is None and equations.known is None
+    first = problem.each[0]
+    free = first.prior is None and first.hand_over is None and equations.known is None
     if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
         problem = problem.reduced_at(values[FACTOR])
     return problem.present(values)
 
 
-def _carried_to(found: Inference, problem: Problem, solver: Solver) -> Inference | None:
+def _carried_to(found: Inference, problem: JointProblem, solver: Solver) -> Inference | None:
     """The same solution of a problem that is posed in another way; None where it cannot be solved."""
-    evidence = solver.evidence(replace(problem, alternatives=()))
+    evidence = solver.evidence(problem)
     levels, points = [], []
     before, now = zip(found.by_record, found.trained.noise.records, strict=True), evidence.equations
     for ((coarse, point), noise), fine in zip(before, now.each, strict=True):
@@ -92,7 +93,7 @@ def _carried_to(found: Inference, problem: Problem, solver: Solver) -> Inference
         point = softer_point(evidence, every, point)
     again = evidence.train(every, point)
     # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
-    if again is None or not (again.solution.converged or problem.turning_points is not None):
+    if again is None or not (again.solution.converged or problem.each[0].turning_points is not None):
         return None
     again = solver.settled(evidence, again)
     if _is_noisier(again.noise, found.trained.noise):

@@ -37,9 +37,9 @@ NEAR = 1e-3
 
 def combine_windows(found: Inference) -> Inference | None:
     """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
-    problem, known = found.problem, found.solver.known
-    goes_on = problem.prior is not None and problem.prior.levels.windows is not None
-    if known is not None or problem.has_unknown_forces or not (problem.hand_over is not None or goes_on):
+    first, known = found.problem.each[0], found.solver.known
+    goes_on = first.prior is not None and first.prior.levels.windows is not None
+    if known is not None or found.problem.has_unknown_forces or not (first.hand_over is not None or goes_on):
         return None
     trained, discrepancy = of_all_windows(found.evidence, found.trained)
     return replace(found, trained=trained, discrepancy=discrepancy)
@@ -52,7 +52,7 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
         evidence: Of a window.
         trained: Its solution, with settled noise levels.
     """
-    prior = evidence.problem.prior
+    prior = evidence.problem.each[0].prior
     before = None if prior is None else prior.levels.windows
     unit = discrepancy_unit(evidence)
     top = float(np.log10(trained.noise.discrepancy / unit))
@@ -79,8 +79,9 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
 
 def discrepancy_unit(evidence: Evidence) -> float:
     """N, of a discrepancy that is the force that acts, in a sample of one second."""
-    force, _ = force_and_velocity_scale(evidence.problem)
-    return float(force * (evidence.equations.each[0].refinement / evidence.problem.record.step) ** 0.5)
+    first = evidence.equations.each[0]
+    force, _ = force_and_velocity_scale(first.problem)
+    return float(force * (first.refinement / first.problem.record.step) ** 0.5)
 
 
 def _own(evidence: Evidence, trained: Trained, unit: float, between: tuple[float, float]) -> DiscrepancyEvidence | None:

@@ -55,7 +55,7 @@ def is_spectral(problem: Problem) -> bool:
         and not record.gauges
     )
     plain = record.intersample == "band_limited" and record.repeats is None and not problem.priors
-    return bool(inputs.forces) and linear and alone and plain and not problem.further
+    return bool(inputs.forces) and linear and alone and plain
 
 
 def spectra_in_band(record: Record) -> CrossSpectra[Channel] | None:

@@ -18,6 +18,7 @@ import torch
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
@@ -235,13 +236,16 @@ class Whittle:
         return worst
 
 
-def known_parameters(problem: Problem, learn_spread: bool = True) -> KnownParameters | None:
+def known_parameters(whole: JointProblem, learn_spread: bool = True) -> KnownParameters | None:
     """What the spectra of a record tell of a problem's parameters; None where they are not all that it tells.
 
     Args:
-        problem: With its record.
+        whole: With its record; several have no spectra together.
         learn_spread: See :class:`Whittle`.
     """
+    if len(whole) > 1:
+        return None
+    problem = whole.alone
     if problem.spectral is not None:
         return _already_estimated(problem)
     # What a measured force does at the ends of a record leaks: beside it held parameters would be doubted for nothing.
@@ -281,10 +285,10 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     model = whittle.model
     p, problem = len(model.spread), model.problem
     values = model.vector.values(torch.as_tensor(x[:p] * model.spread))
-    extended = with_other_damping(problem, {kind: value.numpy() for kind, value in values.items()})
+    extended = with_other_damping(JointProblem.of(problem), {kind: value.numpy() for kind, value in values.items()})
     if extended is None:
         return None
-    more = Whittle(SpectralModel(extended, model.spectrum), whittle.learn_spread)
+    more = Whittle(SpectralModel(extended.alone, model.spectrum), whittle.learn_spread)
     new = len(more.model.spread) - p
     start = np.concatenate((x[:p], np.zeros(new), x[p:]))
     more.centre = np.concatenate((whittle.centre[:p], np.zeros(new), whittle.centre[p:]))
@@ -296,7 +300,7 @@ def _scored_damping(whittle: Whittle, x: np.ndarray, spreads: np.ndarray) -> Dam
     log_odds = without.value - scored.value + 0.5 * float(volume)
     unit = more.model.spread
     distances = start[: p + new] * unit, there[: p + new] * unit
-    return damping_doubt(problem, extended, extended.uncertain, distances, log_odds)
+    return damping_doubt(JointProblem.of(problem), extended, extended.alone.uncertain, distances, log_odds)
 
 
 def _step(scored: Scored, damping: float, held: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from small_problems import small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -32,7 +33,7 @@ KINDS = {
 
 
 def solved(problem: Problem) -> Estimate:
-    return GaussNewton().solve(problem, Spline(), RunContext())
+    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
 
 
 @cache

@@ -19,6 +19,7 @@ from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.response import QUANTITIES, Response
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
@@ -40,15 +41,15 @@ def long_chain() -> Measurements:
 
 
 def posed(record: Record, begins: str, ndof: int = 12) -> Problem:
-    return SparseRecovery(initial_motion=begins).problem(small_chain(ndof=ndof), record)
+    return SparseRecovery(initial_motion=begins).pose(small_chain(ndof=ndof), [record]).alone
 
 
 def solved(estimator: str, problem: Problem) -> Estimate:
     if estimator == "kalman_smoother":
-        found = KalmanSmoother().solve(problem, RunContext())
+        found = KalmanSmoother().solve(JointProblem.of(problem), RunContext())
         assert found is not None
         return found
-    return GaussNewton().solve(problem, Spline(), RunContext())
+    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
 
 
 def fitness_of_the_far(estimate: Estimate, truth: Response) -> float:
@@ -100,7 +101,9 @@ def test_the_loss_is_that_of_the_first_state(design):
 def test_a_multilayer_perceptron_begins_where_it_is_told():
     record = accelerations(measured(small_chain(), snr_db=20.0).record)
     problem = posed(record, "rest", ndof=3)
-    estimate = FunctionSpaceGaussNewton(iterations=4).solve(problem, Mlp(activation="sine"), RunContext())
+    estimate = FunctionSpaceGaussNewton(iterations=4).solve(
+        JointProblem.of(problem), Mlp(activation="sine"), RunContext()
+    )
     deviation = problem.initial_deviation
     assert deviation is not None
     for motion, known in zip(("displacement", "velocity"), deviation, strict=True):
@@ -129,7 +132,7 @@ def test_every_scheme_says_how_the_motion_begins(scheme):
     record = measured(small_chain()).record
     assert scheme().initial_motion == "free"
     posing = scheme(initial_motion="rest", **({"unknown": "k_1"} if scheme is StateParameter else {}))
-    problem = posing.problem(small_chain(), record)
+    problem = posing.pose(small_chain(), [record]).alone
     deviation = problem.initial_deviation
     assert deviation is not None
     largest = np.sqrt(np.mean(record.displacement**2, axis=0)).max()

@@ -11,6 +11,7 @@ from small_problems import accelerations, measured, small_chain
 from pinn_cli.network.base import States
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.physics import targets
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
@@ -112,18 +113,22 @@ def test_units_that_bend_are_solved_with_the_whole_matrix(monkeypatch):
     monkeypatch.setattr(solutions, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr("pinn_cli.training.function_space.feature_system.MOST_ITERATIONS", 1)
     small = Small(DESIGNS["sine"])
-    estimate = GaussNewton().solve(small.problem, small.design, RunContext())
+    estimate = GaussNewton().solve(JointProblem.of(small.problem), small.design, RunContext())
     assert estimate.summary["stop_reason"] == "converged"
     assert estimate.summary["solution"] == "dense"
     with pytest.raises(NotNearlyLinearError, match=r"training\.most_residuals"):
-        GaussNewton(most_residuals=100).solve(small.problem, small.design, RunContext())
+        GaussNewton(most_residuals=100).solve(JointProblem.of(small.problem), small.design, RunContext())
 
 
 def test_there_may_be_more_residuals_than_a_whole_matrix_has_room_for(monkeypatch):
     monkeypatch.setattr(solutions, "dense_operations", lambda blocks: float("inf"))
     monkeypatch.setattr(solutions, "DenseSystem", None)
     small = Small(DESIGNS["sine"])
-    summary = GaussNewton(most_residuals=100, iterations=2).solve(small.problem, small.design, RunContext()).summary
+    summary = (
+        GaussNewton(most_residuals=100, iterations=2)
+        .solve(JointProblem.of(small.problem), small.design, RunContext())
+        .summary
+    )
     assert summary["solution"] == "features"
     assert 5 * summary["collocation_points"] > 4 * 100  # two sensors, three equations of motion
 
@@ -132,7 +137,7 @@ def test_both_ways_find_the_same_motion(monkeypatch):
     small, found = Small(DESIGNS["sine"]), {}
     for way, dense in (("features", float("inf")), ("dense", 0.0)):
         monkeypatch.setattr(solutions, "dense_operations", lambda blocks, value=dense: value)
-        found[way] = GaussNewton().solve(small.problem, small.design, RunContext())
+        found[way] = GaussNewton().solve(JointProblem.of(small.problem), small.design, RunContext())
         assert found[way].summary["solution"] == way
     first, second = found.values()
     for quantity in ("displacement", "acceleration"):

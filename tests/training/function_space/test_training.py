@@ -14,6 +14,7 @@ from small_problems import QUANTITIES, accelerations, measured, relative_error, 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
@@ -43,7 +44,7 @@ def truth(hold: str = "exact"):
 
 
 def solved(given: Problem, design: Mlp = SMALL, seed: int = 0, **settings) -> Estimate:
-    return GaussNewton(**settings).solve(given, design, RunContext(seed=seed))
+    return GaussNewton(**settings).solve(JointProblem.of(given), design, RunContext(seed=seed))
 
 
 @pytest.mark.parametrize("hold", ["exact", "zero_order"])
@@ -194,8 +195,8 @@ def test_every_setting_of_the_configuration_reaches_it(composed: Compose, monkey
     overrides = (f"training.{name}={str(value).lower()}" for name, value in settings.items())
     seen: list[FunctionSpaceGaussNewton] = []
     monkeypatch.setattr(FunctionSpaceGaussNewton, "solve", lambda training, *_: seen.append(training))
-    RunConfig.read(composed("network=mlp", *overrides)).training.solve(problem(), SMALL, RunContext())
-    GaussNewton().solve(problem(), SMALL, RunContext())
+    RunConfig.read(composed("network=mlp", *overrides)).training.solve(JointProblem.of(problem()), SMALL, RunContext())
+    GaussNewton().solve(JointProblem.of(problem()), SMALL, RunContext())
     assert seen == [FunctionSpaceGaussNewton(**settings), FunctionSpaceGaussNewton(40, 0.02, True, None, 8000)]
 
 

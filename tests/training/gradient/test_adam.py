@@ -17,6 +17,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.system.parameters import Parameter
@@ -50,7 +51,7 @@ def short(**settings) -> Adam:
 @pytest.mark.parametrize("name", DESIGNS)
 def test_the_loss_falls(name, hold):
     training = short(iterations=150, stages=1, learning_rate=5e-3)
-    estimate = training.solve(small_problem(hold), DESIGNS[name], RunContext())
+    estimate = training.solve(JointProblem.of(small_problem(hold)), DESIGNS[name], RunContext())
     losses = estimate.history.filter(like="loss_").sum(axis=1).to_numpy()
     assert losses[-1] < 0.3 * losses[0]
     assert estimate.summary["loss"] == pytest.approx(losses[-1])
@@ -67,7 +68,7 @@ def test_it_finds_the_motion_where_all_is_measured(hold):
     structure = small_chain("linear", ndof=1)
     measurements = measured(structure, hold, snr_db=50.0)
     training = Adam(400, learning_rate=1e-2, collocation_points=None)
-    estimate = training.solve(Problem(structure, measurements.record), Fourier(), RunContext())
+    estimate = training.solve(JointProblem.of(Problem(structure, measurements.record)), Fourier(), RunContext())
     for quantity in (*QUANTITIES, "force"):
         truth = getattr(measurements.truth.response, quantity)
         assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
@@ -75,7 +76,9 @@ def test_it_finds_the_motion_where_all_is_measured(hold):
 
 def test_the_same_seed_gives_the_same_numbers():
     before = torch.get_rng_state()
-    estimates = [short().solve(small_problem(), DESIGNS["mlp"], RunContext(seed=seed)) for seed in (5, 5, 6)]
+    estimates = [
+        short().solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext(seed=seed)) for seed in (5, 5, 6)
+    ]
     assert torch.equal(before, torch.get_rng_state())
     for quantity in (*QUANTITIES, "force"):
         first, same, other = (getattr(estimate.response, quantity) for estimate in estimates)
@@ -86,7 +89,9 @@ def test_the_same_seed_gives_the_same_numbers():
 
 
 def test_the_history_has_a_row_every_so_often_and_at_the_end():
-    history = short(iterations=12, stages=2).solve(small_problem(), DESIGNS["mlp"], RunContext()).history
+    history = (
+        short(iterations=12, stages=2).solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext()).history
+    )
     assert history["iteration"].tolist() == [0, 10, 20, 24]
     assert history["seconds"].is_monotonic_increasing
     names = ("observation", "continuity", "forced", "unforced")
@@ -98,13 +103,13 @@ def test_the_history_has_a_row_every_so_often_and_at_the_end():
 
 
 def test_a_network_with_exact_continuity_has_no_such_term():
-    history = short().solve(small_problem(), DESIGNS["mlp-exact"], RunContext()).history
+    history = short().solve(JointProblem.of(small_problem()), DESIGNS["mlp-exact"], RunContext()).history
     assert not [name for name in history if "continuity" in name]
 
 
 def test_unforced_dofs_may_have_a_weight_of_their_own():
     histories = [
-        short(stages=1, weights=weights).solve(small_problem(), DESIGNS["mlp"], RunContext()).history
+        short(stages=1, weights=weights).solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext()).history
         for weights in ({}, {"unforced": 2.0}, {"physics": 50.0})
     ]
     assert [history["weight_unforced"][0] for history in histories] == [100.0, 2.0, 50.0]
@@ -118,7 +123,7 @@ def test_accelerations_are_observed_as_the_problem_says(through):
     weights = {"observation": 1.0, "continuity": 0.0, "physics": 0.0}
     training = short(iterations=150, stages=1, learning_rate=1e-2, weights=weights, dtype="float64")
     problem = small_problem(acceleration_through=through)
-    estimate = training.solve(problem, DESIGNS["mlp-exact"], RunContext())
+    estimate = training.solve(JointProblem.of(problem), DESIGNS["mlp-exact"], RunContext())
     by_derivative = relative_error(estimate.response.acceleration[:, :2], problem.record.acceleration[:, :2])
     # Without physics the derivative is bound to the sensors only if it is what is compared with them.
     assert (by_derivative < 0.7) == (through != "observer")
@@ -130,7 +135,7 @@ def test_accelerations_are_observed_as_the_problem_says(through):
 def test_divergence_says_where_and_what_to_try(learning_rate, dtype):
     training = short(learning_rate=learning_rate, dtype=dtype, iterations=200)
     with pytest.raises(DivergenceError) as error:
-        training.solve(small_problem(), DESIGNS["mlp"], RunContext())
+        training.solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext())
     assert "loss_" in str(error.value)
     assert "at iteration" in str(error.value)
     assert f"training.learning_rate below {learning_rate:g}" in str(error.value)
@@ -146,7 +151,7 @@ def test_nothing_rests_on_the_time_scale(name):
         Problem(structure, given, (uncertain(structure, "k", 1, 0.1), uncertain(structure, "c", 2, 0.1)))
         for structure, given in ((slow, record), (fast, sped_up(record, 30.0)))
     ]
-    expected, given = (training.solve(problem, DESIGNS[name], RunContext()) for problem in problems)
+    expected, given = (training.solve(JointProblem.of(problem), DESIGNS[name], RunContext()) for problem in problems)
     scale = np.abs(expected.response.displacement).max()
     np.testing.assert_allclose(given.response.displacement, expected.response.displacement, atol=1e-5 * scale)
     for mine, theirs in zip(given.parameters, expected.parameters, strict=True):
@@ -159,20 +164,20 @@ def test_clock_times_do_no_harm_in_float32(name):
     step = 2.0**-4  # clock times near 1.7e9 s hold it exactly
     early = replace(problem, record=replace(problem.record, time=step * np.arange(257)))
     late = replace(problem, record=replace(problem.record, time=1.7e9 + step * np.arange(257)))
-    expected, given = (short().solve(each, DESIGNS[name], RunContext()) for each in (early, late))
+    expected, given = (short().solve(JointProblem.of(each), DESIGNS[name], RunContext()) for each in (early, late))
     assert np.array_equal(given.response.displacement, expected.response.displacement)
     assert given.response.time[0] == 1.7e9
 
 
 def test_the_progress_bar_is_quiet_where_there_is_no_terminal(capfd):
-    short().solve(small_problem(), DESIGNS["mlp"], RunContext(progress=True))
+    short().solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext(progress=True))
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
 
 def test_points_that_cannot_follow_the_record_are_refused():
     with pytest.raises(InputError, match=r"training\.collocation_points=8: must be a whole number >= \d+, or null"):
-        short(collocation_points=8).solve(small_problem(), DESIGNS["mlp"], RunContext())
+        short(collocation_points=8).solve(JointProblem.of(small_problem()), DESIGNS["mlp"], RunContext())
 
 
 @pytest.mark.parametrize("snr_db", [None, 10.0])
@@ -180,9 +185,9 @@ def test_points_are_judged_by_the_signal_and_not_by_its_noise(snr_db):
     structure = small_chain()
     # 15 periods of the highest frequency of the force: two points in each, and a little more.
     problem = Problem(structure, accelerations(measured(structure, snr_db=snr_db).record))
-    short(collocation_points=40).solve(problem, DESIGNS["mlp"], RunContext())
+    short(collocation_points=40).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
     with pytest.raises(InputError):
-        short(collocation_points=20).solve(problem, DESIGNS["mlp"], RunContext())
+        short(collocation_points=20).solve(JointProblem.of(problem), DESIGNS["mlp"], RunContext())
 
 
 @pytest.mark.parametrize(

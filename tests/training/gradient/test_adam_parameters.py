@@ -13,6 +13,7 @@ from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
 from pinn_cli.network.spline import Spline
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.parameters import Parameter
@@ -36,7 +37,7 @@ def test_it_learns_a_parameter():
     wrong = small_chain("linear", ndof=1, k=18.0)
     problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 0.3),))
     training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
-    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    (learned,) = training.solve(JointProblem.of(problem), Fourier(), RunContext()).parameters
     assert (learned.name, learned.prescribed) == ("k_1", 18.0)
     assert learned.estimate == pytest.approx(15.0, rel=0.02)
     assert all(math.isnan(value) for value in (learned.std, learned.lower_90, learned.upper_90))
@@ -47,7 +48,7 @@ def test_a_narrow_prior_holds_a_parameter():
     wrong = small_chain("linear", ndof=1, k=18.0)
     problem = Problem(wrong, record, (uncertain(wrong, "k", 0, 1e-4),))
     training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
-    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    (learned,) = training.solve(JointProblem.of(problem), Fourier(), RunContext()).parameters
     assert learned.estimate == pytest.approx(18.0, rel=0.01)
 
 
@@ -59,7 +60,7 @@ def test_parameters_come_in_the_order_of_the_problem():
         uncertain(structure, "k", 1, 0.1),
     )
     record = accelerations(measured(structure, snr_db=40.0).record)
-    estimate = short().solve(Problem(structure, record, order), Spline(), RunContext())
+    estimate = short().solve(JointProblem.of(Problem(structure, record, order)), Spline(), RunContext())
     assert [(p.name, p.prescribed) for p in estimate.parameters] == [("kappa_3", 100.0), ("c_1", 1.0), ("k_2", 15.0)]
     assert all(p.estimate != p.prescribed for p in estimate.parameters)
     assert {"loss_prior", "weight_prior"} <= set(estimate.history)
@@ -70,13 +71,13 @@ def one_mass_unknown(name: str, start: float, **settings) -> Problem:
     structure = small_chain("linear", ndof=1)
     every = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True), "parameter_uncertainty": 0.0}
     scheme = StateParameter(**every, unknown=name, initial={name: start}, **settings)
-    return scheme.problem(structure, scheme.observe(measured(structure, snr_db=40.0).record))
+    return scheme.pose(structure, [scheme.observe(measured(structure, snr_db=40.0).record)]).alone
 
 
 def test_an_unknown_parameter_moves_from_its_start_to_the_truth():
     problem = one_mass_unknown("k_1", 5.0)
     training = Adam(400, stages=1, learning_rate=1e-2, parameter_learning_rate=5e-3, collocation_points=None)
-    (learned,) = training.solve(problem, Fourier(), RunContext()).parameters
+    (learned,) = training.solve(JointProblem.of(problem), Fourier(), RunContext()).parameters
     start = problem.uncertain[0].prescribed
     assert (learned.name, learned.prescribed, learned.unknown) == ("k_1", start, True)
     assert abs(start - 15.0) > 3.0
@@ -96,7 +97,7 @@ def test_a_positive_parameter_is_never_below_zero(monkeypatch, positive):
 
     monkeypatch.setattr(Losses, "terms", watched)
     training = short(stages=1, parameter_learning_rate=1.0, dtype="float64", collocation_points=None)
-    training.solve(one_mass_unknown("k_1", 5.0, positive=positive), Fourier(), RunContext())
+    training.solve(JointProblem.of(one_mass_unknown("k_1", 5.0, positive=positive)), Fourier(), RunContext())
     assert len(seen) == 21
     assert (min(seen) >= 0.0) == bool(positive)
     assert (min(seen) == 0.0) == bool(positive)
@@ -105,8 +106,8 @@ def test_a_positive_parameter_is_never_below_zero(monkeypatch, positive):
 def test_believed_and_unknown_parameters_are_told_apart():
     structure = small_chain()
     scheme = StateParameter(unobserved=[2], parameter_uncertainty=0.05)
-    problem = scheme.problem(structure, scheme.observe(measured(structure, snr_db=40.0).record))
-    estimate = short().solve(problem, Spline(), RunContext())
+    problem = scheme.pose(structure, [scheme.observe(measured(structure, snr_db=40.0).record)]).alone
+    estimate = short().solve(JointProblem.of(problem), Spline(), RunContext())
     assert [p.name for p in estimate.parameters if p.unknown] == ["k_2", "kappa_2"]
     assert [p.prior_std for p in estimate.parameters] == [p.prior_std for p in problem.uncertain]
     assert estimate.correlation is None
@@ -140,7 +141,7 @@ def test_the_configuration_has_the_papers_settings_of_state_parameter_estimation
     assert (training.collocation_points, training.dtype) == (4096, "float32")
     assert (network.depth, network.width, network.activation, network.continuity) == (4, 256, "tanh", "penalised")
     _, prescribed = config.model_error.structures(config.structure)
-    problem = scheme.problem(prescribed, config.observe(config.source.measure(config.structure).record))
+    problem = scheme.pose(prescribed, [config.observe(config.source.measure(config.structure).record)]).alone
     assert problem.acceleration_through == "both"
     assert {p.name: p.prescribed for p in problem.uncertain} == starts
     assert all(p.unknown and p.positive for p in problem.uncertain)
@@ -151,8 +152,8 @@ def test_the_papers_state_parameter_estimation_runs(composed: Compose):
     few = ("network.width=16", "training.iterations=5", "training.history_every=5")
     config = RunConfig.read(composed(STATE_PARAMETER, *SHRUNK, *few))
     _, prescribed = config.model_error.structures(config.structure)
-    problem = config.scheme.problem(prescribed, config.observe(config.source.measure(config.structure).record))
-    estimate = config.training.solve(problem, config.network, RunContext())
+    problem = config.scheme.pose(prescribed, [config.observe(config.source.measure(config.structure).record)]).alone
+    estimate = config.training.solve(JointProblem.of(problem), config.network, RunContext())
     assert [p.name for p in estimate.parameters] == ["k_2", "k_4", "kappa_2", "kappa_4"]
     assert all(p.unknown and p.estimate != p.prescribed for p in estimate.parameters)
     assert estimate.history["iteration"].tolist() == [0, 5, 10]

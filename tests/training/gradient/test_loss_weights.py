@@ -12,6 +12,7 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.mlp import Mlp
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gradient.adam import Adam
@@ -64,12 +65,12 @@ def test_the_history_has_the_weights_that_were_found(composed: Compose):
     structure = small_chain()
     problem = Problem(structure, accelerations(measured(structure, snr_db=40.0).record))
     training = Adam(iterations=10, stages=2, weights="equalised", collocation_points=128, history_every=5)
-    history = training.solve(problem, Mlp(1, 16, "sine"), RunContext()).history
+    history = training.solve(JointProblem.of(problem), Mlp(1, 16, "sine"), RunContext()).history
     assert history["iteration"].tolist() == [0, 5, 10, 15, 20]
     # The row at the border of two stages has the second one's weights.
     expected = history["weight_unforced"][0] * np.array([1.0, 1.0, 10.0, 10.0, 10.0])
     np.testing.assert_allclose(history["weight_unforced"], expected)
-    again = training.solve(problem, Mlp(1, 16, "sine"), RunContext()).history
+    again = training.solve(JointProblem.of(problem), Mlp(1, 16, "sine"), RunContext()).history
     assert again.drop(columns="seconds").equals(history.drop(columns="seconds"))
     configured = RunConfig.read(composed("network=mlp", "training=adam", "training.weights=equalised"))
     assert isinstance(configured.training, Adam)

@@ -13,6 +13,7 @@ from small_problems import QUANTITIES, accelerations, measured, relative_error, 
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.network.fourier import Fourier
 from pinn_cli.network.mlp import Mlp
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
@@ -63,7 +64,7 @@ def test_it_finds_the_motion_where_all_is_measured(name):
     structure = small_chain("linear", ndof=1)
     measurements = measured(structure, snr_db=50.0)
     training = TRAININGS[name](iterations=150, stages=1, warm_up=0, collocation_points=None)
-    estimate = training.solve(Problem(structure, measurements.record), Fourier(), RunContext())
+    estimate = training.solve(JointProblem.of(Problem(structure, measurements.record)), Fourier(), RunContext())
     for quantity in (*QUANTITIES, "force"):
         truth = getattr(measurements.truth.response, quantity)
         assert relative_error(getattr(estimate.response, quantity), truth) < 0.03, quantity
@@ -75,14 +76,14 @@ def test_curvature_gets_lower_than_adam_in_as_many_iterations(name):
     for each in ("adam", name):
         settings = {} if each == "adam" else {"warm_up": 50}
         training = TRAININGS[each](iterations=300, stages=1, collocation_points=128, **settings)
-        losses[each] = training.solve(small_problem(), NETWORK, RunContext()).summary["loss"]
+        losses[each] = training.solve(JointProblem.of(small_problem()), NETWORK, RunContext()).summary["loss"]
     assert losses[name] < 0.6 * losses["adam"]
 
 
 @pytest.mark.parametrize("name", CURVED)
 def test_a_row_of_the_history_is_never_higher_than_the_one_before(name):
     training = TRAININGS[name](iterations=60, warm_up=0, collocation_points=128, history_every=1)
-    history = training.solve(small_problem(), NETWORK, RunContext()).history
+    history = training.solve(JointProblem.of(small_problem()), NETWORK, RunContext()).history
     loss = history.filter(like="loss_").sum(axis=1).to_numpy()
     assert (np.diff(loss) <= 1e-12 * loss[:-1]).all()
     assert history["iteration"].tolist() == list(range(61))
@@ -93,7 +94,7 @@ def one_mass_unknown(start: float) -> Problem:
     structure = small_chain("linear", ndof=1)
     every = {"unobserved": [], "sensors": dict.fromkeys(QUANTITIES, True), "parameter_uncertainty": 0.0}
     scheme = StateParameter(**every, unknown="k_1", initial={"k_1": start}, positive=["k"])
-    return scheme.problem(structure, scheme.observe(measured(structure, snr_db=40.0).record))
+    return scheme.pose(structure, [scheme.observe(measured(structure, snr_db=40.0).record)]).alone
 
 
 @pytest.mark.parametrize("name", TRAININGS)
@@ -107,21 +108,21 @@ def test_a_positive_parameter_is_never_below_zero(name, monkeypatch):
     monkeypatch.setattr(Losses, "terms", watched)
     settings = {"warm_up": 0} if name in CURVED else {"parameter_learning_rate": 1.0}
     training = TRAININGS[name](iterations=40, stages=1, collocation_points=None, **settings)
-    training.solve(one_mass_unknown(0.05), Fourier(), RunContext())
+    training.solve(JointProblem.of(one_mass_unknown(0.05)), Fourier(), RunContext())
     assert min(seen) >= -1e-8  # a start of 0.05 has that rounding in float32
 
 
 @pytest.mark.parametrize("name", CURVED)
 def test_an_unknown_parameter_moves_to_the_truth(name):
     training = TRAININGS[name](iterations=100, warm_up=0, collocation_points=None)
-    estimate = training.solve(one_mass_unknown(5.0), Fourier(), RunContext())
+    estimate = training.solve(JointProblem.of(one_mass_unknown(5.0)), Fourier(), RunContext())
     assert estimate.parameters[0].estimate == pytest.approx(15.0, rel=0.03)
     assert estimate.summary["stop_reason"] in (GRADIENT_VANISHED, NOTHING_LOWER, "iteration limit")
 
 
 def test_a_network_whose_inverse_hessian_would_not_fit_is_refused():
     with pytest.raises(InputError, match=r"training=ssbroyden: must be lbfgs for a network of \d+ weights"):
-        SsBroyden().solve(small_problem(), Mlp(), RunContext())
+        SsBroyden().solve(JointProblem.of(small_problem()), Mlp(), RunContext())
 
 
 @pytest.mark.parametrize(

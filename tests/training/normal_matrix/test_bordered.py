@@ -249,7 +249,7 @@ def test_functions_of_the_last_weights(half_width, size, border):
     np.testing.assert_allclose(taken, expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max(initial=0.0))
 
 
-def test_parameters_that_are_told_stay_and_their_covariance_counts():
+def test_parameters_that_are_held_stay_and_their_covariance_counts():
     random, (system, whole) = np.random.default_rng(0), random_system(2, 6, 2)
     root = random.standard_normal((2, 2)) / np.sqrt(np.diag(whole))[6:]
     covariance = root.T @ root + np.diag(1.0 / np.diag(whole)[6:])

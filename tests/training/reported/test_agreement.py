@@ -23,7 +23,7 @@ def solved(second_k: float) -> Estimate:
         for seed, k in enumerate((15.0, second_k))
     ]
     scheme = StateParameter(unknown=["k_*"], parameter_uncertainty=0.0)
-    return GaussNewton().solve(scheme.joint_problem(small_chain("linear", 2), every), Spline(), RunContext())
+    return GaussNewton().solve(scheme.pose(small_chain("linear", 2), every), Spline(), RunContext())
 
 
 def test_records_of_one_structure_agree_within_chance():

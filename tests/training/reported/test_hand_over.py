@@ -9,7 +9,7 @@ import pytest
 from storeys import C, K, M, cut, record
 
 from pinn_cli.network.spline import Spline
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -21,16 +21,17 @@ STRUCTURE = build_chain(3, Linear(), m=M.tolist(), c=(1.04 * C).tolist(), k=(1.1
 HAND_OVER = 4.5
 
 
-def solved(problem: Problem) -> Estimate:
+def solved(problem: JointProblem) -> Estimate:
     return TrainedNetwork(GaussNewton(learn_spread=False), Spline()).solve(problem, RunContext())
 
 
 def test_later_samples_are_not_in_it():
     """It is what those before the hand-over say by themselves, up to the noise that they tell."""
-    problem = SparseRecovery().problem(STRUCTURE, record(1, duration=6.0).record)
-    whole = solved(replace(problem, hand_over=HAND_OVER))
-    early = cut(problem.record, slice(0, 1 + int(np.searchsorted(problem.record.time, HAND_OVER - 1e-6))))
-    alone = solved(SparseRecovery().problem(STRUCTURE, early))
+    problem = SparseRecovery().pose(STRUCTURE, [record(1, duration=6.0).record])
+    own = problem.alone
+    whole = solved(JointProblem.of(replace(own, hand_over=HAND_OVER)))
+    early = cut(own.record, slice(0, 1 + int(np.searchsorted(own.record.time, HAND_OVER - 1e-6))))
+    alone = solved(SparseRecovery().pose(STRUCTURE, [early]))
     handed = whole.handed_over
     assert handed is not None
     assert alone.end is not None

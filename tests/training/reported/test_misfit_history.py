@@ -26,7 +26,7 @@ HEAVIER = M * np.array([1.0, 1.0, 1.1])
 def estimated(seen: Record, m: np.ndarray = M) -> Estimate:
     structure = build_chain(3, Linear(), m=m.tolist(), c=C.tolist(), k=K.tolist())
     scheme = StateParameter(unknown=["k_*"], starts="given")
-    found = TrainedNetwork(GaussNewton(), Spline()).solve(scheme.problem(structure, seen), RunContext())
+    found = TrainedNetwork(GaussNewton(), Spline()).solve(scheme.pose(structure, [seen]), RunContext())
     assert found.misfit is not None
     return replace(found, summary=found.summary | {"structure": estimated_structure(structure, found.parameters)})
 

@@ -166,7 +166,7 @@ def test_a_free_decay_tells_parameters_and_no_noise_of_a_force():
     motion = simulate(structure, lambda t: np.zeros((len(t), 2)), time, initial=([0.5, 1.0], [0.0, 0.3]))
     record = Record(**add_noise(motion, 30.0).measurable, unforced=np.array([True, True]))
     scheme = Bayesian()
-    trained = solved(scheme.problem(structure, scheme.observe(record)))
+    trained = solved(scheme.pose(structure, [scheme.observe(record)]))
     marginal = parameter_likelihoods(trained.evidence, trained.trained).marginal
     assert np.isnan(marginal.sigma_force).all()
     assert marginal.evaluate(marginal.peak, 0.5)[0] == pytest.approx(marginal.evaluate(marginal.peak, -0.5)[0])
@@ -204,7 +204,7 @@ def test_numbers_of_a_load_cell_are_among_the_parameters_of_the_marginal():
     doubts = {kind: unknown_calibration(kind, record.time, shown) for kind in ("gain", "offset")}
     cell = Gauge("f", "force", {0: 1.0}, record.time, shown, doubts)
     record = replace(record, force=record.force * [1.2, 0.0], gauges=(cell,))
-    problem = Bayesian(unknown=["k_*"]).problem(structure, record)
+    problem = Bayesian(unknown=["k_*"]).pose(structure, [record])
     estimate = GaussNewton().solve(problem, Spline(), RunContext())
     marginal = estimate.likelihoods.marginal
     assert marginal.names == ("k_1", "k_2", "gain_f", "offset_f")

@@ -13,6 +13,7 @@ from scipy.signal import lsim
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
 from pinn_cli.record.spectrum import visible_floor
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -48,8 +49,8 @@ def dragged(drag: float, seed: int = 0) -> Record:
 @cache
 def identified(drag: float) -> Estimate:
     structure = build_chain(1, Linear(), m=40.0, c=60.0, k=1.5e4)
-    problem = StateParameter(unobserved=[], unknown=["m_1", "c_1", "k_1"]).problem(structure, dragged(drag))
-    return GaussNewton().solve(problem, Spline(), RunContext())
+    problem = StateParameter(unobserved=[], unknown=["m_1", "c_1", "k_1"]).pose(structure, [dragged(drag)]).alone
+    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
 
 
 def output_error(record: Record) -> tuple[np.ndarray, float]:

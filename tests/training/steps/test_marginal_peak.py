@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -42,8 +43,8 @@ def pushed(seed: int) -> Record:
 
 def identified(record: Record) -> Estimate:
     structure = build_chain(1, Linear(), m=40.0, c=60.0, k=1.5e4)
-    problem = StateParameter(unobserved=[], unknown=["m_1", "c_1", "k_1"]).problem(structure, record)
-    return GaussNewton().solve(problem, Spline(), RunContext())
+    problem = StateParameter(unobserved=[], unknown=["m_1", "c_1", "k_1"]).pose(structure, [record]).alone
+    return GaussNewton().solve(JointProblem.of(problem), Spline(), RunContext())
 
 
 def off(estimate: Estimate) -> np.ndarray:

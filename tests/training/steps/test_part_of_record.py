@@ -10,6 +10,7 @@ from small_problems import accelerations, measured, small_chain
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.history import History
@@ -33,7 +34,7 @@ def problem() -> Problem:
 
 def solved(problem: Problem) -> tuple[Inference, History]:
     history = History(False)
-    return infer(problem, Solver((Spline(),), history)), history
+    return infer(JointProblem.of(problem), Solver((Spline(),), history)), history
 
 
 def in_parts(monkeypatch, samples: int = 400) -> None:
@@ -64,7 +65,7 @@ def test_it_ends_where_a_search_in_all_of_the_record_ends(problem, monkeypatch):
 def test_the_part_has_the_same_knots_and_whole_samples(problem, monkeypatch):
     in_parts(monkeypatch)
     network = Spline().build(problem.record)
-    own, fewer = part_of_record.part_of_record(problem, network)
+    own, fewer = part_of_record.part_of_record(JointProblem.of(problem), network)
     assert fewer.spacing == pytest.approx(network.spacing)
     assert fewer.start == network.start
     samples = len(own.record.time)
@@ -87,7 +88,7 @@ def test_some_records_are_searched_whole(changed, problem, monkeypatch):
 
 
 def test_records_of_ordinary_length_are_searched_whole(problem):
-    assert part_of_record.part_of_record(problem, Spline().build(problem.record)) is None
+    assert part_of_record.part_of_record(JointProblem.of(problem), Spline().build(problem.record)) is None
 
 
 def test_structures_that_are_not_linear_are_searched_whole(problem, monkeypatch):
@@ -98,7 +99,7 @@ def test_structures_that_are_not_linear_are_searched_whole(problem, monkeypatch)
 
 def test_several_records_are_searched_whole(problem, monkeypatch):
     in_parts(monkeypatch)
-    several = replace(problem, further=(replace(problem),))
+    several = JointProblem.of(problem, replace(problem))
     assert part_of_record.part_of_record(several, Spline().build(problem.record)) is None
 
 

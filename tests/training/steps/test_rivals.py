@@ -12,6 +12,7 @@ from scipy.signal import cont2discrete
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.connection import Linear
@@ -51,8 +52,8 @@ def shaken(seed: int) -> Record:
 def test_of_two_structures_that_do_the_same_the_one_nearer_to_what_is_said_is_reported(near):
     said = near * np.array([0.8, 1.2])
     chain = build_chain(2, Linear(), m=M, c=(RATIO * K).tolist(), k=said.tolist())
-    problem = StateParameter(unobserved=[], unknown=["k_*", "c_*"]).problem(chain, shaken(0))
-    estimate = TrainedNetwork(GaussNewton(), Spline()).solve(problem, RunContext())
+    problem = StateParameter(unobserved=[], unknown=["k_*", "c_*"]).pose(chain, [shaken(0)]).alone
+    estimate = TrainedNetwork(GaussNewton(), Spline()).solve(JointProblem.of(problem), RunContext())
     found = {p.name: p.estimate for p in estimate.parameters}
     assert [found["k_1"], found["k_2"]] == pytest.approx(near, rel=0.03)
     assert len(estimate.rivals) == 1

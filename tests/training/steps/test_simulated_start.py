@@ -137,7 +137,7 @@ def strongly_nonlinear() -> Measurements:
 
 def recovered(measurements: Measurements) -> Estimate:
     scheme = SparseRecovery(unobserved=[2, 3, 4, 5, 6])
-    problem = scheme.problem(STRONG, scheme.observe(measurements.record))
+    problem = scheme.pose(STRONG, [scheme.observe(measurements.record)])
     return GaussNewton().solve(problem, Spline(), RunContext())
 
 

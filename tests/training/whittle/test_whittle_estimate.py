@@ -10,6 +10,7 @@ import pytest
 from ambient_records import ambient_record, frame, storeys
 
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
@@ -64,24 +65,25 @@ def shaken(first_frequency, duration, seed, together=0.0, measured=(), sensors=(
 
 
 def posed(first_frequency=3.0, duration=40.0, seed=0, off=0.05, **more):
-    return SparseRecovery(parameter_uncertainty=0.1).problem(
-        believed_frame(first_frequency, off, seed), shaken(first_frequency, duration, seed, **more)
+    return SparseRecovery(parameter_uncertainty=0.1).pose(
+        believed_frame(first_frequency, off, seed), [shaken(first_frequency, duration, seed, **more)]
     )
 
 
 def off_by(problem, known):
     """Distance of every estimate from the truth, in its own standard deviations and relative to the truth."""
-    found = np.array([p.prescribed + p.prior_std * x for p, x in zip(problem.uncertain, known.distance, strict=True)])
+    uncertain = problem.alone.uncertain
+    found = np.array([p.prescribed + p.prior_std * x for p, x in zip(uncertain, known.distance, strict=True)])
     _, c, k = frame(FLOORS, 3.0)
-    truth = np.array([{"c": c, "k": k}[p.kind][p.index] for p in problem.uncertain])
-    std = np.array([p.prior_std for p in problem.uncertain]) * np.sqrt(np.diag(known.covariance))
+    truth = np.array([{"c": c, "k": k}[p.kind][p.index] for p in uncertain])
+    std = np.array([p.prior_std for p in uncertain]) * np.sqrt(np.diag(known.covariance))
     return (found - truth) / std, found / truth - 1.0
 
 
 @cache
 def model(measured=(1,)):
     problem = posed(duration=12.0, measured=measured)
-    return SpectralModel(problem, spectra_in_band(problem.record))
+    return SpectralModel(problem.alone, spectra_in_band(problem.alone.record))
 
 
 def somewhere(model):
@@ -139,7 +141,7 @@ def test_the_information_is_what_the_gradient_scatters_by():
     scores, information = [], None
     for seed in range(40):
         problem = posed(duration=12.0, seed=seed, off=0.0)  # the truth is prescribed
-        whittle = Whittle(SpectralModel(problem, spectra_in_band(problem.record)), True)
+        whittle = Whittle(SpectralModel(problem.alone, spectra_in_band(problem.alone.record)), True)
         own = whittle.model.places["parameters"]
         narrow = whittle.precision(np.array([0.02, 0.02, 1e-3]))
         found = whittle.maximised(whittle.centre, narrow)[0]
@@ -163,7 +165,7 @@ def distances(seeds, together, measured):
         assert known.misfit < 0.3
         distance, relative = off_by(problem, known)
         every.append(distance)
-        assert np.abs(relative[[p.kind == "k" for p in problem.uncertain]]).max() < 0.06
+        assert np.abs(relative[[p.kind == "k" for p in problem.alone.uncertain]]).max() < 0.06
     return np.abs(every)
 
 
@@ -184,18 +186,18 @@ def test_damping_is_not_drawn_to_zero():
     for seed in range(2):
         problem = posed(duration=60.0, seed=seed)
         _, relative = off_by(problem, known_parameters(problem))
-        ratios.append(relative[[p.kind == "c" for p in problem.uncertain]])
+        ratios.append(relative[[p.kind == "c" for p in problem.alone.uncertain]])
     assert abs(np.mean(ratios)) < 0.08
 
 
 def test_unknown_parameters_need_no_prescribed_ones():
     structure, record = believed_frame(3.0, 0.2, 3), shaken(3.0, 60.0, 3)
-    problem = StateParameter(unknown=["k_*", "c_*"], parameter_uncertainty=0.0).problem(structure, record)
+    problem = StateParameter(unknown=["k_*", "c_*"], parameter_uncertainty=0.0).pose(structure, [record])
     known = known_parameters(problem)
     distance, _ = off_by(problem, known)
     assert np.abs(distance).max() < 3.5
     with pytest.raises(InputError, match="nothing says what it is"):
-        StateParameter(unknown="k_*", unknown_force="free").problem(structure, record)
+        StateParameter(unknown="k_*", unknown_force="free").pose(structure, [record])
 
 
 def test_believed_parameters_that_are_far_off_free_each_other():
@@ -214,20 +216,20 @@ def test_the_same_record_gives_the_same_numbers():
 
 def test_what_spectra_do_not_tell():
     problem = posed()
-    record = problem.record
-    assert is_spectral(problem)
-    assert not is_spectral(replace(problem, further=(problem,)))
-    bent = SparseRecovery().problem(believed_frame(3.0, law="duffing", kappa=1.0), record)
-    assert not is_spectral(bent)
-    measured = SparseRecovery().problem(problem.structure, replace(record, force=np.zeros_like(record.force)))
-    assert not is_spectral(measured)
+    record = problem.alone.record
+    assert is_spectral(problem.alone)
+    assert known_parameters(JointProblem.of(problem.alone, problem.alone)) is None
+    bent = SparseRecovery().pose(believed_frame(3.0, law="duffing", kappa=1.0), [record])
+    assert not is_spectral(bent.alone)
+    measured = SparseRecovery().pose(problem.structure, [replace(record, force=np.zeros_like(record.force))])
+    assert not is_spectral(measured.alone)
 
 
 def test_where_all_parameters_are_held_the_spectra_tell_whether_they_can_be():
     problem, found = posed(), []
     for factor in (1.0, 4.0):
         held = problem.structure.with_parameters(c=factor * problem.structure.parameters["c"])
-        found.append(known_parameters(SparseRecovery(parameter_uncertainty=0.0).problem(held, problem.record)))
+        found.append(known_parameters(SparseRecovery(parameter_uncertainty=0.0).pose(held, [problem.alone.record])))
     right, wrong = found
     assert right.distance.shape == (0,)
     assert right.misfit == 0.0
@@ -237,7 +239,7 @@ def test_where_all_parameters_are_held_the_spectra_tell_whether_they_can_be():
 
 def test_a_record_by_exact_steps():
     made = ambient_record(3.0, 50.0, 60.0, seed=4)
-    problem = SparseRecovery(parameter_uncertainty=0.1).problem(made.structure, made.record)
+    problem = SparseRecovery(parameter_uncertainty=0.1).pose(made.structure, [made.record])
     known = known_parameters(problem)
     deviation = known.distance / np.sqrt(np.diag(known.covariance))  # what is prescribed is the truth
     assert np.abs(deviation).max() < 3.5

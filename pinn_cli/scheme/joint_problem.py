@@ -1,0 +1,148 @@
+"""What is asked of one structure by its records, one or several, that are solved together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pinn_cli.record.record import Record
+from pinn_cli.scheme.calibration import sensor_parameters
+from pinn_cli.scheme.inputs import inputs_of
+from pinn_cli.scheme.problem import Problem
+from pinn_cli.settings.errors import InputError
+from pinn_cli.system.parameters import Parameter
+from pinn_cli.system.priors import Prior
+from pinn_cli.system.quantities import CALIBRATION_UNITS, OF_ONE_CHANNEL
+from pinn_cli.system.structure import Structure
+
+
+@dataclass(frozen=True, eq=False)
+class JointProblem:
+    """The problems of all records: one structure, and what is uncertain in two of them is one parameter.
+
+    Attributes:
+        each: Of every record. Each has its own sensors, length, noise, initial motion and inputs.
+        other_starts: The same from other starts of the unknown parameters, for a training that can compare solutions.
+    """
+
+    each: tuple[Problem, ...]
+    other_starts: tuple[JointProblem, ...] = ()
+
+    @classmethod
+    def of(cls, *each: Problem) -> JointProblem:
+        """From one start alone."""
+        return cls(each)
+
+    @classmethod
+    def of_records(
+        cls,
+        structure: Structure,
+        records: Sequence[Record],
+        uncertain: tuple[Parameter, ...],
+        acceleration_through: str,
+        initial_motion: str,
+        unknown_force: str,
+    ) -> JointProblem:
+        """Each record has the inputs and the calibrations that its own channels leave open.
+
+        Args:
+            structure: See :class:`Problem`.
+            records: One or several.
+            uncertain: Of the structure.
+            acceleration_through: See :class:`Problem`.
+            initial_motion: Likewise.
+            unknown_force: See :func:`pinn_cli.scheme.inputs.inputs_of`.
+        """
+        believed: dict[tuple[str, str], Parameter] = {}
+        return cls.of(
+            *(
+                Problem(
+                    structure,
+                    record,
+                    (*uncertain, *(_as_before(p, believed) for p in sensor_parameters(record))),
+                    acceleration_through,
+                    initial_motion,
+                    inputs=inputs_of(structure, record, unknown_force),
+                )
+                for record in records
+            )
+        )
+
+    def __iter__(self) -> Iterator[Problem]:
+        return iter(self.each)
+
+    def __len__(self) -> int:
+        """How many records there are."""
+        return len(self.each)
+
+    @property
+    def alone(self) -> Problem:
+        """The problem of the only record.
+
+        Raises:
+            ValueError: There are several.
+        """
+        (own,) = self.each
+        return own
+
+    @property
+    def starts(self) -> tuple[JointProblem, ...]:
+        """The same from every start of the unknown parameters, this one's first."""
+        return (JointProblem(self.each), *self.other_starts)
+
+    @property
+    def structure(self) -> Structure:
+        """The prescribed model, of all records."""
+        return self.each[0].structure
+
+    def present(self, values: Mapping[str, np.ndarray]) -> JointProblem:
+        """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
+        return JointProblem(tuple(own.present(values) for own in self.each))
+
+    def reduced_at(self, factors: np.ndarray) -> JointProblem:
+        """The same in coordinates that are exact for some factors, see :meth:`Structure.reduced_at`."""
+        return self.in_coordinates_of(self.structure.reduced_at(factors))
+
+    def in_coordinates_of(self, structure: Structure) -> JointProblem:
+        """The same with its structure in the coordinates that a reduction of its finite-element model has."""
+        each = tuple(own.in_coordinates_of(structure) for own in self.each)
+        return JointProblem(each, tuple(other.in_coordinates_of(structure) for other in self.other_starts))
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:
+        """Of the first record's uncertain parameters, see :attr:`Problem.priors`."""
+        return self.each[0].priors
+
+    @property
+    def is_informed(self) -> bool:
+        """Whether earlier records say what the parameters are."""
+        return self.each[0].prior is not None
+
+    @property
+    def has_unknown_forces(self) -> bool:
+        """Whether forces act that nobody measured, in any record."""
+        return any(own.inputs.forces for own in self.each)
+
+    @property
+    def identifies(self) -> bool:
+        """Whether any parameter is unknown."""
+        return any(own.identifies for own in self.each)
+
+
+def _as_before(parameter: Parameter, believed: dict[tuple[str, str], Parameter]) -> Parameter:
+    """A sensor's parameter as an earlier record has it: a sensor of one name is one sensor.
+
+    An unknown delay's width depends on how a record was sampled, that of offset and drift on what it holds.
+    """
+    if parameter.kind not in CALIBRATION_UNITS or parameter.kind in OF_ONE_CHANNEL:
+        return parameter
+    known = believed.setdefault((parameter.kind, parameter.label), parameter)
+    if parameter.unknown and known.unknown:
+        return replace(parameter, prior_std=known.prior_std)
+    if (parameter.prescribed, parameter.prior_std) != (known.prescribed, known.prior_std):
+        said = f"{parameter.prescribed:g} +- {parameter.prior_std:g} and {known.prescribed:g} +- {known.prior_std:g}"
+        hint = "a sensor that was calibrated anew has another name"
+        raise InputError("data.channels", f"{parameter.name}: {said}", "the same in all records", hint)
+    return parameter
