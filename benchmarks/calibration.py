@@ -25,7 +25,7 @@ from pinn_cli.posterior.laplace import Laplace
 from pinn_cli.posterior.marginal import Marginal
 from pinn_cli.record.record import Truth
 from pinn_cli.report.parameters import true_value
-from pinn_cli.scheme.problem import Problem
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods
@@ -35,7 +35,7 @@ FORCED = ("[1]", "[1,2]")
 METHODS = ("laplace", "conditional_laplace", "marginal", "conditional")
 
 
-def draws(method: str, found: ParameterLikelihoods, problem: Problem, run: RunContext) -> PosteriorSamples:
+def draws(method: str, found: ParameterLikelihoods, problem: JointProblem, run: RunContext) -> PosteriorSamples:
     """A posterior found in one of the `METHODS`."""
     assert problem.priors
     ways = {"marginal": Marginal, "conditional": Conditional}
@@ -62,7 +62,7 @@ def posteriors(
             start = time.perf_counter()
             samples = draws(method, estimate.likelihoods, problem, run)
             seconds = time.perf_counter() - start
-            yield scored(samples, problem.uncertain, measurements.truth).assign(
+            yield scored(samples, problem.alone.uncertain, measurements.truth).assign(
                 seed=seed, method=method, seconds=seconds
             )
 

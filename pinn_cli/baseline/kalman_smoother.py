@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pandas as pd
+from scipy.sparse import csr_matrix
 
 from pinn_cli.baseline.channels import check_gauges
 from pinn_cli.baseline.iterated_smoother import IteratedSmoother, Pass
 from pinn_cli.baseline.noise_levels import most_probable, stiffened, widened
-from pinn_cli.baseline.smoothed_estimate import smoothed_estimate
 from pinn_cli.baseline.state_space import NoiseLevels, StateSpace
+from pinn_cli.model.truncated_gaussian import TruncatedGaussian
+from pinn_cli.network.base import States
+from pinn_cli.physics import estimated_response
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, Response
 from pinn_cli.record.steps import has_stiff_law
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
@@ -17,7 +24,92 @@ from pinn_cli.settings.errors import DivergenceError, InputError
 from pinn_cli.settings.legal_values import fraction, positive_number, true_or_false, whole_number
 from pinn_cli.system.parameters import FACTOR
 from pinn_cli.training.base import Estimator
-from pinn_cli.training.estimate import Estimate, RunContext
+from pinn_cli.training.bounded_estimates import bounded_estimates
+from pinn_cli.training.estimate import Estimate, ParameterEstimate, RunContext
+
+
+def smoothed_estimate(space: StateSpace, last: Pass, history: pd.DataFrame, summary: dict[str, Any]) -> Estimate:
+    """Motion, forces and parameters of the last pass.
+
+    What the motion needs beyond the measured force is the load cell's error or the model's. Under a load cell only the
+    former belongs to the force that acts, in proportion to its variance; elsewhere all of it is reported, and shows on
+    an unforced DOF where the model is wrong.
+    """
+    trajectory, levels = last.trajectory, last.levels
+    equations = space.equations(space.parameters(trajectory))
+    jet = equations.jet(trajectory.states, space.force + last.disturbances)
+    motion = States(*jet, None)
+    response = estimated_response(space.problem.record, space.dynamics, equations.parameters, motion, motion)
+    share = 1.0 - np.where(space.measured, levels.discrepancy**2 / (space.sources @ levels.forces**2), 0.0)
+    dofs = np.flatnonzero(space.measured)
+    response.force[:, dofs] -= ((1.0 - share) * last.disturbances)[:, dofs]
+    levels_found = {"sigma_discrepancy": levels.discrepancy, "parameter_spread": levels.spread}
+    std = _deviations(space, last, response, share)
+    return Estimate(response, std, _parameters(space, last), history, summary | levels_found)
+
+
+class _Spread:
+    """Standard deviations of sums of functions and their derivatives, under the posterior."""
+
+    def __init__(self, last: Pass) -> None:
+        self.covariance, self.by_coefficient = last.filtered.posterior()
+        self.root = np.linalg.cholesky(last.regression.covariance)
+        self.functions = last.linearised.functions
+
+    def sensed(self, parts: Sequence[tuple[int, csr_matrix]]) -> np.ndarray:
+        """(N, C), of sums (order of the derivative, (C, F) weights of the functions), see :meth:`Functions.sensing`."""
+        each = [weights.toarray() @ self.functions[order] for order, weights in parts]
+        return self.of(np.sum(each, axis=0))
+
+    def of(self, rows: np.ndarray) -> np.ndarray:
+        """(N, C), of rows (N, C, columns), see :class:`pinn_cli.baseline.equations.Equations`."""
+        own, past = np.split(rows, [self.covariance.shape[1]], axis=2)  # what parameters do past the state
+        variance = np.sum((own @ self.covariance) * own, axis=2)
+        through = own @ self.by_coefficient
+        through[:, :, : past.shape[2]] += past
+        variance += np.sum((through @ self.root) ** 2, axis=2)
+        deviation: np.ndarray = np.sqrt(variance.clip(min=0.0))
+        return deviation
+
+
+def _deviations(space: StateSpace, last: Pass, response: Response, share: np.ndarray) -> Response:
+    spread, dynamics = _Spread(last), space.dynamics
+    displacement, velocity, acceleration = (spread.sensed(dynamics.sensing(q)) for q in RESPONSE_QUANTITIES)
+    values = spread.sensed([(0, dynamics.picked(slice(0, dynamics.size)))])
+    force = np.zeros_like(response.force)
+    if not dynamics.structure.is_modal:
+        dofs = np.arange(force.shape[1])
+        pushed = np.zeros((len(force), len(dofs), last.linearised.rows.shape[-1]))
+        pushed[:, dofs, space.size + dofs] = share[dofs]
+        # What the motion cannot tell: how the load cell's noise and the model error divide their sum.
+        untold = (share * space.measured)[dofs] * last.levels.discrepancy**2
+        force = np.sqrt(spread.of(pushed) ** 2 + untold)
+    force[:, dynamics.loaded] = values[:, dynamics.acting]
+    return Response(
+        response.time,
+        displacement,
+        velocity,
+        acceleration,
+        force,
+        spread.sensed(dynamics.sensing(GROUND))[:, 0] if dynamics.inputs.ground else None,
+        None if response.hidden is None else values[:, dynamics.hidden],
+        supports=None if response.supports is None else _of_supports(spread, space),
+    )
+
+
+def _of_supports(spread: _Spread, space: StateSpace) -> np.ndarray:
+    """(N, 3, S), of the supports' motion."""
+    picked = space.dynamics.picked(space.dynamics.supports)
+    return np.stack([spread.sensed([(order, picked)]) for order in range(3)], axis=1)
+
+
+def _parameters(space: StateSpace, last: Pass) -> list[ParameterEstimate]:
+    """The smoother knows no bounds: they cut off afterwards what its Gaussian leaves below them."""
+    uncertain, mean = space.problem.uncertain, last.trajectory.parameters
+    unit = np.array([p.prior_std for p in uncertain])
+    lower = np.array([p.lower for p in uncertain]) / unit
+    covariance = last.regression.covariance[: len(uncertain), : len(uncertain)]
+    return bounded_estimates(uncertain, unit, mean, TruncatedGaussian(mean, covariance, lower))
 
 
 class KalmanSmoother(Estimator):

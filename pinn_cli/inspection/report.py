@@ -2,11 +2,93 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from pinn_cli.inspection.inspection import Inspection
-from pinn_cli.inspection.text import inspection_text
+from pinn_cli.report.terminal.columns import WIDTH, Column, count, marked_lines, number, table_lines
 from pinn_cli.runs.writing import write_table
+
+_SHOWN, _NAME = 20, 26
+
+
+def inspection_text(found: Inspection) -> str:
+    """Sampling, channels, peaks, what is odd, and the command that is proposed."""
+    sampling = found.sampling
+    start, end = sampling.time[0], sampling.time[-1]
+    lines = [
+        f"{len(sampling.time)} samples from {start:.6g} to {end:.6g} s, at {sampling.rate:.6g} Hz",
+        "",
+        *_channels(found),
+        "",
+        *_peaks(found),
+    ]
+    if found.notes:
+        lines += ["", *(line for note in found.notes for line in marked_lines(_sentence(note)))]
+    lines += ["", "To estimate:", *_command(found.command)]
+    return "\n".join(lines)
+
+
+def _command(words: Sequence[str]) -> list[str]:
+    """On lines that end with a backslash between two words."""
+    lines = [f"  {words[0]}"]
+    for word in words[1:]:
+        if len(lines[-1]) + len(word) + 3 > WIDTH:
+            lines[-1] += " \\"
+            lines.append(f"    {word}")
+        else:
+            lines[-1] += f" {word}"
+    return lines
+
+
+def _channels(found: Inspection) -> list[str]:
+    table = found.channels.copy()
+    table["channel"] = [textwrap.shorten(str(name), _NAME, placeholder="...") for name in table["channel"]]
+    table["band"] = [
+        f"{number(low, 3)} to {number(high, 3)}" if np.isfinite(high) else "-"
+        for low, high in zip(table["band_low_hz"], table["band_high_hz"], strict=True)
+    ]
+    table["floor"] = [
+        ("" if seen is True else "<" if np.isfinite(noise) else "") + number(float(noise), 3)
+        for noise, seen in zip(table["noise"], table["noise_is_visible"], strict=True)
+    ]
+    columns = {
+        "channel": Column("channel", -(_NAME + 1), str),
+        "unit": Column("unit", -7, str),
+        "rms": Column("rms", 9, lambda value: number(value, 3)),
+        "band": Column("band (Hz)", 16, str),
+        "floor": Column("noise", 10, str),
+        "snr_db": Column("SNR (dB)", 9, lambda value: number(value, 3)),
+        "missing_percent": Column("missing %", 10, lambda value: number(value, 2) if value else "0"),
+        "clipped_percent": Column("clipped %", 10, lambda value: number(value, 2) if value else "0"),
+    }
+    more = [] if len(table) <= _SHOWN else [f"and {len(table) - _SHOWN} more: inspect.csv"]
+    return [*table_lines(columns, table.head(_SHOWN)), *more]
+
+
+def _peaks(found: Inspection) -> list[str]:
+    if found.peaks.empty:
+        return ["no natural frequency stands out"]
+    columns = {
+        "frequency_hz": Column("frequency (Hz)", 14, lambda value: number(value, 5)),
+        "frequency_std_hz": Column("+-", 10, lambda value: number(value, 2)),
+        "damping_percent": Column("damping (%)", 13, lambda value: number(value, 3)),
+        "damping_std_percent": Column("+-", 10, lambda value: number(value, 2)),
+    }
+    if np.isfinite(found.peaks["coherence"]).any():
+        columns["coherence"] = Column("coherence", 11, lambda value: number(value, 2))
+    if np.isfinite(found.peaks["structure_hz"]).any():
+        columns["mode"] = Column("mode", 6, count)
+        columns["structure_hz"] = Column("structure (Hz)", 16, lambda value: number(value, 5))
+        columns["difference_percent"] = Column("off (%)", 10, lambda value: number(value, 2))
+    return table_lines(columns, found.peaks)
+
+
+def _sentence(note: str) -> str:
+    return note[0].upper() + note[1:] + ("" if note.endswith("?") else ".")
 
 
 def write_inspection(found: Inspection, directory: Path, figures: bool = True) -> str:

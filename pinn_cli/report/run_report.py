@@ -28,9 +28,8 @@ from pinn_cli.report.terminal.validation import validation_text
 from pinn_cli.report.validation_run import ValidationRun, validation_table, with_noise_of
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.writing import tidy, write_json, write_table
-from pinn_cli.verdict.contradictions import contradictions
 from pinn_cli.verdict.posterior_findings import posterior_findings
-from pinn_cli.verdict.records import verdict_of_records
+from pinn_cli.verdict.records import contradictions, verdict_of_records
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

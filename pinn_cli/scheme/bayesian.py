@@ -1,14 +1,18 @@
-"""Bayesian parameter estimation: every parameter unknown, and its whole distribution (paper, section 4.3)."""
+"""Bayesian parameter estimation: every parameter unknown, and its whole distribution (paper, section 4.3).
+
+Priors are written as ``scheme.priors={k: {kind: gamma, shape: 2, rate: 0.1}, c_1: {kind: normal, ...}}``.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from omegaconf import OmegaConf
 
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.base import Scheme
@@ -17,17 +21,110 @@ from pinn_cli.scheme.initial_motion import CHOICES, FREE
 from pinn_cli.scheme.inputs import GAUSSIAN_PROCESS, UNKNOWN_FORCES
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.missing_values import check_given
-from pinn_cli.scheme.prior_settings import WIDE, checked_priors, read_priors, with_defaults
 from pinn_cli.scheme.problem import THROUGH, Problem
 from pinn_cli.scheme.sensors import Sensors
 from pinn_cli.scheme.starts import Start, parameter_starts
-from pinn_cli.scheme.unknowns import POSITIVE, at_starts, check_used, checked_positive, unknown_parameters
+from pinn_cli.scheme.unknowns import (
+    POSITIVE,
+    at_starts,
+    check_used,
+    checked_positive,
+    parameters_called,
+    unknown_parameters,
+)
 from pinn_cli.settings.errors import InputError
-from pinn_cli.settings.legal_values import one_of
-from pinn_cli.system.parameters import MASS, Parameter
-from pinn_cli.system.priors import Normal, Prior
+from pinn_cli.settings.instantiation import construct
+from pinn_cli.settings.legal_values import finite_number, one_of, positive_number
+from pinn_cli.settings.suggestion import suggestion
+from pinn_cli.system.parameters import MASS, PRIOR_WIDTH, Parameter
+from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, Prior
 from pinn_cli.system.quantities import CALIBRATION_UNITS
 from pinn_cli.system.structure import Structure
+
+SETTING = "scheme.priors"
+# Standard deviation of the priors that nobody chose, over the scale of the parameter's start.
+WIDE = PRIOR_WIDTH
+
+
+def read_priors(given: Mapping[str, Any] | None, structure: Structure) -> dict[Parameter, Prior]:
+    """The priors that the user chose; parameters that the user says nothing about are left out.
+
+    Args:
+        given: Kind of parameter, name or pattern (``k``, ``k_2``, ``*_2``) to a mapping of ``kind`` and that kind's
+            settings, or to null: not chosen. Later entries overrule earlier ones.
+        structure: The prescribed model.
+
+    Raises:
+        InputError: Naming ``scheme.priors.<key>``: no such parameter or kind of prior, a setting that is missing,
+            unknown or illegal.
+    """
+    priors = {}
+    for key, prior in checked_priors(given).items():
+        priors.update(dict.fromkeys(parameters_called(key, structure, f"{SETTING}.{key}"), prior))
+    return priors
+
+
+def checked_priors(given: Mapping[str, Any] | None) -> dict[str, Prior]:
+    """The same by key, before there is a chain."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(SETTING, given, "a mapping such as {k: {kind: gamma, shape: 2, rate: 0.1}}")
+    return {key: _prior(f"{SETTING}.{key}", node) for key, node in (given or {}).items() if node is not None}
+
+
+def with_defaults(
+    priors: Mapping[Parameter, Prior], scales: Mapping[Parameter, float], positive: Sequence[str]
+) -> dict[Parameter, Prior]:
+    """A prior for every unknown parameter: where none was chosen a wide one, on the scale of its start.
+
+    Args:
+        priors: Those that were chosen.
+        scales: Of every unknown parameter.
+        positive: Kinds of parameters that cannot be negative: HalfNormal, otherwise Normal around zero.
+    """
+    wide = {p: HalfNormal(WIDE * s) if p.kind in positive else Normal(0.0, WIDE * s) for p, s in scales.items()}
+    return {parameter: priors.get(parameter, wide[parameter]) for parameter in scales}
+
+
+def _prior(setting: str, node: Any) -> Prior:
+    if not isinstance(node, Mapping):
+        raise InputError(setting, node, "a mapping such as {kind: gamma, shape: 2, rate: 0.1}, or null: a wide prior")
+    name = node.get("kind", "(missing)")
+    if not isinstance(name, str) or name not in KINDS:
+        raise InputError(f"{setting}.kind", name, f"one of {', '.join(KINDS)}", suggestion(str(name), KINDS))
+    settings = OmegaConf.create({str(key): value for key, value in node.items() if key != "kind"})
+    return construct(KINDS[name], settings, setting, place=setting)
+
+
+def _gamma(place: str, shape: Any = None, rate: Any = None, mean: Any = None, std: Any = None) -> Gamma:
+    chosen = {name for name, value in locals().items() if name != "place" and value is not None}
+    if chosen == {"shape", "rate"}:
+        return Gamma(positive_number(f"{place}.shape", shape), positive_number(f"{place}.rate", rate))
+    if chosen == {"mean", "std"}:
+        return Gamma.of_moments(positive_number(f"{place}.mean", mean), positive_number(f"{place}.std", std))
+    raise InputError(
+        place, f"gamma with {', '.join(sorted(chosen)) or 'nothing'}", "given shape and rate, or mean and std"
+    )
+
+
+def _half_normal(place: str, scale: Any) -> HalfNormal:
+    return HalfNormal(positive_number(f"{place}.scale", scale))
+
+
+def _log_normal(place: str, median: Any, sigma: Any) -> LogNormal:
+    return LogNormal(positive_number(f"{place}.median", median), positive_number(f"{place}.sigma", sigma))
+
+
+def _normal(place: str, mean: Any, std: Any) -> Normal:
+    return Normal(finite_number(f"{place}.mean", mean), positive_number(f"{place}.std", std))
+
+
+KINDS: dict[str, Callable[..., Prior]] = {
+    "gamma": _gamma,
+    "half_normal": _half_normal,
+    "log_normal": _log_normal,
+    "normal": _normal,
+}
+
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +140,7 @@ class Bayesian(Scheme):
         unobserved: See :func:`pinn_cli.scheme.sensors.unobserved_dofs`.
         sensors: What an observed DOF of a simulated record has sensors for.
         unknown: See :func:`pinn_cli.scheme.unknowns.unknown_places`; None: everything but the masses.
-        priors: See :func:`pinn_cli.scheme.prior_settings.read_priors`; parameters without one get a wide one on the
+        priors: See :func:`pinn_cli.scheme.bayesian.read_priors`; parameters without one get a wide one on the
             record's own scale.
         positive: Kinds of parameters whose wide priors end at zero.
         acceleration_through, initial_motion: See :class:`pinn_cli.scheme.problem.Problem`.

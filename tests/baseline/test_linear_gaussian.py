@@ -9,8 +9,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
+from pinn_cli.baseline.iterated_smoother import regress
 from pinn_cli.baseline.linear_gaussian import LinearGaussian
-from pinn_cli.baseline.regression import regress
 
 RNG = np.random.default_rng
 

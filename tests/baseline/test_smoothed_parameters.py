@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from pinn_cli.baseline.smoothed_estimate import _parameters
+from pinn_cli.baseline.kalman_smoother import _parameters
 from pinn_cli.system.parameters import Parameter
 
 UNCERTAIN = (

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from pinn_cli.inspection.inspection import inspect_record
-from pinn_cli.inspection.text import inspection_text
+from pinn_cli.inspection.report import inspection_text
 from pinn_cli.record.signal import Sampling, Signal
 from pinn_cli.settings.errors import InputError
 

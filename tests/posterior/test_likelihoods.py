@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from toy_likelihoods import correlated, slopes
 
-from pinn_cli.training.conditional_likelihood import ConditionalLikelihood
 from pinn_cli.training.likelihood import ParameterLikelihood
-from pinn_cli.training.marginal_likelihood import S_POINTS, S_RANGE, MarginalLikelihood
+from pinn_cli.training.reported.parameter_likelihoods import (
+    S_POINTS,
+    S_RANGE,
+    ConditionalLikelihood,
+    MarginalLikelihood,
+)
 
 STD = np.array([0.1, 2.0, 0.5])
 PEAK = np.array([1.0, 15.0, -3.0])

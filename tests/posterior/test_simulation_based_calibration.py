@@ -14,8 +14,7 @@ from small_problems import NONLINEARITIES
 
 from pinn_cli.network.spline import Spline
 from pinn_cli.posterior.laplace import Laplace
-from pinn_cli.scheme.bayesian import Bayesian
-from pinn_cli.scheme.prior_settings import checked_priors
+from pinn_cli.scheme.bayesian import Bayesian, checked_priors
 from pinn_cli.system.building import build_chain
 from pinn_cli.system.structure import Structure
 from pinn_cli.training.estimate import RunContext

@@ -10,8 +10,7 @@ from frame_records import measure
 from small_problems import small_chain
 
 from pinn_cli.record.between_samples import Held, between_samples
-from pinn_cli.record.free_run import free_run
-from pinn_cli.record.linear_motion import has_modes, linear_motion
+from pinn_cli.record.free_run import free_run, has_modes, linear_motion
 from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import simulate
 from pinn_cli.system import build_chain

@@ -10,8 +10,7 @@ from scipy.linalg import expm
 
 from pinn_cli.record.excitation import BandedNoise, Impulse
 from pinn_cli.record.response import Response
-from pinn_cli.record.simulation import OverflowsError, Simulation, simulate
-from pinn_cli.record.state_equation import StateEquation
+from pinn_cli.record.simulation import OverflowsError, Simulation, StateEquation, simulate
 from pinn_cli.record.steps import substeps_needed
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system import Structure, build_chain, matrices

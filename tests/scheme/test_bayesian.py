@@ -12,8 +12,7 @@ from small_problems import NONLINEARITIES, measured, small_chain
 
 from pinn_cli.record.measured_data import MeasuredData
 from pinn_cli.record.record import Measurements, Record
-from pinn_cli.scheme.bayesian import WIDTH, Bayesian
-from pinn_cli.scheme.prior_settings import WIDE
+from pinn_cli.scheme.bayesian import WIDE, WIDTH, Bayesian
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
 from pinn_cli.scheme.starts import parameter_starts

@@ -10,6 +10,7 @@ import pytest
 from independent_records import frame_record
 
 from pinn_cli.record.record import Record
+from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.reach import tell_if_unreached, unreached_dofs
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
@@ -40,7 +41,7 @@ def test_what_a_force_reaches_is_what_is_joined_to_it(caplog, joint, unknown, th
     problem = posed(joint, unknown)
     assert unreached_dofs(problem) == there
     with caplog.at_level(logging.WARNING):
-        tell_if_unreached(problem)
+        tell_if_unreached(JointProblem.of(problem))
     assert ("no force reaches DOFs 1, 2" in caplog.text) is bool(there)
 
 

@@ -13,7 +13,7 @@ from pinn_cli.record.record import Record
 from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.linear_fit import LinearFit, LinearStructure, spectra_under, what_acts
 from pinn_cli.scheme.screening import screened
-from pinn_cli.system.chain import chain_of
+from pinn_cli.system.building import chain_of
 from pinn_cli.system.connection import Linear
 
 # Row i: which displacements stretch connection i of a chain of three.

@@ -20,7 +20,7 @@ from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.scheme.screening import screened
 from pinn_cli.scheme.sparse_recovery import SparseRecovery
-from pinn_cli.scheme.starting_values import parameter_scales
+from pinn_cli.scheme.starts import parameter_scales
 from pinn_cli.scheme.state_parameter import StateParameter
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.building import build_chain

@@ -74,7 +74,7 @@ def test_what_the_user_says_is_a_start_of_its_own_beside_those_of_the_record(mad
         assert [p.said for p in problem.alone.uncertain if p.unknown] == pytest.approx(said)
     alone = build_chain(3, Duffing(), m=2000.0, c=3000.0, k=(1.05 * starts(problem)[0]).tolist(), kappa=0.0)
     near = StateParameter(unobserved=[], unknown="k_*").pose(alone, [made.record])
-    assert not any(np.allclose(one, [p.said for p in near.uncertain if p.unknown]) for one in starts(near))
+    assert not any(np.allclose(one, [p.said for p in near.alone.uncertain if p.unknown]) for one in starts(near))
 
 
 def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(made):
@@ -84,7 +84,8 @@ def test_without_a_spring_the_force_says_how_large_damping_and_friction_may_be(m
     one = slice(2, 3)
     columns = {q: getattr(made.record, q)[:, one] for q in ("displacement", "velocity", "acceleration", "force")}
     record = Record(made.record.time, **columns, unforced=np.zeros(1, bool))
-    unknown = {p.kind: p for p in StateParameter(unobserved=[], unknown="missing").pose(structure, [record]).uncertain}
+    problem = StateParameter(unobserved=[], unknown="missing").pose(structure, [record]).alone
+    unknown = {p.kind: p for p in problem.uncertain}
     force, size = record.force.std(), motion_amplitudes(record)
     assert unknown["c"].scale == pytest.approx(force / size["velocity"], rel=0.01)
     assert unknown["F_c"].scale == pytest.approx(force, rel=0.1)
@@ -101,7 +102,7 @@ def test_alternatives_are_the_same_problem_from_elsewhere(made):
 
 def test_priors_are_as_wide_as_the_start_is_large_and_as_starts_of_its_kind_are(made):
     """A start decades too low would shut the truth out, were its prior as narrow as that."""
-    unknown = [p for p in posed(made, 1.0, prior_width=7.0).uncertain if p.unknown]
+    unknown = [p for p in posed(made, 1.0, prior_width=7.0).alone.uncertain if p.unknown]
     typical = np.median([p.prescribed for p in unknown])
     for parameter in unknown:
         assert parameter.prior_std == pytest.approx(7.0 * max(parameter.prescribed, typical))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pinn_cli.system import Structure, build_chain, draw
-from pinn_cli.system.chain import chain_of
+from pinn_cli.system.building import chain_of
 from pinn_cli.system.connection import Duffing, Linear, PowerDamping, VanDerPol
 
 VARIANTS = {

@@ -8,7 +8,7 @@ from scipy import stats
 from small_problems import small_chain
 from toy_likelihoods import slopes
 
-from pinn_cli.scheme.prior_settings import KINDS, WIDE, read_priors, with_defaults
+from pinn_cli.scheme.bayesian import KINDS, WIDE, read_priors, with_defaults
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.parameters import Parameter
 from pinn_cli.system.priors import Gamma, HalfNormal, LogNormal, Normal, stacked

@@ -7,7 +7,7 @@ import pytest
 import torch
 from structures import braced, shuffled
 
-from pinn_cli.system.chain import chain_of
+from pinn_cli.system.building import chain_of
 from pinn_cli.system.connection import Linear
 from pinn_cli.system.dynamics import Dynamics
 from pinn_cli.system.incidence import Incidence

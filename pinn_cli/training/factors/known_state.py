@@ -3,6 +3,8 @@
 How it begins may be known: at rest, at an earlier record's end. And no mode moves at either end as it never does in
 between. Modes above the record's band, which no sensor tells, otherwise balance each other there, in the physics'
 equations and at the sensors, however large they are.
+
+How fast modes move is what the motion of the record's sensors implies for all of them, also for those that none sees.
 """
 
 from __future__ import annotations
@@ -13,16 +15,52 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pinn_cli.record.amplitudes import motion_amplitudes
+from pinn_cli.record.channels import record_band
+from pinn_cli.record.response import RESPONSE_QUANTITIES
 from pinn_cli.scheme.initial_motion import RESIDUAL_MOTION
 from pinn_cli.scheme.problem import Problem
+from pinn_cli.system.parameters import MASS
 from pinn_cli.training.beginning import TIE, Beginning
 from pinn_cli.training.factors.factor import Factor
 from pinn_cli.training.factors.frame import Frame
-from pinn_cli.training.modal_scale import modal_deviation
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_matrix.row_sums import Rows, RowSums, Touched
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_scales import force_and_velocity_scale
+
+# Standard deviations of a mode's motion, over what a force that acts on all modes alike would make it.
+WIDE = 3.0
+# Damping ratio of modes at least, and frequencies at which their response is summed up.
+LEAST_DAMPING, FREQUENCIES = 0.02, 4096
+
+
+def modal_deviation(problem: Problem) -> np.ndarray | None:
+    """(n, 2), standard deviations of the velocity and the acceleration of every coordinate at any time.
+
+    A random force, flat over the record's band and as large on every mode, whose response is as large as that of the
+    sensors: in the band modes resonate, above it they follow slowly, and no more. None where coordinates are no modes.
+    """
+    structure, record = problem.structure, problem.record
+    if not structure.is_modal:
+        return None
+    n = structure.coordinates
+    p = structure.parameters_like(np.empty(0))
+    m = p[MASS]
+    omega = np.sqrt(np.maximum(p["k"][:n] / m, 0.0))
+    damping = np.maximum(p["c"][:n] / m, 2.0 * LEAST_DAMPING * omega)
+    band = 2.0 * np.pi * record_band(record)
+    w = np.geomspace(min(2.0 * np.pi / record.duration, 0.5 * band), band, FREQUENCIES)
+    power = m[:, None] ** -2.0 / ((omega[:, None] ** 2 - w**2) ** 2 + (damping[:, None] * w) ** 2)
+    velocity, acceleration = (np.trapezoid(power * w**order, w) / band for order in (2, 4))
+    of_dofs = structure.shapes.matrix**2 @ acceleration
+    seen = any(record.sensors(quantity).any() for quantity in RESPONSE_QUANTITIES)
+    level = force_and_velocity_scale(problem)[0]
+    if seen:
+        level = motion_amplitudes(record)["acceleration"] / float(np.sqrt(of_dofs.mean()))
+    deviation: np.ndarray = WIDE * level * np.sqrt(np.stack((velocity, acceleration), axis=1))
+    return deviation
+
 
 # Prior standard deviation of an unknown force at the first sample, over the force that the record is about.
 FIRST_FORCE = 3.0

@@ -10,16 +10,60 @@ from the factor: the linear model of the units, which is the better the smaller 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.function_space.block_cholesky import BlockCholesky, BlockPattern, Blocks, entry
-from pinn_cli.training.function_space.conjugate_gradients import conjugate_gradients
 from pinn_cli.training.function_space.kernel import Block
 from pinn_cli.training.function_space.products import Products, sum_of, with_constant
 from pinn_cli.training.function_space.system import System, probes
+
+Operator = Callable[[Tensor], Tensor]
+"""From (M, k) to (M, k), symmetric and positive definite."""
+
+
+def conjugate_gradients(
+    apply: Operator, precondition: Operator, right: Tensor, tolerance: float, most: int
+) -> tuple[Tensor, int, float]:
+    """Solve ``apply(x) = right``, every column for itself (Golub and Van Loan 2013, section 11.5.2).
+
+    Args:
+        apply: The system's matrix.
+        precondition: Roughly its inverse.
+        right: (M, k).
+        tolerance: Residual in the preconditioner's norm, over that of the right-hand side, at which a column is solved.
+        most: Iterations at most.
+
+    Returns:
+        The solution (M, k), how many iterations it took, and the residual of the column that is solved worst.
+    """
+    out, residual = torch.zeros_like(right), right.clone()
+    way = precondition(residual)
+    size = (residual * way).sum(0)
+    begun, least, one = size, tolerance**2 * size, torch.ones_like(size)
+    direction, iterations = way, 0
+    while iterations < most:
+        going = size > least
+        if not bool(going.any()):
+            break
+        iterations += 1
+        image = apply(direction)
+        curvature = (direction * image).sum(0)
+        # A column that is solved to the last digit has no direction left.
+        going &= curvature > 0.0
+        length = torch.where(going, size / curvature.where(going, one), 0.0)
+        out.addcmul_(direction, length.expand_as(out))
+        residual.addcmul_(image, length.expand_as(out), value=-1)
+        way = precondition(residual)
+        before, size = size, torch.where(going, (residual * way).sum(0), size)
+        direction = torch.addcmul(way, direction, (size / before.where(before > 0.0, one)).expand_as(way))
+    reached = (size / begun.where(begun > 0.0, one)).clamp(min=0.0).sqrt()
+    return out, iterations, float(reached.nan_to_num(torch.inf).max())
+
 
 # Of the residual in conjugate gradients, over the right-hand side, in the preconditioner's norm. A step's: with 1e-5
 # the motion that is left bends the units and trainings take twice as many steps; rounding may keep it above that, and

@@ -7,9 +7,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+import torch
 
 from pinn_cli.network.linear_readout import LinearReadout
 from pinn_cli.network.spline import Spline
+from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.record import Record
 from pinn_cli.scheme.joint_problem import JointProblem
 from pinn_cli.scheme.problem import Problem
@@ -18,14 +20,39 @@ from pinn_cli.system.parameters import ParameterVector
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.evidence import Evidence, Trained
 from pinn_cli.training.history import History
-from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
+from pinn_cli.training.noise_model import FeatureProjection, NoiseLevels, NoiseModel, first_output, output_features
+from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.point import Point
 from pinn_cli.training.solver import Inference, Solver
 from pinn_cli.training.steps.discrepancy_search import searched
 from pinn_cli.training.steps.known_levels import solve_under_known_levels
 from pinn_cli.training.steps.part_of_record import is_trustworthy, part_of_record, whole_from
-from pinn_cli.training.steps.simulated_start import simulated_start
 from pinn_cli.training.whittle.whittle_estimate import known_parameters
+
+
+def simulated_start(equations: NormalEquations) -> Point | None:
+    """The prescribed chain's motion from rest under the measured force, as readout weights.
+
+    None where it cannot be had: a force is unknown, a parameter is, the motion does not stay finite, or velocity is an
+    output of its own.
+    """
+    problem = equations.problem
+    if problem.identifies or equations.network.channels > 1:
+        return None
+    try:
+        motion = free_run(problem.structure, problem.record)
+    except NoFreeRunError:
+        return None
+    coordinates = motion.displacement if motion.coordinates is None else motion.coordinates[:, 0]
+    supports = None if motion.supports is None else motion.supports[:, 0]
+    functions = [coordinates, *(x for x in (motion.hidden, supports, motion.ground_acceleration) if x is not None)]
+    every = np.column_stack([*functions, problem.record.force[:, list(problem.inputs.loads)]])
+    segments, network = equations.observation, equations.network
+    projection = FeatureProjection(first_output(network, segments), output_features(network, segments)[0])
+    like = equations.target.force
+    weights = projection.coefficients(torch.as_tensor(every).to(like))
+    return Point(equations.layout.unknowns(weights.to(like)), equations.start().parameters)
+
 
 # A discrepancy of this part of the force that acts explains nothing; then the sensors are taken to be so many times as
 # noisy as their spectra say.

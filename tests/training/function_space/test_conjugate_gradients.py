@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from pinn_cli.training.function_space.conjugate_gradients import conjugate_gradients
+from pinn_cli.training.function_space.feature_system import conjugate_gradients
 
 
 def system(size: int = 60, off: float = 1.0) -> torch.Tensor:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from pinn_cli.training.function_space import factor
-from pinn_cli.training.function_space.factor import cholesky
+from pinn_cli.training.function_space.system import cholesky
 
 
 @pytest.fixture(autouse=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pinn_cli.training.covariance import ENOUGH, is_alike, row_variance
 from pinn_cli.training.normal_matrix.diagonals import Diagonals
-from pinn_cli.training.normal_matrix.row_variance import ENOUGH, is_alike, row_variance
 
 FUNCTIONS, WIDTH = 2, 5
 

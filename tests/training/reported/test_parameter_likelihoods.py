@@ -21,8 +21,11 @@ from pinn_cli.record.simulation import simulate
 from pinn_cli.scheme.bayesian import Bayesian
 from pinn_cli.training.estimate import RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
-from pinn_cli.training.marginal_likelihood import MarginalLikelihood
-from pinn_cli.training.reported.parameter_likelihoods import ParameterLikelihoods, parameter_likelihoods
+from pinn_cli.training.reported.parameter_likelihoods import (
+    MarginalLikelihood,
+    ParameterLikelihoods,
+    parameter_likelihoods,
+)
 
 # Every way in which a record's force may be told: name to settings of :func:`source`.
 RECORDS = {

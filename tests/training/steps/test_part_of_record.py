@@ -47,7 +47,7 @@ def test_it_ends_where_a_search_in_all_of_the_record_ends(problem, monkeypatch):
     searched = []
     for module in (discrepancy_search, part_of_record):
         scan = module.scanned
-        noted = lambda own, *a, scan=scan, **k: searched.append(own.problem.record) or scan(own, *a, **k)  # noqa: E731
+        noted = lambda own, *a, scan=scan, **k: searched.append(own.problem.alone.record) or scan(own, *a, **k)  # noqa: E731
         monkeypatch.setattr(module, "scanned", noted)
     found, _ = solved(problem)
     assert len(searched) == 2
@@ -84,7 +84,7 @@ def shaken_later(record: Record) -> Record:
 def test_some_records_are_searched_whole(changed, problem, monkeypatch):
     in_parts(monkeypatch)
     other = replace(problem, record=changed(problem.record))
-    assert part_of_record.part_of_record(other, Spline().build(other.record)) is None
+    assert part_of_record.part_of_record(JointProblem.of(other), Spline().build(other.record)) is None
 
 
 def test_records_of_ordinary_length_are_searched_whole(problem):
@@ -94,7 +94,7 @@ def test_records_of_ordinary_length_are_searched_whole(problem):
 def test_structures_that_are_not_linear_are_searched_whole(problem, monkeypatch):
     in_parts(monkeypatch)
     other = replace(problem, structure=small_chain("duffing"))
-    assert part_of_record.part_of_record(other, Spline().build(other.record)) is None
+    assert part_of_record.part_of_record(JointProblem.of(other), Spline().build(other.record)) is None
 
 
 def test_several_records_are_searched_whole(problem, monkeypatch):

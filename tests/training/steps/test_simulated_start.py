@@ -32,7 +32,7 @@ from pinn_cli.training.noise_model import NoiseLevels
 from pinn_cli.training.normal_equations import NormalEquations
 from pinn_cli.training.steps import first_solution
 from pinn_cli.training.steps.discrepancy_search import scanned, searched
-from pinn_cli.training.steps.simulated_start import simulated_start
+from pinn_cli.training.steps.first_solution import simulated_start
 
 
 def equations(record: Record, structure: Structure, uncertain=(), design=None) -> NormalEquations:
