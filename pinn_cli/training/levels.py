@@ -20,7 +20,7 @@ from pinn_cli.training.force_residuals import ForceResiduals
 from pinn_cli.training.noise_model import NoiseLevels, NoiseModel
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 from pinn_cli.training.steps.discrepancy_search import FINEST_OF_NOISE, NEGLIGIBLE_GAIN
-from pinn_cli.training.steps.force_spectrum import drive_below
+from pinn_cli.training.steps.force_spectrum import DRAWS, drive_below
 
 # Rounds at most, and the relative change of a level below which nothing that is reported would change.
 ROUNDS, SETTLED = 25, 0.01
@@ -31,8 +31,6 @@ LARGEST_CHANGE = 10.0
 # Change of the logarithm of a level below which the factor of the solution before serves: its Hessian is off by a
 # factor of two at most.
 NEAR = 0.35
-# Draws from the posterior that tell how many values the solution has taken up.
-DRAWS = 8
 # Values that are left of N at the least: where features follow every sample, rounding is all that N - gamma would be.
 FEWEST_LEFT = 1e-3
 # A discrepancy below this part of the force that acts makes no motion better known.

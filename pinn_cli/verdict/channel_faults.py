@@ -13,6 +13,7 @@ from pinn_cli.record.response import GROUND
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.verdict.comparison import Comparison, compare, comparisons
 from pinn_cli.verdict.finding import Finding
+from pinn_cli.verdict.record_faults import DEVIATIONS, LEAST_OFFSET
 
 if TYPE_CHECKING:
     from pinn_cli.record.channels import Channel
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
 REPRODUCED = 0.2
 # Readings of 60 random rigs without a fault: factors within 4 % (force with 21 dB of noise), delays within 0.1 sample,
 # offsets within 1.2 % of the channel's rms; up to 7, 10 and 3 standard deviations from what is right.
-LEAST_GAIN, LEAST_DELAY, LEAST_OFFSET = 0.06, 0.3, 0.05
-DEVIATIONS = 10.0
+LEAST_GAIN, LEAST_DELAY = 0.06, 0.3
 # A cause must bring the channel's NMSE down to this share of what it was: a law that is left out turns phases, as a
 # delay does, and leaves more than that.
 MENDS = 0.5

@@ -35,7 +35,8 @@ IDENTIFIED, ROUGHLY_IDENTIFIED = 0.1, 0.5
 NAMED = 4
 # Times that finer features may narrow a deviation: what coarser ones cannot follow of a motion is noise to them.
 NARROWED = 2.0
-# Standard deviations of the difference from a baseline, and the least difference worth a word, relative.
+# Standard deviations of a difference from a baseline, or of a record from all together, and the least one worth a word,
+# relative.
 APART, LEAST_APART, LEAST_RESPONSE_APART = 5.0, 0.02, 0.1
 
 

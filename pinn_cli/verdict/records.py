@@ -6,14 +6,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pinn_cli.verdict.finding import Finding, Verdict
+from pinn_cli.verdict.parameter_findings import APART, LEAST_APART
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pinn_cli.training.estimate import Estimate
 
-# Root mean square of a record's pull over its standard deviation, and the least difference worth a word, relative.
-APART, LEAST_APART = 5.0, 0.02
 NAMED = 3
 
 

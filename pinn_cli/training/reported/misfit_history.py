@@ -29,10 +29,11 @@ from pinn_cli.record.spectrum import visible_floor
 from pinn_cli.system.functions import Jet
 from pinn_cli.system.parameters import MASS
 from pinn_cli.system.quantities import FORCE
+from pinn_cli.training.doubts.left_spectra import MOVING
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
-# Parts of a record whose spectra are averaged, and the share of a coordinate's power at the frequencies of its motion.
-PARTS, MOVING = 16, 0.95
+# Parts of a record whose spectra are averaged.
+PARTS = 16
 
 
 def misfit_history(evidence: RecordEvidence, solution: RecordSolution) -> Misfit:

@@ -17,7 +17,7 @@ from pinn_cli.record.spectrum import USABLE_NYQUIST_FRACTION
 from pinn_cli.system.functions import FLAT, Inputs
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
 
-# Draws from the posterior that tell how much of what drives the forces the record determines.
+# Draws from the posterior that tell how many values of a residual, or of what drives the forces, the record determines.
 DRAWS = 8
 # Part of the drive in the band that must be determined: of less no level can be read.
 LEAST_DETERMINED = 0.02

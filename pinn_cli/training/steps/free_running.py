@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from pinn_cli.training.evidence import Evidence, Trained
-from pinn_cli.training.levels import floor
+from pinn_cli.training.levels import SETTLED, floor
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.point import Point
 from pinn_cli.training.record_evidence import RecordEvidence, RecordSolution
@@ -31,8 +31,8 @@ from pinn_cli.training.steps.discrepancy_search import DECISIVE_DROP, SCAN_FACTO
 FORCE_LEFT = 0.03
 # Parts of the first discrepancy: the last one moves a structure by nothing beside what the sensors are off by then.
 PARTS_LEFT = (1e-2, 1e-3, 1e-4)
-# Rounds at most to each, and the change of a logarithm of the sensors' noise below which nothing moves any more.
-ROUNDS, SETTLED = 15, 0.01
+# Rounds at most to each.
+ROUNDS = 15
 # Parts of a record that a score is summed over, and how many of them in a row are as good as independent of others.
 CELLS, IN_A_ROW = 200, 20
 # Parts that overlap count for one and a half times as many that do not.

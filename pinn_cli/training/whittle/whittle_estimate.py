@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from pinn_cli.scheme.joint_problem import JointProblem
+from pinn_cli.scheme.modal.modal_fit import IMPROBABLE
 from pinn_cli.scheme.problem import Problem
 from pinn_cli.system.quantities import FORCE
 from pinn_cli.training.doubts.other_damping import DampingDoubt, damping_doubt, with_other_damping
@@ -35,8 +36,8 @@ FIRST_DAMPING, LARGEST_DAMPING = 1e-4, 1e4
 # least: nepers.
 ROUNDS, FIRST_SPREAD, LEAST_SPREAD, SETTLED = 12, 0.3, 0.02, 0.05
 # Parts of the spectra that a misfit is looked for in, as wide as a resonance and its flanks, and values in one at the
-# least; a misfit less probable than this is no chance.
-PART_RATIO, FEWEST_IN_PART, IMPROBABLE = 1.1, 20.0, 1e-4
+# least.
+PART_RATIO, FEWEST_IN_PART = 1.1, 20.0
 # Prior standard deviation of the logarithm of a sensor's noise about what its spectrum shows.
 NOISE_SPREAD = 3.0
 
