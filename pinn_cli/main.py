@@ -1,293 +1,63 @@
-"""`pinn-run`: config, system, record, problem, estimate (its posterior, a baseline's), report, in this order."""
+"""`pinn-run`: config, system, record, problem, estimate (its posterior, a baseline's), report, in this order.
+
+The first four are a job's input, which is read and checked before anything is written (:mod:`pinn_cli.cli.job`).
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from pinn_cli import LOADED
 from pinn_cli.cli.command_line import execute
-from pinn_cli.cli.config import RunConfig
-from pinn_cli.cli.inspecting import Inspected
-from pinn_cli.cli.prepare import prepare_problem
-from pinn_cli.cli.records import check_records
+from pinn_cli.cli.job import Job, inspect, results_of, run_job, shown
 from pinn_cli.cli.terminal import Silence, Terminal
-from pinn_cli.cli.windows import windowed_run
-from pinn_cli.runs.claim import leave_directory, lock_directory, settle_directory, take_directory
-from pinn_cli.runs.identity import flattened
-from pinn_cli.runs.memory import collect_rarely, keep_imported
+from pinn_cli.runs.claim import settle_directory
+from pinn_cli.runs.memory import keep_imported
 from pinn_cli.runs.process import is_borrowed
-from pinn_cli.runs.resume import RESULT, asked_to_resume, check_sound, is_finished, stored_score
-from pinn_cli.runs.signs_of_life import signs_of_life
-from pinn_cli.runs.stages import Stages
-from pinn_cli.runs.tracking_state import is_tracked
 
 if TYPE_CHECKING:
-    from pinn_cli.cli.prepare import PreparedProblem
-    from pinn_cli.record.response import Response
-    from pinn_cli.system.structure import Structure
-    from pinn_cli.training.estimate import RunContext, Watch
-    from pinn_cli.validation.base import Setup
-    from pinn_cli.windows.run import WindowedRun
+    from pinn_cli.training.estimate import Watch
+
+
+def carry_out(job: Job, watch: Watch) -> None:
+    """From a job's problem to its report, whose text is printed before its files are written."""
+    config, stages, problem = job.config, job.stages, job.prepared.problem
+    with stages("imports"):
+        from pinn_cli.baseline.comparison import baseline_estimate
+        from pinn_cli.posterior.result import posterior_result
+        from pinn_cli.report.run_report import RunReport
+    if not is_borrowed():
+        keep_imported()
+    with stages("estimate"):
+        estimate = config.estimator.solve(problem, replace(job.context, watch=watch))
+    problem = problem if estimate.structure is None else problem.in_coordinates_of(estimate.structure)
+    settle_directory()
+    with stages("posterior"):
+        posterior = posterior_result(config.posterior, problem, estimate, job.context)
+    with stages("validation"):
+        score = config.validation.score(problem, estimate, job.setup)
+    with stages("baseline"):
+        baseline = baseline_estimate(config.baseline, problem, job.context)
+    results = results_of(job, problem, estimate, posterior=posterior, score=score, baseline=baseline)
+    report = RunReport(results, job.directory, stages, config.exports)
+    with (
+        report.drawing() if job.draws else nullcontext(),
+        nullcontext() if isinstance(job.terminal, Silence) else shown(report.text(), stages, job.terminal),
+    ):
+        report.write()
 
 
 def run(
     composed: DictConfig, began: float | None = None, terminal: Terminal | None = None, follows: bool = False
 ) -> float | None:
-    """Run one job, or go on with it: what it leaves behind lies in Hydra's run directory, the last line printed.
-
-    Its input is checked before it takes the directory (:mod:`pinn_cli.runs.claim`); until then it writes nothing.
-
-    Args:
-        composed: Its configuration.
-        began: When the process of a single run did, by `time.perf_counter`; None: it is counted from now.
-        terminal: Where a single run tells what it has found; None: standard output.
-        follows: Whether its record may still grow; it goes on with the windows that are there.
-
-    Returns:
-        Its validation score, for a sweeper that looks for the least; None without one.
-    """
-    runtime = HydraConfig.get().runtime
-    in_sweep = HydraConfig.get().mode == RunMode.MULTIRUN  # which shows its progress, and its tables at its end
-    terminal = Silence() if in_sweep else terminal or Terminal()
-    directory, base, stages = Path(runtime.output_dir), Path(runtime.cwd), Stages(None if in_sweep else began)
-    if not is_borrowed():
-        collect_rarely()
-    with stages("config"):
-        resuming = asked_to_resume(composed, directory)
-        config = None if _is_done(resuming, composed, directory, base) else RunConfig.read(composed, base, follows)
-    if config is not None:
-        lock_directory()
-    if config is None or _is_done(resuming, composed, directory, base):  # by the process that was in there
-        leave_directory()
-        return _judged(composed, directory, "finished before, nothing to do", terminal)
-    finished = resuming and is_finished(directory, composed, base)
-    with nullcontext() if in_sweep or follows else signs_of_life(stages):
-        how = resuming, in_sweep, follows
-        prepared = None if finished else _prepare(config, directory, stages, how, terminal)
-        text = _tracked(config, composed, stages, resuming, prepared, terminal)
-    return _judged(composed, directory, text, terminal)
-
-
-def inspect(composed: DictConfig) -> None:
-    """Look at a record before anything is estimated: a table, a figure and a command to go on with."""
-    runtime = HydraConfig.get().runtime
-    directory, base = Path(runtime.output_dir), Path(runtime.cwd)
-    stages = Stages()
-    with signs_of_life(stages):
-        with stages("record"):
-            inspected = Inspected.read(composed, base)
-        with stages("imports"):
-            from pinn_cli.inspection.inspection import inspect_record
-            from pinn_cli.inspection.report import write_inspection
-        with stages("inspection"):
-            overrides = list(HydraConfig.get().overrides.task)
-            found = inspect_record(
-                inspected.signals, inspected.time, overrides, inspected.frequencies, inspected.measured
-            )
-        lock_directory()
-        take_directory()
-        with stages("report"):
-            text = write_inspection(found, directory, composed.get("figures") is not False)
-    print(f"{text}\n{directory}")
-
-
-def _tracked(
-    config: RunConfig,
-    composed: DictConfig,
-    stages: Stages,
-    resuming: bool,
-    prepared: Prepared | WindowedRun | None,
-    terminal: Terminal,
-) -> str:
-    """Make the run, or tell of one that had finished, under the eyes of its tracker; what is left to print."""
-    directory = Path(HydraConfig.get().runtime.output_dir)
-    with stages("imports"):  # after the configuration has limited the threads, and not for --help
-        from pinn_cli.tracking.base import TrackedRun
-        from pinn_cli.tracking.follow import follow
-    name, which = f"{config.case}/{directory.name}", config.identity.configuration
-    tracked_run = TrackedRun(directory, name, flattened(composed), config.description.labels_of("pinn"), which)
-    with follow(config.tracking, tracked_run, resuming) as tracked:
-        take_directory(_outdated(prepared))
-        text = f"finished before; tracking={config.tracking.name} has it now" if prepared is None else ""
-        if isinstance(prepared, Prepared):
-            _carry_out(config, directory, stages, prepared, tracked.row, terminal)
-        elif prepared is not None:
-            settle_directory()
-            text = prepared.carry_out(stages, tracked.row)
-        with stages("tracking"):
-            tracked.results()
-    return text
-
-
-def _is_done(resuming: bool, composed: DictConfig, directory: Path, base: Path) -> bool:
-    """Whether there is nothing to do, the tracker included."""
-    return resuming and is_finished(directory, composed, base) and is_tracked(directory, composed)
-
-
-def _judged(composed: DictConfig, directory: Path, text: str, terminal: Terminal) -> float | None:
-    """Tell how it ended; the score of a finished run, whose verdict must be sound with ``strict=true``."""
-    terminal.say(f"{text}\n{directory}" if text else str(directory))
-    if composed.get("strict") is True:
-        check_sound(directory)
-    return stored_score(directory)
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A run whose input has been found good.
-
-    Attributes:
-        problem: What it solves.
-        context: What its estimators are given.
-        setup: Of its validation.
-        in_sweep: Whether it is a job of a sweep.
-    """
-
-    problem: PreparedProblem
-    context: RunContext
-    setup: Setup
-    in_sweep: bool
-
-
-def _prepare(
-    config: RunConfig, directory: Path, stages: Stages, how: tuple[bool, bool, bool], terminal: Terminal
-) -> Prepared | WindowedRun:
-    """Everything that may find fault with the input; nothing is written.
-
-    Args:
-        config: Of the run.
-        directory: Of it.
-        stages: Likewise.
-        how: Whether it goes on, is a job of a sweep, and follows its record.
-        terminal: Who is told.
-
-    Raises:
-        InputError: No run can use it.
-    """
-    with stages("imports"):
-        from pinn_cli.runs.run_checkpoints import open_checkpoints
-        from pinn_cli.training.estimate import RunContext
-        from pinn_cli.validation.base import Setup
-    goes_on, in_sweep, follows = how
-    progress = sys.stderr.isatty() and not in_sweep
-    if config.source.windows is not None:
-        context = RunContext(config.device, config.seed, directory, progress)
-        drawn = config.figures if config.figures is not None else not in_sweep
-        say = partial(_told, terminal)
-        return windowed_run(
-            config, directory, context, stages, goes_on=goes_on, drawn=drawn, say=say, follows=follows
-        )  # fmt: skip
-    prepared = prepare_problem(config, stages)
-    checkpoints = open_checkpoints(directory, config.identity, config.resume, config.checkpoint_every_s, config.device)
-    context = RunContext(config.device, config.seed, directory, progress, checkpoints)
-    setup = Setup(prepared.prescribed, config.scheme, config.estimator, context)
-    for estimator in (config.estimator, *([config.baseline] if config.baseline else [])):
-        for problem in prepared.problem:
-            estimator.check(problem)
-    for problem in prepared.problem if prepared.problem.priors else ():
-        config.posterior.check(problem)
-    check_records(prepared.problem, config.estimator, config.baseline, config.validation)
-    config.validation.check(prepared.problem, setup)
-    return Prepared(prepared, context, setup, in_sweep)
-
-
-def _told(terminal: Terminal, line: str) -> None:
-    """Say a line at once: what follows it may take long."""
-    terminal.say(line)
-    sys.stdout.flush()
-
-
-def _outdated(prepared: Prepared | WindowedRun | None) -> list[str]:
-    """Files of an earlier run whose place this one takes: its result, and checkpoints that it does not go on from."""
-    if not isinstance(prepared, Prepared):
-        return [] if prepared is None else [RESULT]
-    checkpoints = prepared.context.checkpoints
-    return [RESULT, *([] if checkpoints is None or checkpoints.taken_up else checkpoints.files.NAMES)]
-
-
-def _carry_out(
-    config: RunConfig, directory: Path, stages: Stages, prepared: Prepared, watch: Watch, terminal: Terminal
-) -> None:
-    """From the problem to the report, whose text is printed before its files are written."""
-    with stages("imports"):
-        from pinn_cli.baseline.comparison import baseline_estimate
-        from pinn_cli.posterior.result import posterior_result
-        from pinn_cli.report.results import Results, further_results
-        from pinn_cli.report.run_report import RunReport
-        from pinn_cli.training.calibrated_record import as_calibrated
-    if not is_borrowed():
-        keep_imported()
-    problem, context = prepared.problem.problem, prepared.context
-    with stages("estimate"):
-        estimate = config.estimator.solve(problem, replace(context, watch=watch))
-    prescribed = prepared.problem.prescribed
-    if estimate.structure is not None:
-        problem = problem.in_coordinates_of(estimate.structure)
-        prescribed = prescribed.in_coordinates_of(estimate.structure)
-    settle_directory()
-    with stages("posterior"):
-        posterior = posterior_result(config.posterior, problem, estimate, context)
-    with stages("validation"):
-        score = config.validation.score(problem, estimate, prepared.setup)
-    with stages("baseline"):
-        baseline = baseline_estimate(config.baseline, problem, context)
-    record = as_calibrated(prepared.problem.record, estimate.by_record[0])
-    drawn = config.figures if config.figures is not None else not prepared.in_sweep
-    linear = _linear_response(config, prepared.problem.true) if drawn else None
-    results = Results(
-        config.description,
-        prescribed,
-        record,
-        prepared.problem.truth,
-        estimate,
-        baseline,
-        posterior,
-        score,
-        None if config.scheme.predicts else replace(problem.each[0], record=record),  # there is nothing to judge
-        linear,
-        prepared.problem.true if config.source.simulated else None,
-        prepared.problem.validation,
-        config.model,
-    )
-    further = further_results(results, problem.each[1:], prepared.problem.truths[1:])
-    report = RunReport(replace(results, further=further), directory, stages, config.exports)
-    with (
-        report.drawing() if drawn else nullcontext(),
-        nullcontext() if isinstance(terminal, Silence) else _shown(report.text(), stages, terminal),
-    ):
-        report.write()
-
-
-@contextmanager
-def _shown(text: str, stages: Stages, terminal: Terminal) -> Iterator[None]:
-    """Print before the block; a reader that has left is told of after it, so that the block's files are written."""
-    refused = None
-    try:
-        terminal.say(text)
-        sys.stdout.flush()
-    except OSError as error:
-        refused = error
-    stages.reached("table_at")
-    yield
-    if refused is not None:
-        raise refused
-
-
-def _linear_response(config: RunConfig, true: Structure) -> Response | None:
-    """See :attr:`pinn_cli.report.results.Results.linear_response`."""
-    if not config.source.simulated or config.model_error.name != "linear":
-        return None
-    return config.source.measure(true.linearised()).truth.response
+    """Run one job, or go on with it; arguments and value as of :func:`pinn_cli.cli.job.run_job`."""
+    return run_job(composed, began, terminal, follows, carry_out)
 
 
 def main() -> None:
