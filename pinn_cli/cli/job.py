@@ -268,9 +268,7 @@ def results_of(job: Job, problem: JointProblem, estimate: Estimate, **more: Any)
         record,
         prepared.truth,
         estimate,
-        problem=None
-        if config.scheme.predicts
-        else replace(problem.each[0], record=record),  # there is nothing to judge
+        problem=None if config.scheme.predicts else replace(problem.first, record=record),  # there is nothing to judge
         linear_response=_linear_response(config, prepared.true) if job.draws else None,
         true=prepared.true if config.source.simulated else None,
         validation=prepared.validation,

@@ -77,7 +77,7 @@ def posterior_result(
     likelihoods = estimate.likelihoods
     samples = posterior.sample(likelihoods.marginal, likelihoods.conditional, problem.priors, run)
     table = diagnose(samples)
-    repeats = 1 if problem.each[0].record.repeats is None else problem.each[0].record.repeats.count
+    repeats = 1 if problem.first.record.repeats is None else problem.first.record.repeats.count
     predictive = force_predictive(likelihoods, samples, run.seed, repeats) if len(samples.force_dofs) else None
     return PosteriorResult(samples, table, tuple(verdict(table, samples)), predictive)
 

@@ -78,6 +78,11 @@ class JointProblem:
         return len(self.each)
 
     @property
+    def first(self) -> Problem:
+        """That of the first record, which has what all have in common as well."""
+        return self.each[0]
+
+    @property
     def alone(self) -> Problem:
         """The problem of the only record.
 
@@ -95,7 +100,7 @@ class JointProblem:
     @property
     def structure(self) -> Structure:
         """The prescribed model, of all records."""
-        return self.each[0].structure
+        return self.first.structure
 
     def present(self, values: Mapping[str, np.ndarray]) -> JointProblem:
         """The same with damping of the whole in the modes of some masses and stiffnesses, see `Structure.present`."""
@@ -113,12 +118,12 @@ class JointProblem:
     @property
     def priors(self) -> tuple[Prior, ...]:
         """Of the first record's uncertain parameters, see :attr:`Problem.priors`."""
-        return self.each[0].priors
+        return self.first.priors
 
     @property
     def is_informed(self) -> bool:
         """Whether earlier records say what the parameters are."""
-        return self.each[0].prior is not None
+        return self.first.prior is not None
 
     @property
     def has_unknown_forces(self) -> bool:

@@ -54,7 +54,7 @@ def problem_of_model(
     before = known if updates else ParameterKnowledge(mean, covariance, nothing, nothing, std)
     prior = JointPrior.of(before, model.levels)
     sensors = sensor_parameters(record)
-    own_problem = Problem(
+    problem = Problem(
         model.structure.with_values({p: p.prescribed for p in own}),
         record,
         (*own, *sensors),
@@ -63,7 +63,7 @@ def problem_of_model(
         inputs=inputs_of(model.structure, record, unknown_force),
         prior=prior.with_independent([p.prior_std for p in sensors]),
     )
-    return JointProblem.of(own_problem)
+    return JointProblem.of(problem)
 
 
 def problem_going_on(model: Model, record: Record, acceleration_through: str, unknown_force: str) -> JointProblem:

@@ -162,7 +162,7 @@ class StateParameter(Scheme):
         """See :meth:`Scheme.with_record`: by default it is the sensors that say what is unknown."""
         again = copy(self)
         structural = problem.structure.parameters
-        again.unknown = [p.name for p in problem.each[0].uncertain if p.unknown and p.kind in structural]
+        again.unknown = [p.name for p in problem.first.uncertain if p.unknown and p.kind in structural]
         return again.pose(prescribed, [record])
 
     def _given(self, prescribed: Structure, record: Record, unknown: Collection[Parameter]) -> dict[Parameter, float]:

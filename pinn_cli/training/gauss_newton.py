@@ -79,7 +79,7 @@ class GaussNewton(Training):
 
     def solve(self, problem: JointProblem, design: NetworkDesign, run: RunContext) -> Estimate:
         """See :meth:`Training.solve`."""
-        first = problem.each[0]
+        first = problem.first
         if problem.priors and self.weights:
             raise InputError("training.weights", self.weights, "inferred with scheme=bayesian", "they are noise levels")
         if problem.has_unknown_forces:

@@ -61,7 +61,7 @@ def settled(evidence: Evidence, trained: Trained, pooled: bool = False, rounds: 
         pooled: Whether the sensors of one quantity share one level.
         rounds: At most.
     """
-    if evidence.problem.each[0].spectral is not None:  # spectra say what the levels are, too
+    if evidence.problem.first.spectral is not None:  # spectra say what the levels are, too
         return trained
     floors = evidence.each_record(floor, trained)
     before: list[np.ndarray | None] = [None] * len(floors)

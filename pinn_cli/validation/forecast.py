@@ -53,11 +53,12 @@ class Forecast(Validation):
 
     def check(self, problem: JointProblem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
-        unknown = np.flatnonzero(np.isnan(problem.each[0].record.force).any(axis=0))
+        record = problem.alone.record
+        unknown = np.flatnonzero(np.isnan(record.force).any(axis=0))
         if unknown.size:
-            hint = f"that on {problem.each[0].record.dof_names(unknown)} is neither measured nor known to be zero"
+            hint = f"that on {record.dof_names(unknown)} is neither measured nor known to be zero"
             raise InputError("validation", self.name, "used with a record whose forces are all known", hint)
-        starts, length = self._starts(problem.each[0].record), self._length(problem.each[0].record)
+        starts, length = self._starts(record), self._length(record)
         if min(length, starts[0]) < MINIMUM_SAMPLES:
             allowed = f"{MINIMUM_SAMPLES} samples or more in each block and before the first"
             hint = f"with validation.blocks={self.blocks} there are {length} and {max(0, starts[0])}"
@@ -68,18 +69,17 @@ class Forecast(Validation):
     def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
-        for start in self._starts(problem.each[0].record):
+        record = problem.alone.record
+        for start in self._starts(record):
             try:
                 before = self._up_to(start, problem, setup)
                 found = setup.estimator.solve(before, setup.run)
-                forecast = _forecast(
-                    problem.each[0].record, found, setup, start, start + self._length(problem.each[0].record)
-                )
+                forecast = _forecast(record, found, setup, start, start + self._length(record))
             except (DivergenceError, NoFreeRunError) as error:
-                reason = f"with the record up to {problem.each[0].record.time[start]:.4g} s: {error}"
+                reason = f"with the record up to {record.time[start]:.4g} s: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
-            rows += self._rows(problem.each[0].record, forecast, start)
+            rows += self._rows(record, forecast, start)
         return Score.mean(rows, over="dof")
 
     def _length(self, record: Record) -> int:
@@ -92,7 +92,7 @@ class Forecast(Validation):
 
     def _up_to(self, start: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """The same problem with the record up to a block."""
-        return setup.scheme.with_record(problem, setup.prescribed, problem.each[0].record.until(start))
+        return setup.scheme.with_record(problem, setup.prescribed, problem.alone.record.until(start))
 
     def _rows(self, record: Record, forecast: Response, start: int) -> list[dict[str, Any]]:
         rows = []

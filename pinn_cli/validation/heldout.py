@@ -49,28 +49,30 @@ class HeldOut(Validation):
 
     def check(self, problem: JointProblem, setup: Setup) -> None:
         """See :meth:`Validation.check`."""
-        observed = np.flatnonzero(problem.each[0].record.observed) + 1
+        record = problem.alone.record
+        observed = np.flatnonzero(record.observed) + 1
         if len(observed) < 2:
             hint = "with one DOF observed there is none to spare; validation=forecast withholds blocks of time"
             raise InputError("validation", self.name, "used with sensors on two DOFs or more", hint)
         for dof in self.dofs or ():
             if dof not in observed:
                 raise InputError("validation.dofs", self.dofs, f"observed DOFs: {', '.join(map(str, observed))}")
-        for dof in self._withheld(problem.each[0].record):
+        for dof in self._withheld(record):
             self._without(dof, problem, setup)
 
     def score(self, problem: JointProblem, estimate: Estimate, setup: Setup) -> Score:
         """See :meth:`Validation.score`."""
         rows: list[dict[str, Any]] = []
-        for dof in self._withheld(problem.each[0].record):
+        record = problem.alone.record
+        for dof in self._withheld(record):
             reduced = self._without(dof, problem, setup)
             try:
                 found = setup.estimator.solve(reduced, setup.run)
             except DivergenceError as error:
-                reason = f"without the sensors of DOF {problem.each[0].record.dof_name(dof - 1)}: {error}"
+                reason = f"without the sensors of DOF {record.dof_name(dof - 1)}: {error}"
                 log.warning("no validation score: %s", reason)
                 return Score(np.nan, pd.DataFrame(rows), reason)
-            rows += self._rows(problem.each[0].record, dof, found)
+            rows += self._rows(record, dof, found)
         return Score.mean(rows, over="withheld_dof")
 
     def _withheld(self, record: Record) -> list[int]:
@@ -78,7 +80,7 @@ class HeldOut(Validation):
 
     def _without(self, dof: int, problem: JointProblem, setup: Setup) -> JointProblem:
         """The same problem without one DOF's response sensors."""
-        record = problem.each[0].record
+        record = problem.alone.record
         left = {q: [int(d) + 1 for d in np.flatnonzero(record.sensors(q)) if d + 1 != dof] for q in RESPONSE_QUANTITIES}
         return setup.scheme.with_record(problem, setup.prescribed, record.keep(left))
 

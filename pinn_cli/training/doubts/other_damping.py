@@ -52,7 +52,7 @@ def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) 
     """
     structure = problem.structure
     plain = not structure.is_modal and structure.nonlinearity_name == "linear" and not problem.is_informed
-    if not plain or structure.coordinates > MOST_COORDINATES or problem.each[0].initial_state is not None:
+    if not plain or structure.coordinates > MOST_COORDINATES or problem.first.initial_state is not None:
         return None
     if RATIO in structure.parameters:
         new = [structure.parameter("c", i) for i in range(len(values["c"]))]
@@ -61,7 +61,7 @@ def with_other_damping(problem: JointProblem, values: Mapping[str, np.ndarray]) 
     else:
         structure = damped(structure, {"ratio": [0.0] * structure.coordinates}).present(values)
         added = [replace(structure.parameter(RATIO, i), prior_std=USUAL) for i in range(structure.coordinates)]
-    added = [replace(p, unknown=True) for p in added if p not in problem.each[0].uncertain]
+    added = [replace(p, unknown=True) for p in added if p not in problem.first.uncertain]
     if not added:
         return None
 

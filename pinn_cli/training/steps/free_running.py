@@ -46,7 +46,7 @@ def fit_free_run(found: Inference) -> Inference | None:
     force is free nothing tells it from what the model leaves out; windows and samplers go on from the solution itself.
     """
     problem = found.problem
-    goes_on = found.is_informed or problem.each[0].hand_over is not None or bool(problem.priors)
+    goes_on = found.is_informed or problem.first.hand_over is not None or bool(problem.priors)
     if goes_on or problem.has_unknown_forces or not problem.identifies:
         return None
     evidence, last = found.evidence, found.trained

@@ -38,7 +38,7 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
         evidence: Of the problem.
         noise: Where its levels would start without a model; the discrepancy is the force that acts.
     """
-    problem = evidence.problem.each[0]
+    problem = evidence.problem.first
     if problem.spectral is not None:
         return _under_levels(evidence, noise, problem.spectral.levels)
     if problem.prior is None:
@@ -78,7 +78,7 @@ def solve_under_known_levels(evidence: Evidence, noise: NoiseLevels) -> Trained 
 
 def _under_levels(evidence: Evidence, noise: NoiseLevels, levels: Mapping[str, np.ndarray]) -> Trained | None:
     """The solution under levels that spectra say; what disturbs the motion is no more than the load cell's."""
-    least = LEAST_START * force_and_velocity_scale(evidence.problem.each[0])[0]
+    least = LEAST_START * force_and_velocity_scale(evidence.problem.first)[0]
     discrepancy = float(max(np.nanmax(levels[FORCE]), least))
     known = noise.each(_with_known_response, levels).with_discrepancy(discrepancy)
     return evidence.train(known, evidence.equations.start())
@@ -95,7 +95,7 @@ def softer_point(evidence: Evidence, noise: NoiseLevels, point: Point) -> Point:
     Parameters that are uncertain times a motion are no linear force: from elsewhere stiff physics may get stuck. Where
     even the softer one cannot be solved it is the point itself.
     """
-    force, _ = force_and_velocity_scale(evidence.problem.each[0])
+    force, _ = force_and_velocity_scale(evidence.problem.first)
     softer = evidence.train(softened(noise, force), point, ON_THE_WAY)
     return point if softer is None else softer.solution.point
 

@@ -48,7 +48,7 @@ def part_of_record(whole: JointProblem, network: LinearReadout) -> tuple[Problem
     unknown, ten minutes of ten DOFs took as long either way. Scans of structures that are not linear take other
     steps in a part than in the whole, which would move what is reported.
     """
-    problem, record = whole.each[0], whole.each[0].record
+    problem, record = whole.first, whole.first.record
     informed = len(whole) > 1 or problem.prior is not None or problem.initial_state is not None
     irregular = bool(record.gauges or record.missing) or record.repeats is not None
     linear = problem.structure.nonlinearity_name == "linear"

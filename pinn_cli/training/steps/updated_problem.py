@@ -40,7 +40,7 @@ def has_turns(problem: Problem) -> bool:
 
 def with_turning_points(found: Inference, problem: JointProblem) -> JointProblem:
     """The problem with the turning points of a solution of it; the same where all laws are smooth."""
-    if not has_turns(problem.each[0]):
+    if not has_turns(problem.first):
         return problem
     each = zip(problem, found.by_record, found.trained.noise.records, strict=True)
     turning = ((one, _turning_points(*own, noise.discrepancy)) for one, own, noise in each)
@@ -96,9 +96,9 @@ def update_modes(found: Inference) -> Inference | None:
 
 def loosen_at_turning_points(found: Inference) -> Inference | None:
     """The solution with a level of its own where contacts turn; None where what is left elsewhere falls no more."""
-    before, problem = found.problem.each[0].turning_points, with_turning_points(found, _present(found))
+    before, problem = found.problem.first.turning_points, with_turning_points(found, _present(found))
     settled = before is not None and found.trained.noise.discrepancy > SAME_LEVEL * before.discrepancy
-    return None if problem.each[0].turning_points is None or settled else _carried_to(found, problem, found.solver)
+    return None if problem.first.turning_points is None or settled else _carried_to(found, problem, found.solver)
 
 
 def refine_features(found: Inference) -> Inference | None:
@@ -130,7 +130,7 @@ def _present(found: Inference) -> JointProblem:
     equations, point = found.by_record[0]
     problem, values = found.problem, {k: x.cpu().numpy() for k, x in equations.parameters(point).items()}
     # A state that is handed over has its coordinates, and so have parameters that spectra determine.
-    first = problem.each[0]
+    first = problem.first
     free = first.prior is None and first.hand_over is None and equations.known is None
     if free and FACTOR in values and not problem.structure.is_exact_at(values[FACTOR], SAME_FACTORS):
         problem = problem.reduced_at(values[FACTOR])
@@ -152,7 +152,7 @@ def _carried_to(found: Inference, problem: JointProblem, solver: Solver) -> Infe
         point = softer_point(evidence, every, point)
     again = evidence.train(every, point)
     # About turns single steps of Gauss-Newton leave a little undone; what settles the levels goes on.
-    if again is None or not (again.solution.converged or problem.each[0].turning_points is not None):
+    if again is None or not (again.solution.converged or problem.first.turning_points is not None):
         return None
     again = solver.settled(evidence, again)
     if _is_noisier(again.noise, found.trained.noise):

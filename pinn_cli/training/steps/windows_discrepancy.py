@@ -37,7 +37,7 @@ NEAR = 1e-3
 
 def combine_windows(found: Inference) -> Inference | None:
     """The solution of a window under the discrepancy that all windows say; None of a record that is none."""
-    first, known = found.problem.each[0], found.solver.known
+    first, known = found.problem.first, found.solver.known
     goes_on = first.prior is not None and first.prior.levels.windows is not None
     if known is not None or found.problem.has_unknown_forces or not (first.hand_over is not None or goes_on):
         return None
@@ -52,7 +52,7 @@ def of_all_windows(evidence: Evidence, trained: Trained) -> tuple[Trained, Discr
         evidence: Of a window.
         trained: Its solution, with settled noise levels.
     """
-    prior = evidence.problem.each[0].prior
+    prior = evidence.problem.first.prior
     before = None if prior is None else prior.levels.windows
     unit = discrepancy_unit(evidence)
     top = float(np.log10(trained.noise.discrepancy / unit))

@@ -169,7 +169,7 @@ def test_a_free_decay_tells_parameters_and_no_noise_of_a_force():
     motion = simulate(structure, lambda t: np.zeros((len(t), 2)), time, initial=([0.5, 1.0], [0.0, 0.3]))
     record = Record(**add_noise(motion, 30.0).measurable, unforced=np.array([True, True]))
     scheme = Bayesian()
-    trained = solved(scheme.pose(structure, [scheme.observe(record)]))
+    trained = solved(scheme.pose(structure, [scheme.observe(record)]).alone)
     marginal = parameter_likelihoods(trained.evidence, trained.trained).marginal
     assert np.isnan(marginal.sigma_force).all()
     assert marginal.evaluate(marginal.peak, 0.5)[0] == pytest.approx(marginal.evaluate(marginal.peak, -0.5)[0])
