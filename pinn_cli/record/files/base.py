@@ -1,15 +1,22 @@
-"""What every format of a file is."""
+"""What every format of a file is: text, or arrays that a library reads in a process of its own."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from importlib import import_module
+from collections.abc import Collection, Mapping
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
+from pinn_cli.record.files.joined import joined
+from pinn_cli.record.files.on_disk import other_format, read_bytes
+from pinn_cli.record.files.process import read_apart
 from pinn_cli.record.files.table import Table
+from pinn_cli.record.files.variables import Variable
 from pinn_cli.settings.errors import InputError
+
+# Of a file, bytes that tell what it is.
+_START = 4096
 
 
 class FileFormat(ABC):
@@ -41,16 +48,42 @@ class FileFormat(ABC):
             InputError: The file is missing, cannot be read or is in another format, or lacks a column.
         """
 
-    def package(self, module: str) -> Any:
-        """A module of a package that need not be installed.
 
-        Raises:
-            InputError: It is not installed.
+class ArrayFormat(FileFormat):
+    """Arrays by name. A library reads them in a process of its own, which a bad file may end, fill or keep busy.
+
+    Attributes:
+        expected: What such a file is called in errors, with its article.
+        beginnings: With which such files begin.
+        package: That reads them and need not be installed; "": one that is always there.
+    """
+
+    expected: ClassVar[str]
+    beginnings: ClassVar[tuple[bytes, ...]]
+    package: ClassVar[str] = ""
+
+    @abstractmethod
+    def variables(self, path: Path, wanted: Collection[str] | None) -> Mapping[str, Variable]:
+        """The arrays of a file by name, in the process that reads it; one that has a second name has it further down.
+
+        Whatever is raised here but an InputError says that the file is damaged.
+
+        Args:
+            path: Of the file.
+            wanted: Names of columns that are asked for, beside which none need be looked at; None: all.
         """
-        try:
-            return import_module(module)
-        except ModuleNotFoundError as error:
-            if error.name != module.partition(".")[0]:
-                raise
-            allowed = f"a format whose package is installed; {self.name} needs {error.name}"
-            raise InputError("data.format", self.name, allowed, f"pip install 'pinn-cli[{self.name}]'") from None
+
+    def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
+        """See :class:`FileFormat`."""
+        content = read_bytes(path, most=_START)
+        if not self.begins(content):
+            raise other_format(path, content, self.expected)
+        if self.package and find_spec(self.package) is None:
+            allowed = f"a format whose package is installed; {self.name} needs {self.package}"
+            raise InputError("data.format", self.name, allowed, f"pip install 'pinn-cli[{self.name}]'")
+        tables = read_apart(self, path, self.expected, wanted)
+        return tables[0] if len(tables) == 1 else joined(tables, [t.time for t in tables if t.time is not None])
+
+    def begins(self, content: bytes) -> bool:
+        """Whether a file of this format may begin so."""
+        return content.startswith(self.beginnings)

@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -77,11 +78,18 @@ def table_of(data: Any, setting: str = SETTING) -> Table:
     if len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name!r}: {length}" for name, length in lengths.items())
         raise InputError(setting, shown, "arrays of one length", "channels of different rates go into several frames")
-    numbers, odd = {}, {}
-    for name, values in columns.items():
-        numbers[name], odd[name] = _numbers(values)
-    hints = {name: SensorHint(unit) for name, unit in units.items() if unit and name in numbers}
-    return Table(Path(_name_of(numbers, odd, hints)), numbers, odd, hints)
+    import pandas as pd
+
+    cells = {name: pd.Series(values).reset_index(drop=True) for name, values in columns.items()}
+    in_brackets = {name: match["unit"] for name in cells if (match := _IN_BRACKETS.fullmatch(name))}
+    told = {name: units.get(name) or units.get(bare(name)) or in_brackets.get(name, "") for name in cells}
+    table = Table.of_cells(Path(), cells, {name: unit for name, unit in told.items() if bare(name) not in TIMES})
+    digest = hashlib.sha256()  # the same for the same content alone: the name makes a run's identity
+    for name, numbers in table.columns.items():
+        unit = table.hints.get(name, SensorHint()).unit
+        digest.update(repr((name, unit, len(numbers), sorted(table.odd_cells[name].items()))).encode())
+        digest.update(np.ascontiguousarray(numbers).tobytes())
+    return replace(table, path=Path(f"frame-{digest.hexdigest()[:16]}"))
 
 
 def bare(column: str) -> str:
@@ -95,7 +103,7 @@ def _is_frame(data: Any) -> bool:
 
 
 def _of_frame(frame: pd.DataFrame) -> tuple[dict[str, Any], dict[str, str]]:
-    """Columns and their units; an index that says when samples were taken is the column of times."""
+    """Columns, and the units that are told; an index that says when samples were taken is the column of times."""
     names = [_joined(name) for name in frame.columns]
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -105,70 +113,27 @@ def _of_frame(frame: pd.DataFrame) -> tuple[dict[str, Any], dict[str, str]]:
     if not has_times and (frame.index.name in TIMES or frame.index.dtype.kind in "fmM"):
         columns = {TIMES[0]: frame.index.to_series(), **columns}
     told = frame.attrs.get("units")
-    return columns, _units(columns, told if isinstance(told, Mapping) else {})
+    return columns, {name: str(unit or "") for name, unit in told.items()} if isinstance(told, Mapping) else {}
 
 
 def _of_arrays(data: Any, setting: str) -> tuple[dict[str, Any], dict[str, str]]:
     if not isinstance(data, Mapping):
         raise InputError(setting, f"<{type(data).__name__}>", ALLOWED)
     columns: dict[str, Any] = {}
-    told: dict[str, str] = {}
+    units: dict[str, str] = {}
     for key, values in data.items():
         name, unit = _joined(key), getattr(values, "units", None)
         array = values.magnitude if unit is not None and hasattr(values, "magnitude") else values
         array = np.asarray(array) if not hasattr(array, "dtype") or isinstance(array, np.ndarray) else array
         if array.ndim not in (1, 2):
-            raise InputError(
-                f"{setting}[{name!r}]", f"an array of shape {array.shape}", "a vector or (samples, channels)"
-            )
+            shown = f"an array of shape {array.shape}"
+            raise InputError(f"{setting}[{name!r}]", shown, "a vector or (samples, channels)")
         parts = {name: array} if array.ndim == 1 else {f"{name}.{j + 1}": array[:, j] for j in range(array.shape[1])}
         columns |= parts
-        told |= {part: "" if unit is None else str(unit) for part in parts}
-    return columns, _units(columns, told)
+        units |= dict.fromkeys(parts, "" if unit is None else str(unit))
+    return columns, units
 
 
 def _joined(name: Any) -> str:
     """A column's name as text; that of several levels, ("acceleration", 3), is ``acceleration.3``."""
     return ".".join(map(str, name)) if isinstance(name, tuple) else str(name)
-
-
-def _units(columns: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, str]:
-    """Of every column that says one: what is told, else what stands in brackets, of columns other than times."""
-    found: dict[str, str] = {}
-    for name in columns:
-        if bare(name) in TIMES:
-            continue
-        in_brackets = _IN_BRACKETS.fullmatch(name)
-        found[name] = str(told.get(name) or told.get(bare(name)) or (in_brackets["unit"] if in_brackets else ""))
-    return found
-
-
-def _numbers(values: Any) -> tuple[np.ndarray, dict[int, str]]:
-    """Cells as float64, NaN of those that are empty or no number, and the latter as text by their rows."""
-    import pandas as pd
-
-    cells: pd.Series[Any] = pd.Series(values).reset_index(drop=True)
-    kind = cells.dtype.kind
-    if kind in "mM":
-        since = cells - cells.iloc[0] if kind == "M" else cells
-        return since.dt.total_seconds().to_numpy(dtype=np.float64), {}
-    if kind == "c":
-        return np.full(len(cells), np.nan), {i: str(cell) for i, cell in enumerate(cells)}
-    numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan, copy=True)
-    if kind in "iuf":
-        return np.ascontiguousarray(numbers), {}
-    odd = [i for i in np.flatnonzero(cells.notna().to_numpy()) if isinstance(cells[i], bool) or np.isnan(numbers[i])]
-    numbers[odd] = np.nan
-    return numbers, {int(i): str(cells[i]) for i in odd}
-
-
-def _name_of(
-    columns: Mapping[str, np.ndarray], odd: Mapping[str, Mapping[int, str]], hints: Mapping[str, SensorHint]
-) -> str:
-    """A name that is the same for the same content alone, which makes a run's identity."""
-    digest = hashlib.sha256()
-    for name, values in columns.items():
-        unit = hints[name].unit if name in hints else ""
-        digest.update(repr((name, unit, len(values), sorted(odd[name].items()))).encode())
-        digest.update(np.ascontiguousarray(values).tobytes())
-    return f"frame-{digest.hexdigest()[:16]}"

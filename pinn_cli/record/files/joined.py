@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,28 +11,6 @@ from pinn_cli.settings.errors import InputError
 
 # Times that differ by less than this part of the shortest step are the same.
 SAME_TIME = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class JoinedTable(Table):
-    """A table whose columns come from several.
-
-    Attributes:
-        sources: Name of a column to the table that it comes from, and the row there of each row here, -1 where it has
-            none; (N,).
-    """
-
-    sources: Mapping[str, tuple[Table, np.ndarray]] = field(default_factory=dict)
-
-    def place(self, column: str, row: int) -> str:
-        """See :class:`Table`: file, column and line that the cell comes from."""
-        if column not in self.sources:
-            return f"{self.path.name}, {column}, sample {row + 1}"
-        table, rows = self.sources[column]
-        if rows[row] >= 0:
-            return table.place(column, int(rows[row]))
-        assert self.time is not None
-        return f"{table.path.name}, column {column!r}, at {self.time[row]:.9g} s"
 
 
 def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequence[str] = ()) -> Table:
@@ -45,29 +22,28 @@ def joined(tables: Sequence[Table], times: Sequence[np.ndarray], without: Sequen
         without: Columns that are left out: those of the times.
 
     Returns:
-        With ``time``.
+        With ``time``, and ``sources``.
 
     Raises:
         InputError: The clocks do not overlap, or two tables have a column of the same name.
     """
     _check_overlap(tables, times)
-    time, rows = _union(times)
+    time, places = _union(times)
     columns: dict[str, np.ndarray] = {}
     sources: dict[str, tuple[Table, np.ndarray]] = {}
     odd: dict[str, dict[int, str]] = {}
-    for table, here in zip(tables, rows, strict=True):
-        source = np.full(len(time), -1)
-        source[here] = np.arange(len(here))
+    for table, here in zip(tables, places, strict=True):
+        rows = np.full(len(time), -1)
+        rows[here] = np.arange(len(here))
         for name in (name for name in table.columns if name not in without):
             if name in columns:
                 shown = f"{sources[name][0].path.name}, {table.path.name}"
                 raise InputError("data.path", shown, "files whose columns have different names", f"{name!r} is in both")
-            columns[name] = np.full(len(time), np.nan)
-            columns[name][here] = table.columns[name]
+            columns[name] = np.where(rows >= 0, table.columns[name][rows], np.nan)
             odd[name] = {int(here[row]): text for row, text in table.odd_cells.get(name, {}).items()}
-            sources[name] = table, source
+            sources[name] = table, rows
     hints = {name: hint for table in tables for name, hint in table.hints.items()}
-    return JoinedTable(tables[0].path, columns, odd, hints, time, sources=sources)
+    return Table(tables[0].path, columns, odd, hints, time, sources=sources)
 
 
 def _union(times: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:

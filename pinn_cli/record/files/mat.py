@@ -1,27 +1,26 @@
-"""MAT files of MATLAB and Octave: version 4 by SciPy, 5 to 7 here, 7.3, which is HDF5, by h5py."""
+"""MAT files of MATLAB and Octave: up to version 7 by SciPy, 7.3, which is HDF5, by h5py."""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pinn_cli.record.files.arrays import Variable, table_of
-from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.hdf5_tree import HDF5, opened, variables_of_matlab
-from pinn_cli.record.files.mat5 import HEADER, names_of, variables_of
-from pinn_cli.record.files.on_disk import beginning, damaged, other_format, read_bytes
-from pinn_cli.record.files.table import Table
-from pinn_cli.settings.errors import InputError
+from pinn_cli.record.files.hdf5 import Hdf5Format, content_of_node
+from pinn_cli.record.files.variables import Variable, content_of
 
-_EXPECTED = "a MAT file"
-# Version and byte order at the end of the header, where HDF5 follows.
-_VERSION_7_3 = (b"\x00\x02IM", b"\x02\x00MI")
+if TYPE_CHECKING:
+    import h5py
+
+_REFERENCES = "#refs#"
+_CLASSES = {"char": "text", "cell": "cells", "function_handle": "a function"}
+# How deep structures may lie in structures.
+_DEEPEST = 20
 
 
-class MatFormat(FileFormat):
+class MatFormat(Hdf5Format):
     """Vectors and channels of matrices, by name: ``acc``, ``acc.2``; fields of structures ``rig.acc``.
 
     Element i of an array of structures is ``rig.2.acc``. Cells, objects, function handles and text are no numbers.
@@ -29,33 +28,30 @@ class MatFormat(FileFormat):
 
     name = "mat"
     suffixes = (".mat",)
+    other_suffixes = ()
+    expected = "a MAT file"
 
-    def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
-        """See :class:`FileFormat`."""
-        content = beginning(path)
-        if content.startswith(HDF5) or content[124:128] in _VERSION_7_3:
-            with opened(path, _EXPECTED) as file:
-                return table_of(path, variables_of_matlab(file), wanted)
-        if content.startswith(b"MATLAB") and len(content) < HEADER:
-            raise damaged(path, _EXPECTED, ValueError("it ends within its header"))
-        if content[126:128] in (b"IM", b"MI"):
-            return table_of(path, _of_version_5(path, wanted), wanted)
-        if not _is_version_4(content):
-            raise other_format(path, content, _EXPECTED)
-        return table_of(path, _of_version_4(path), wanted)
+    def begins(self, content: bytes) -> bool:
+        """See :class:`ArrayFormat`."""
+        marked = content.startswith(b"MATLAB") or content[126:128] in (b"IM", b"MI")
+        return marked or _is_version_4(content) or super().begins(content)
 
+    def variables(self, path: Path, wanted: Collection[str] | None) -> Mapping[str, Variable]:
+        """See :class:`ArrayFormat`; only variables that are asked for are unpacked."""
+        with path.open("rb") as file:
+            if super().begins(file.read(4096)):
+                import h5py
 
-def _of_version_5(path: Path, wanted: Mapping[str, str] | None) -> dict[str, Variable]:
-    content = read_bytes(path)
-    try:
-        roots = None if wanted is None else {name.partition(".")[0] for name in wanted.values()}
-        if roots is not None and not roots <= set(names_of(content)):
-            roots = None  # an error will list all columns
-        return variables_of(path, content, roots)
-    except InputError:
-        raise
-    except (ValueError, StopIteration, RuntimeError, OverflowError) as error:
-        raise damaged(path, _EXPECTED, error) from None
+                opened = h5py.File(path, "r")
+                return dict(_nodes(opened, "", opened, 0))
+        from scipy.io import loadmat
+
+        roots = None if wanted is None else {name.partition(".")[0] for name in wanted}
+        loaded = loadmat(str(path), appendmat=False, variable_names=roots)
+        if roots is not None and not roots <= loaded.keys():  # an error lists all that there are
+            loaded = loadmat(str(path), appendmat=False)
+        every = (_parts(name, value, 0) for name, value in loaded.items() if not name.startswith("__"))
+        return {name: variable for parts in every for name, variable in parts}
 
 
 def _is_version_4(content: bytes) -> bool:
@@ -64,13 +60,42 @@ def _is_version_4(content: bytes) -> bool:
     return any(m <= 4000 and m // 1000 in (0, 1) and m // 100 % 10 == 0 and m % 10 <= 2 for m in types)
 
 
-def _of_version_4(path: Path) -> dict[str, Variable]:
-    from scipy.io import loadmat
+def _parts(name: str, value: Any, depth: int) -> Iterator[tuple[str, Variable]]:
+    """A variable that SciPy read, or the fields of a structure."""
+    from scipy.io import matlab
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of duplicate variables
-            loaded = loadmat(str(path), appendmat=False)
-    except Exception as error:  # SciPy raises a dozen kinds of a file that is cut off
-        raise damaged(path, _EXPECTED, error) from None
-    return {name: Variable.of(value) for name, value in loaded.items() if isinstance(value, np.ndarray)}
+    others = {matlab.MatlabFunction: "a function", matlab.MatlabObject: "an object", matlab.MatlabOpaque: "an object"}
+    content = others.get(type(value), "" if isinstance(value, np.ndarray) else "a sparse matrix")
+    if not content and value.dtype.names and depth < _DEEPEST:
+        elements = value.ravel(order="F")
+        for number, element in enumerate(elements, start=1):
+            for field in value.dtype.names:
+                prefix = name if len(elements) == 1 else f"{name}.{number}"
+                yield from _parts(f"{prefix}.{field}", element[field], depth + 1)
+        return
+    content = content or ("cells" if value.dtype == object else content_of(value.dtype))
+    yield name, Variable(value.shape, lambda: value, content)
+
+
+def _nodes(file: h5py.File, name: str, node: Any, depth: int) -> Iterator[tuple[str, Variable]]:
+    """A variable of version 7.3, or the fields of a structure, in MATLAB's order of axes."""
+    import h5py
+
+    kind = node.attrs.get("MATLAB_class", b"")
+    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    if "MATLAB_sparse" in node.attrs:
+        yield name, Variable((), lambda: np.empty(0), "a sparse matrix")
+    elif isinstance(node, h5py.Group):
+        for field in node if depth < _DEEPEST else ():
+            if field != _REFERENCES and isinstance(node.get(field, getlink=True), h5py.HardLink):
+                yield from _nodes(file, f"{name}.{field}".lstrip("."), node[field], depth + 1)
+    elif node.dtype == h5py.ref_dtype and kind != "cell":  # a field of an array of structures
+        root, _, field = name.rpartition(".")
+        for number, reference in enumerate(np.ravel(np.transpose(node[()])), start=1):
+            if reference and depth < _DEEPEST:
+                yield from _nodes(file, f"{root}.{number}.{field}", file[reference], depth + 1)
+    elif node.attrs.get("MATLAB_empty", 0):
+        yield name, Variable((0, 0), lambda: np.empty((0, 0)))
+    else:
+        content = "an object" if "MATLAB_object_decode" in node.attrs else content_of_node(node)
+        yield name, Variable(node.shape[::-1], lambda: np.transpose(node[()]), _CLASSES.get(kind, content))

@@ -1,27 +1,22 @@
-"""netCDF files, of version 4 (which is HDF5) and 3: variables by their path."""
+"""netCDF files, of version 4, which is HDF5, by h5py, and 3 by SciPy: variables by their path."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.files.arrays import Variable, as_float, table_of
-from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.hdf5_tree import opened, variables_of, with_slashes
-from pinn_cli.record.files.on_disk import beginning, damaged
-from pinn_cli.record.files.table import Table
-from pinn_cli.settings.errors import InputError
+from pinn_cli.record.files.hdf5 import Hdf5Format, arrays_of
+from pinn_cli.record.files.table import SensorHint
+from pinn_cli.record.files.variables import Variable, content_of
 
-if TYPE_CHECKING:
-    import h5py
-
-_EXPECTED = "a netCDF file"
+_VERSION_3 = (b"CDF\x01", b"CDF\x02")
 
 
-class NetcdfFormat(FileFormat):
+class NetcdfFormat(Hdf5Format):
     """Vectors ``a1`` and columns of matrices ``acceleration.3``, unpacked; in a group ``rig/a1``.
 
     Numbers that the file marks as missing, or stores scaled, are read as netCDF's own conventions say
@@ -31,44 +26,36 @@ class NetcdfFormat(FileFormat):
     name = "netcdf"
     suffixes = (".nc", ".nc4", ".cdf")
     other_suffixes = (".h5",)
+    expected = "a netCDF file"
 
-    def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
-        """See :class:`FileFormat`."""
-        if beginning(path).startswith((b"CDF\x01", b"CDF\x02")):
-            return table_of(path, with_slashes(_of_version_3(path), wanted), wanted)
-        with opened(path, _EXPECTED) as file:
-            return table_of(path, with_slashes(variables_of(file, _reader), wanted), wanted)
+    def begins(self, content: bytes) -> bool:
+        """See :class:`ArrayFormat`."""
+        return content.startswith(_VERSION_3) or super().begins(content)
 
+    def variables(self, path: Path, wanted: Collection[str] | None) -> Mapping[str, Variable]:
+        """See :class:`ArrayFormat`; paths may begin with a slash."""
+        with path.open("rb") as file:
+            if file.read(4) not in _VERSION_3:
+                import h5py
 
-def _reader(node: h5py.Dataset) -> Callable[[], np.ndarray]:
-    return lambda: _unpacked(node[()], node.attrs)
+                return arrays_of(h5py.File(path, "r"), lambda node: _unpacked(node[()], node.attrs))
+        from scipy.io import netcdf_file
 
-
-def _of_version_3(path: Path) -> dict[str, Variable]:
-    from scipy.io import netcdf_file
-
-    try:
-        with netcdf_file(str(path), "r", mmap=False) as file:
-            found = {}
-            for name, variable in file.variables.items():
-                attributes, array = dict(variable._attributes), np.array(variable[:])
-                unit = attributes.get("units", b"")
-                text = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
-                if array.dtype.kind in "iuf":
-                    array = _unpacked(array, attributes)
-                found[name] = Variable.of(array, text)
-            return found
-    except InputError:
-        raise
-    except Exception as error:  # SciPy raises a dozen kinds of a file that is cut off
-        raise damaged(path, _EXPECTED, error) from None
+        found = {}
+        for name, variable in netcdf_file(str(path), "r", mmap=False).variables.items():
+            told = vars(variable)  # attributes of the file are those of the object
+            unit = told.get("units", b"")
+            text = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else str(unit)
+            read = partial(_unpacked, variable.data, told)
+            found[name] = Variable(variable.shape, read, content_of(variable.data.dtype), SensorHint(text))
+        return found | {f"/{name}": variable for name, variable in found.items()}
 
 
-def _unpacked(stored: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
+def _unpacked(stored: np.ndarray, told: Mapping[str, Any]) -> np.ndarray:
     """Numbers as they were before they were packed, NaN where there is none."""
-    values = as_float(stored)
+    values = np.asarray(stored).astype(np.float64)
     for name in ("_FillValue", "missing_value"):
-        if name in attributes:
-            values = np.where(np.isin(stored, np.ravel(attributes[name])), np.nan, values)
-    scale, offset = (np.ravel(attributes.get(n, d))[0] for n, d in (("scale_factor", 1.0), ("add_offset", 0.0)))
+        if name in told:
+            values = np.where(np.isin(stored, np.ravel(told[name])), np.nan, values)
+    scale, offset = (np.ravel(told.get(n, d))[0] for n, d in (("scale_factor", 1.0), ("add_offset", 0.0)))
     return np.asarray(values * float(scale) + float(offset))

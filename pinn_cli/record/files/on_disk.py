@@ -27,29 +27,33 @@ BEGINNINGS = {
 }
 
 
-def check_file(path: Path, setting: str = "data.path") -> None:
-    """Refuse what is no file that can be read.
+def read_bytes(path: Path, setting: str = "data.path", most: int = -1) -> bytes:
+    """All of a file, or its first ``most`` bytes.
 
     Args:
         path: Of the file.
         setting: That named it, for errors.
+        most: Bytes to read; -1: all.
 
     Raises:
-        InputError: It is missing, is no regular file, or is larger than memory can hold.
+        InputError: It is missing, is no regular file, cannot be read, or is larger than memory can hold.
     """
     try:
         if not path.exists():
-            hint = "a relative path starts where pinn-run was called"
-            raise InputError(setting, path, "a file that exists", hint)
+            raise InputError(setting, path, "a file that exists", "a relative path starts where pinn-run was called")
         if not path.is_file():  # a pipe would be waited for, a device would never end
             hint = "it is a folder" if path.is_dir() else "it is a pipe or a device"
             raise InputError(setting, path, "a readable file", hint)
         check_size(path, path.stat().st_size, setting)
-    except (OSError, ValueError) as error:
-        raise unreadable(path, error, setting) from None
+        with path.open("rb") as file:
+            return file.read(most)
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a path with a null character is a ValueError
+        raise InputError(setting, path, "a readable file", getattr(error, "strerror", None) or str(error)) from None
 
 
-def check_size(path: Path, size: int, setting: str = "data.path") -> None:
+def check_size(path: Path, size: float, setting: str = "data.path") -> None:
     """Refuse more bytes than a record may have, packed or not.
 
     Raises:
@@ -61,41 +65,6 @@ def check_size(path: Path, size: int, setting: str = "data.path") -> None:
         raise InputError(setting, path, f"a file of at most {most / 2**30:.3g} GiB", hint)
 
 
-def read_bytes(path: Path, setting: str = "data.path") -> bytes:
-    """All of a file.
-
-    Raises:
-        InputError: See `check_file`; or it cannot be read.
-    """
-    check_file(path, setting)
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise unreadable(path, error, setting) from None
-
-
-def beginning(path: Path) -> bytes:
-    """The first 512 bytes of a file that `check_file` finds good.
-
-    Raises:
-        InputError: It cannot be read.
-    """
-    check_file(path)
-    try:
-        with path.open("rb") as file:
-            return file.read(512)
-    except OSError as error:
-        raise unreadable(path, error) from None
-
-
-def unreadable(path: Path, error: Exception, setting: str = "data.path") -> InputError:
-    """What to tell of an error of the system; one that has been told stays."""
-    if isinstance(error, InputError):
-        return error
-    # A path with a null character is a ValueError.
-    return InputError(setting, path, "a readable file", getattr(error, "strerror", None) or str(error))
-
-
 def other_format(path: Path, content: bytes, expected: str) -> InputError:
     """What to tell of a file that is not what it was taken for.
 
@@ -105,18 +74,12 @@ def other_format(path: Path, content: bytes, expected: str) -> InputError:
         expected: What it should be, such as ``a MAT file``.
     """
     found = next((kind for start, kind in BEGINNINGS.items() if content.startswith(start)), "")
-    if not content:
-        found = "empty"
-    elif not found:
-        found = "text (data=csv?)" if _is_text(content) else ""
-    return InputError("data.path", path, expected, f"it is {found}" if found else "another format, or damaged?")
+    if not found and min(content, default=0) >= 9:  # no control characters but tabs and ends of lines
+        found = "text (data=csv?)"
+    hint = f"it is {found}" if found else "another format, or damaged?"
+    return InputError("data.path", path, expected, hint if content else "it is empty")
 
 
-def damaged(path: Path, kind: str, error: BaseException) -> InputError:
+def damaged(path: Path, expected: str, reason: str) -> InputError:
     """What to tell of a file that a library cannot read to its end."""
-    reason = str(error).strip().partition("\n")[0] or type(error).__name__
-    return InputError("data.path", path, f"{kind} that is whole", f"damaged or cut off? {reason}")
-
-
-def _is_text(content: bytes) -> bool:
-    return b"\0" not in content and sum(byte < 9 for byte in content) == 0
+    return InputError("data.path", path, f"{expected} that is whole", f"damaged or cut off? {reason}")

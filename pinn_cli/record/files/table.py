@@ -6,12 +6,16 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.settings.legal_values import LARGEST, SMALLEST, USABLE
 from pinn_cli.settings.suggestion import suggestion
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # What an error says of the names of columns at most.
 _NAMES, _NAME_LENGTH = 20, 60
@@ -57,6 +61,8 @@ class Table:
         hints: Name to what the header says of the column.
         time: Of the samples, (N,), s, where the header tells it; None: a column has the times, or nothing has.
         first_line: Line of the first row in a text file; None where rows are no lines: an error then counts samples.
+        sources: Where columns of several tables are joined, name to the table that one comes from, and the row there of
+            each row here, -1 where it has none; (N,).
     """
 
     path: Path
@@ -65,6 +71,30 @@ class Table:
     hints: Mapping[str, SensorHint] = field(default_factory=dict)
     time: np.ndarray | None = None
     first_line: int | None = None
+    sources: Mapping[str, tuple[Table, np.ndarray]] = field(default_factory=dict)
+
+    @classmethod
+    def of_cells(
+        cls, path: Path, cells: Mapping[str, pd.Series], units: Mapping[str, str], decimal: str = ".",
+        first_line: int | None = None,
+    ) -> Table:  # fmt: skip
+        """Of cells that pandas holds, of any type. Dates are s from the first of them, durations s.
+
+        Args:
+            path: Of the file, for errors.
+            cells: Name to cells (N,).
+            units: Name to unit, of columns or others.
+            decimal: Of cells that are text, ``.`` or ``,``.
+            first_line: See above.
+        """
+        read = {name: _numbers(column, decimal) for name, column in cells.items()}
+        return cls(
+            path,
+            {name: numbers for name, (numbers, _) in read.items()},
+            {name: odd for name, (_, odd) in read.items()},
+            {name: SensorHint(unit) for name, unit in units.items() if unit and name in read},
+            first_line=first_line,
+        )
 
     def __len__(self) -> int:
         arrays = [*self.columns.values(), *([] if self.time is None else [self.time])]
@@ -106,9 +136,14 @@ class Table:
             )  # fmt: skip
 
     def place(self, column: str, row: int) -> str:
-        """How an error names a cell."""
+        """How an error names a cell: by the file, column and line that it comes from."""
         where = f"sample {row + 1}" if self.first_line is None else f"line {row + self.first_line}"
-        return f"{self.path.name}, column {column!r}, {where}"
+        if column not in self.sources:
+            return f"{self.path.name}, column {column!r}, {where}"
+        table, rows = self.sources[column]
+        if rows[row] >= 0 or self.time is None:
+            return table.place(column, int(rows[row]))
+        return f"{table.path.name}, column {column!r}, at {self.time[row]:.9g} s"
 
 
 def check_names(path: Path, wanted: Mapping[str, str], names: Collection[str], hint: str = "") -> None:
@@ -153,3 +188,24 @@ def listed(names: Iterable[str]) -> str:
 def shortened(text: str) -> str:
     """In quotes, and cut after 60 characters."""
     return repr(text if len(text) <= _NAME_LENGTH else f"{text[:_NAME_LENGTH]}...")
+
+
+def _numbers(cells: pd.Series, decimal: str) -> tuple[np.ndarray, dict[int, str]]:
+    """Cells (N,) as numbers and odd cells: see :meth:`Table.of_cells`."""
+    import pandas as pd
+
+    kind = cells.dtype.kind
+    if kind in "mM":
+        since = cells - cells.iloc[0] if kind == "M" else cells
+        return since.dt.total_seconds().to_numpy(dtype=np.float64), {}
+    words = cells
+    if decimal == "," and kind not in "iufb":  # a cell that is no number spoils its column
+        words = cells.astype("str").str.replace(".", "x").str.replace(",", ".").where(cells.notna())
+    numbers = np.full(len(cells), np.nan)
+    if kind != "c":
+        numbers = pd.to_numeric(words, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan, copy=True)
+    is_odd = ~np.isfinite(numbers) & cells.notna().to_numpy()
+    if kind not in "iuf":  # True and False are 1 and 0 to pandas
+        is_odd |= np.fromiter((isinstance(cell, bool | np.bool_) for cell in cells), bool, len(cells))
+    numbers[is_odd] = np.nan
+    return numbers, {int(row): str(cells.iloc[row]) for row in np.flatnonzero(is_odd)}

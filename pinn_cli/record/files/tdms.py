@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pinn_cli.record.files.arrays import as_float, content_of
-from pinn_cli.record.files.base import FileFormat
-from pinn_cli.record.files.joined import joined
-from pinn_cli.record.files.on_disk import beginning, check_size, damaged, other_format
-from pinn_cli.record.files.table import SensorHint, Table, check_names, same_length
-from pinn_cli.settings.errors import InputError
-
-_EXPECTED = "a TDMS file"
+from pinn_cli.record.files.base import ArrayFormat
+from pinn_cli.record.files.table import SensorHint
+from pinn_cli.record.files.variables import Variable, content_of
 
 
-class TdmsFormat(FileFormat):
+class TdmsFormat(ArrayFormat):
     """Channels ``group/channel``, or ``channel`` where one group alone has it.
 
     The times are those of the channels' own ``wf_start_offset`` and ``wf_increment``. Channels of different rates stand
@@ -30,77 +25,35 @@ class TdmsFormat(FileFormat):
     name = "tdms"
     suffixes = (".tdms",)
     tells_time = True
+    expected = "a TDMS file"
+    beginnings = (b"TDSm",)
+    package = "nptdms"
 
-    def read(self, path: Path, wanted: Mapping[str, str] | None = None) -> Table:
-        """See :class:`FileFormat`."""
-        content = beginning(path)
-        if not content.startswith(b"TDSm"):
-            raise other_format(path, content, _EXPECTED)
-        nptdms = self.package("nptdms")
-        self.package("nptdms.log").log_manager.set_level(logging.CRITICAL)  # what is wrong is told by an error
-        try:
-            with nptdms.TdmsFile.open(path) as file:
-                if file.file_status.incomplete_final_segment:
-                    raise damaged(path, _EXPECTED, ValueError("its last segment is incomplete"))
-                channels = _channels(file)
-                if not channels:
-                    raise damaged(path, _EXPECTED, ValueError("it has no channels"))
-                return _read(path, channels, wanted)
-        except InputError:
-            raise
-        except Exception as error:  # npTDMS raises a dozen kinds of a file that is damaged
-            raise damaged(path, _EXPECTED, error) from None
+    def variables(self, path: Path, wanted: Collection[str] | None) -> Mapping[str, Variable]:
+        """See :class:`ArrayFormat`."""
+        import nptdms
+
+        file = nptdms.TdmsFile.open(path)
+        if file.file_status.incomplete_final_segment:
+            raise ValueError("its last segment is incomplete")
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        if not channels:
+            raise ValueError("it has no channels")
+        every = {f"{channel.group_name}/{channel.name}": _variable(channel) for channel in channels}
+        counts = Counter(channel.name for channel in channels)
+        own = {c.name: every[f"{c.group_name}/{c.name}"] for c in channels if counts[c.name] == 1}
+        return {**every, **{name: variable for name, variable in own.items() if name not in every}}
 
 
-def _channels(file: Any) -> dict[str, Any]:
-    """Channels by their full names, and by their own where one alone has it."""
-    every = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
-    counts = Counter(channel.name for channel in every.values())
-    return {**every, **{c.name: c for c in every.values() if counts[c.name] == 1 and c.name not in every}}
+def _variable(channel: Any) -> Variable:
+    told = channel.properties
+    step, start = told.get("wf_increment"), told.get("wf_start_offset", 0.0)
+    time = _time(float(start), float(step), len(channel)) if isinstance(step, int | float) and step > 0 else None
+    unit = str(told.get("unit_string") or told.get("NI_UnitDescription") or "")
+    content = "nothing" if channel.dtype is None else content_of(np.dtype(channel.dtype))
+    return Variable((len(channel), 1), lambda: channel[:], content, SensorHint(unit), time)
 
 
-def _read(path: Path, channels: Mapping[str, Any], wanted: Mapping[str, str] | None) -> Table:
-    if wanted is None:
-        names = [n for n in channels if "/" in n and _holds(channels[n]) == "" and len(channels[n])]
-    else:
-        check_names(path, wanted, channels)
-        names = list(dict.fromkeys(wanted.values()))
-        for setting, name in wanted.items():
-            if _holds(channels[name]):
-                hint = f"in {path.name} it holds {_holds(channels[name])}"
-                raise InputError(setting, repr(name), "a channel of numbers", hint)
-    check_size(path, sum(8 * len(channels[name]) for name in names))
-    clocks: dict[tuple[int, float, float] | None, list[str]] = {}
-    for name in names:
-        clocks.setdefault(_clock(channels[name]), []).append(name)
-    tables = [_table(path, {name: channels[name] for name in group}, clock) for clock, group in clocks.items()]
-    if len(tables) > 1 and all(table.time is not None for table in tables):
-        return joined(tables, [table.time for table in tables if table.time is not None])
-    columns = {name: values for table in tables for name, values in table.columns.items()}
-    same_length(path, columns)
-    hints = {name: hint for table in tables for name, hint in table.hints.items()}
-    time = tables[0].time if len(tables) == 1 else None
-    return Table(path, columns, hints=hints, time=time)
-
-
-def _clock(channel: Any) -> tuple[int, float, float] | None:
-    """Samples, time of the first one and step, s; None of a channel that does not tell them."""
-    step = channel.properties.get("wf_increment")
-    if not isinstance(step, int | float) or not step > 0:
-        return None
-    return len(channel), float(channel.properties.get("wf_start_offset", 0.0)), float(step)
-
-
-def _table(path: Path, channels: Mapping[str, Any], clock: tuple[int, float, float] | None) -> Table:
-    columns = {name: as_float(channel[:]) for name, channel in channels.items()}
-    units = {
-        name: str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "")
-        for name, channel in channels.items()
-    }
-    time = None if clock is None else clock[1] + clock[2] * np.arange(clock[0])
-    return Table(path, columns, hints={name: SensorHint(unit) for name, unit in units.items() if unit}, time=time)
-
-
-def _holds(channel: Any) -> str:
-    """What a channel holds instead of numbers; "" of numbers."""
-    return content_of(np.dtype(channel.dtype)) if channel.dtype is not None else "nothing"
+@cache  # one array for all channels of a clock
+def _time(start: float, step: float, count: int) -> np.ndarray:
+    return start + step * np.arange(count)

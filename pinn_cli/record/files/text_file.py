@@ -11,7 +11,6 @@ from pathlib import Path
 from pinn_cli.record.files.on_disk import BEGINNINGS, check_size, read_bytes
 from pinn_cli.settings.errors import InputError
 
-_GZIP = b"\x1f\x8b"
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 # Of text that is no UTF-8: what Windows writes in Western Europe and America. The numbers are the same in any of them.
 FALLBACK = "cp1252"
@@ -31,27 +30,26 @@ def read_text(path: Path, setting: str = "data.path", encoding: str | None = Non
         InputError: It is missing, is no regular file, cannot be read or held, or is no text.
     """
     content = read_bytes(path, setting)
-    if content.startswith(_GZIP):
+    if content.startswith(b"\x1f\x8b"):
         content = _unpacked(path, content, setting)
-    for start, kind in BEGINNINGS.items():
-        if content.startswith(start) and kind != "a universal file (data=uff)":
-            raise InputError(setting, path, "a text file", f"it is {kind}: unpack it, or {_SAVE_AS}")
+    kind = next((kind for start, kind in BEGINNINGS.items() if content.startswith(start)), "")
+    if kind and kind != BEGINNINGS[b"    -1"]:
+        raise InputError(setting, path, "a text file", f"it is {kind}: unpack it, or {_SAVE_AS}")
     if path.suffix.lower() in (".zip", ".bz2", ".xz", ".zst"):
         raise InputError(setting, path, "a text file", f"unpack it, and {_SAVE_AS}")
-    marked = next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
-    if encoding is not None or marked is not None:
-        return _decoded(path, content, encoding or str(marked))
-    if b"\0" in content:
-        raise InputError(
-            _line(path, content, content.index(0)),
-            "byte 0x00",
-            "text",
-            f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}",
-        )
+    given = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    if given is None and (place := content.find(b"\0")) >= 0:
+        hint = f"it is a binary file, or UTF-16 without a mark: {_SAVE_AS}"
+        raise InputError(_line(path, content, place), "byte 0x00", "text", hint)
     try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError:
-        return _decoded(path, content, FALLBACK)
+        return content.decode(given or "utf-8")
+    except (UnicodeError, LookupError, ValueError) as error:
+        if given is None:
+            return read_text(path, setting, FALLBACK)
+        start = error.start if isinstance(error, UnicodeDecodeError) else 0
+        hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
+        byte = f"byte 0x{content[start]:02x}" if content else "nothing"
+        raise InputError(_line(path, content, start), byte, f"text in {given}", hint) from None
 
 
 def check_encoding(setting: str, encoding: str | None) -> None:
@@ -66,16 +64,6 @@ def check_encoding(setting: str, encoding: str | None) -> None:
         known = encoding in ("utf-16", "utf-32")  # one byte is too few for them
     if not known:
         raise InputError(setting, encoding, "null or an encoding of text, such as utf-8, cp1252 or utf-16")
-
-
-def _decoded(path: Path, content: bytes, encoding: str) -> str:
-    try:
-        return content.decode(encoding)
-    except (UnicodeError, LookupError, ValueError) as error:
-        start = error.start if isinstance(error, UnicodeDecodeError) else 0
-        hint = f"the file is in another encoding, or no text: give data.format.encoding, or {_SAVE_AS}"
-        byte = f"byte 0x{content[start]:02x}" if content else "nothing"
-        raise InputError(_line(path, content, start), byte, f"text in {encoding}", hint) from None
 
 
 def _line(path: Path, content: bytes, place: int) -> str:

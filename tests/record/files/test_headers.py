@@ -60,8 +60,8 @@ def test_a_universal_file_tells_quantity_place_and_unit(tmp_path):
         "displacement 1:-X": SensorHint("", "displacement", "1:-X"),
         "force 12:+Z": SensorHint("", "force", "12:+Z"),
         "acceleration 1:+Z (2)": SensorHint("", "acceleration", "1:+Z"),
-        "channel": SensorHint(),
     }
+    assert list(table.columns)[-1] == "channel"
     np.testing.assert_allclose(table.time, np.arange(40) / 100.0)
     by_label = UffFormat().read(path, {"data.displacement.1": "roof"})
     np.testing.assert_allclose(by_label.columns["roof"], VALUES, atol=1e-11)

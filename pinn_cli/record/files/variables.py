@@ -1,0 +1,150 @@
+"""Arrays of a file as columns: vectors by their name, a matrix's columns by its name and their number."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pinn_cli.record.files.table import SensorHint, Table, check_names, same_length
+from pinn_cli.settings.errors import InputError
+
+NO_HINT = SensorHint()
+_OTHERS = {"b": "true or false", "c": "complex numbers", "S": "text", "U": "text", "M": "dates", "m": "durations"}
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """An array in a file, which may not have been read yet.
+
+    Attributes:
+        shape: As the program that wrote it shows it.
+        load: Its numbers, of that shape.
+        content: What it holds instead of real numbers, such as ``text``; "": it holds real numbers.
+        hint: What the file says of it.
+        time: Of its samples, (N,), s, where the file tells it.
+    """
+
+    shape: tuple[int, ...]
+    load: Callable[[], np.ndarray]
+    content: str = ""
+    hint: SensorHint = NO_HINT
+    time: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, array: np.ndarray, unit: str = "") -> Variable:
+        """Of an array that has been read, of whatever type."""
+        return cls(array.shape, lambda: array, content_of(array.dtype), SensorHint(unit))
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """Lengths of the sides that are longer than 1."""
+        return tuple(side for side in self.shape if side != 1)
+
+    @property
+    def columns(self) -> int:
+        """How many columns it has: 1 of a vector, 0 of a scalar or of what is neither vector nor matrix."""
+        if self.content or 0 in self.shape or len(self.sides) not in (1, 2):
+            return 0
+        return 1 if len(self.sides) == 1 else min(self.sides)
+
+    @property
+    def samples(self) -> int:
+        """Length of each of them: of a matrix its longer side, which is time's."""
+        return max(self.sides, default=0)
+
+    def read(self) -> np.ndarray:
+        """(columns, samples), float64, in native byte order."""
+        array = np.atleast_2d(np.asarray(self.load()).astype(np.float64).reshape(self.sides))
+        return array if array.shape[0] < array.shape[1] else array.T
+
+    def why_none(self, name: str) -> str:
+        """Why it is no column; to be read after ``it``."""
+        shape = " × ".join(map(str, self.shape)) or "1 × 1"
+        if self.content:
+            return f"holds {self.content}, which pinn-run does not evaluate"
+        if 0 in self.shape:
+            return f"is empty, {shape}"
+        if not self.sides:
+            return "is a single number"
+        if not self.columns:
+            return f"is {shape}, neither vector nor matrix"
+        channels = f"{name}.1 to {name}.{self.columns} are its {self.columns} channels"
+        return f"is {shape}: {channels} of {self.samples} samples"
+
+
+def content_of(dtype: np.dtype) -> str:
+    """What arrays of a type hold; "" of real numbers."""
+    return "" if dtype.kind in "iuf" else _OTHERS.get(dtype.kind, "text or objects")
+
+
+def tables_of(path: Path, variables: Mapping[str, Variable], wanted: Mapping[str, str] | None) -> list[Table]:
+    """The columns that are asked for, one table for each clock.
+
+    Column j, from 1, of the matrix ``acc`` is ``acc.1``, ``acc.2`` and so on. Where none is asked for, they are those
+    that have times, and of others those of the length that most have.
+
+    Args:
+        path: Of the file.
+        variables: By name; one that has several stands under each.
+        wanted: Setting to name of a column; None: all.
+
+    Raises:
+        InputError: Naming the setting: there is no such variable, or it is no vector of numbers; or the columns differ
+            in length.
+    """
+    every = {column: (v, j) for name, v in variables.items() for j, column in enumerate(_columns_of(name, v))}
+    first: dict[tuple[Variable, int], str] = {}
+    own = [column for column, place in every.items() if first.setdefault(place, column) == column]
+    for setting, column in (wanted or {}).items():
+        if column not in every:
+            _refuse(path, setting, column, variables, own)
+    names = _of_usual_length({column: every[column][0] for column in own}) if wanted is None else wanted.values()
+    clocks: dict[bytes, dict[str, Variable]] = {}
+    for column in names:
+        variable = every[column][0]
+        clocks.setdefault(b"" if variable.time is None else variable.time.tobytes(), {})[column] = variable
+    if b"" in clocks:  # nothing tells when they were taken with respect to each other
+        clocks = {b"": {column: every[column][0] for column in names}}
+    read = {variable: variable.read() for of_clock in clocks.values() for variable in of_clock.values()}
+    tables = []
+    for clock, of_clock in clocks.items():
+        columns = {name: np.ascontiguousarray(read[variable][every[name][1]]) for name, variable in of_clock.items()}
+        same_length(path, columns)
+        hints = {name: variable.hint for name, variable in of_clock.items() if variable.hint != NO_HINT}
+        tables.append(Table(path, columns, {}, hints, np.frombuffer(clock) if clock else None))
+    return tables or [Table(path, {})]
+
+
+def _columns_of(name: str, variable: Variable) -> list[str]:
+    count = variable.columns
+    return [name] if count == 1 else [f"{name}.{j}" for j in range(1, count + 1)]
+
+
+def _of_usual_length(columns: Mapping[str, Variable]) -> list[str]:
+    lengths = Counter(variable.samples for variable in columns.values() if variable.time is None)
+    usual = max(lengths, key=lambda length: (lengths[length], length), default=0)
+    return [name for name, variable in columns.items() if variable.time is not None or variable.samples == usual]
+
+
+def _refuse(path: Path, setting: str, name: str, variables: Mapping[str, Variable], own: list[str]) -> None:
+    """Say why there is no such column.
+
+    Raises:
+        InputError: Naming the setting.
+    """
+    root, _, number = name.rpartition(".")
+    if name in variables:
+        raise InputError(
+            setting, repr(name), "a column of numbers", f"in {path.name} it {variables[name].why_none(name)}"
+        )
+    if root in variables and number.isdecimal():
+        found = f"{root} has {variables[root].columns} columns of numbers, counted from 1"
+        raise InputError(setting, repr(name), f"a column of {path.name}", found)
+    within = next((other for other in variables if other.startswith((f"{name}.", f"{name}/"))), "")
+    check_names(
+        path, {setting: name}, own, within and f"{name} is a structure: name one of its fields, such as {within}"
+    )
