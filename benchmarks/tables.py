@@ -236,8 +236,7 @@ def gradients() -> str:
     """Trainings by gradients of a small network."""
     network = ("experiment=paper/sr_6dof_snr50", MLP, "network.activation=sine", "network.depth=2", "network.width=30",
                "network.continuity=exact")  # fmt: skip
-    trainings = (("adam", "", 8000), ("lbfgs", "", 3000), ("ssbroyden", "", 3000), ("lbfgs", "equalised", 3000),
-                 ("ssbroyden", "equalised", 3000))  # fmt: skip
+    trainings = (("adam", "", 8000), ("lbfgs", "", 3000), ("lbfgs", "equalised", 3000))
     rows = []
     for name, weights, iterations in trainings:
         chosen = [f"training.weights={weights}"] if weights else []

@@ -22,7 +22,6 @@ from pinn_cli.training.estimate import Estimate, RunContext
 from pinn_cli.training.gauss_newton import GaussNewton
 from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs
-from pinn_cli.training.gradient.ssbroyden import SsBroyden
 from pinn_cli.training.noise_model import NoiseModel
 from pinn_cli.training.normal_equations import NormalEquations
 
@@ -79,9 +78,8 @@ def test_the_same_device_gives_the_same_numbers(design):
     [
         Adam(30, collocation_points=None, dtype="float64"),
         Lbfgs(20, collocation_points=None, dtype="float64"),
-        SsBroyden(20, collocation_points=None),
     ],
-    ids=["adam", "lbfgs", "ssbroyden"],
+    ids=["adam", "lbfgs"],
 )
 def test_gradients(training, design):
     assert_the_same(training, design, 1e-3, None)

@@ -170,7 +170,7 @@ class FunctionSpaceGaussNewton:
         """See :meth:`pinn_cli.training.base.Training.solve`."""
         if not isinstance(design, Mlp):
             hint = f"network={design.name} has neither a linear readout nor layers"
-            raise InputError("training", "gauss_newton", "adam, lbfgs or ssbroyden for this network", hint)
+            raise InputError("training", "gauss_newton", "adam or lbfgs for this network", hint)
         own = problem.alone
         every = targets(own.record, own.dynamics, run.device)
         most = None if follows_features(design.build(own.record)) else self.most_residuals

@@ -1,4 +1,4 @@
-"""Training by limited-memory BFGS: torch's, within bounds and one iteration at a time."""
+"""Training by limited-memory BFGS after some steps of Adam: torch's, within bounds and one iteration at a time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pinn_cli.settings.legal_values import whole_number
+from pinn_cli.settings.legal_values import non_negative_number, positive_number, whole_number
+from pinn_cli.training.gradient.adam import AdamSteps
 from pinn_cli.training.gradient.objective import Evaluation, Objective
 from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER, Optimiser
-from pinn_cli.training.gradient.quasi_newton import QuasiNewtonTraining
+from pinn_cli.training.gradient.training import GradientTraining
 
 # torch's L-BFGS learns no curvature below an absolute 1e-10. Losses get there; a power of two changes no digit. In
 # float32 the square of a gradient must stay a number.
@@ -23,27 +24,69 @@ MOST_VALUES = 26
 
 
 @dataclass
-class Lbfgs(QuasiNewtonTraining):
-    """L-BFGS with a strong-Wolfe line search; it suits networks of any size.
+class Lbfgs(GradientTraining):
+    """L-BFGS on every collocation point at once, with a strong-Wolfe line search; it suits networks of any size.
 
     Attributes:
-        memory: Steps that the curvature is learned from; other settings as in :class:`QuasiNewtonTraining`.
+        warm_up: Iterations of Adam before, 0 for none; ``iterations`` counts them.
+        learning_rate: Of this Adam.
+        tolerance: Largest entry of the gradient at which the training ends.
+        memory: Steps that the curvature is learned from. Other settings are those of :class:`GradientTraining`.
 
     Raises:
         InputError: A setting outside its range.
     """
 
     name = "lbfgs"
+    remedy = "try training.warm_up=300, or less of training.learning_rate"
 
+    warm_up: int = 300
+    learning_rate: float = 1e-3
+    tolerance: float = 1e-12
     memory: int = 100
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self.warm_up = whole_number("training.warm_up", self.warm_up)
+        self.learning_rate = positive_number("training.learning_rate", self.learning_rate)
+        self.tolerance = non_negative_number("training.tolerance", self.tolerance)
         self.memory = whole_number("training.memory", self.memory, least=1)
 
-    def quasi_newton(self, objective: Objective) -> Optimiser:
-        """See :meth:`QuasiNewtonTraining.quasi_newton`."""
-        return LbfgsSteps(objective, self.memory, self.tolerance)
+    def optimiser(self, objective: Objective) -> Optimiser:
+        """See :meth:`GradientTraining.optimiser`."""
+        then = LbfgsSteps(objective, self.memory, self.tolerance)
+        return AdamFirst(AdamSteps(objective.variables, lr=self.learning_rate), self.warm_up, then)
+
+
+class AdamFirst(Optimiser):
+    """Curvature is not worth learning while a random start still falls apart: first Adam, then another optimiser.
+
+    Args:
+        adam: For so many iterations.
+        iterations: How many.
+        then: For the rest.
+    """
+
+    def __init__(self, adam: AdamSteps, iterations: int, then: Optimiser) -> None:
+        self.adam, self.iterations, self.then = adam, iterations, then
+        self.done = 0
+
+    def step(self, objective: Objective, evaluation: Evaluation) -> str:
+        """See :meth:`Optimiser.step`."""
+        if self.done >= self.iterations:
+            return self.then.step(objective, evaluation)
+        self.done += 1
+        return self.adam.step(objective, evaluation)
+
+    def state_dict(self) -> dict[str, Any]:
+        """See :meth:`Optimiser.state_dict`."""
+        return {"done": self.done, "adam": self.adam.state_dict(), "then": self.then.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """See :meth:`Optimiser.load_state_dict`."""
+        self.done = state["done"]
+        self.adam.load_state_dict(state["adam"])
+        self.then.load_state_dict(state["then"])
 
 
 class LbfgsSteps(Optimiser):

@@ -23,10 +23,9 @@ from pinn_cli.training.gradient.adam import Adam
 from pinn_cli.training.gradient.lbfgs import Lbfgs
 from pinn_cli.training.gradient.losses import Losses
 from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER
-from pinn_cli.training.gradient.ssbroyden import SsBroyden
 
-TRAININGS = {"adam": Adam, "lbfgs": Lbfgs, "ssbroyden": SsBroyden}
-CURVED = ("lbfgs", "ssbroyden")
+TRAININGS = {"adam": Adam, "lbfgs": Lbfgs}
+CURVED = ("lbfgs",)
 NETWORK = Mlp(1, 12, "sine", "exact")
 
 
@@ -120,18 +119,12 @@ def test_an_unknown_parameter_moves_to_the_truth(name):
     assert estimate.summary["stop_reason"] in (GRADIENT_VANISHED, NOTHING_LOWER, "iteration limit")
 
 
-def test_a_network_whose_inverse_hessian_would_not_fit_is_refused():
-    with pytest.raises(InputError, match=r"training=ssbroyden: must be lbfgs for a network of \d+ weights"):
-        SsBroyden().solve(JointProblem.of(small_problem()), Mlp(), RunContext())
-
-
 @pytest.mark.parametrize(
     ("training", "settings", "named"),
     [
         (Lbfgs, {"memory": 0}, "training.memory=0"),
         (Lbfgs, {"warm_up": -1}, "training.warm_up=-1"),
-        (SsBroyden, {"most_weights": 0}, "training.most_weights=0"),
-        (SsBroyden, {"tolerance": -1.0}, "training.tolerance=-1.0"),
+        (Lbfgs, {"tolerance": -1.0}, "training.tolerance=-1.0"),
         (Adam, {"weights": "evidence"}, "training.weights=evidence: must be equalised, or numbers for observation"),
         (Adam, {"betas": [0.9, 1.0]}, "training.betas=[0.9, 1.0]"),
     ],
@@ -151,8 +144,15 @@ def test_the_defaults_of_the_class_are_those_of_the_configuration(composed: Comp
 def test_a_run_of_the_program(pinn_run: PinnRun):
     network = ("network=mlp", "network.width=8", "network.depth=1", "network.activation=sine")
     few = ("training.iterations=8", "training.warm_up=4", "training.weights=equalised")
-    outcome = pinn_run(*SMALL, *network, "training=ssbroyden", *few)
+    outcome = pinn_run(*SMALL, *network, "training=lbfgs", *few)
     assert outcome.status == 0, outcome.err
     record = json.loads((outcome.directory / "run.json").read_text())
     assert record["training"]["iterations"] == 8
     assert record["training"]["stop_reason"] == "iteration limit"
+
+
+def test_a_training_that_there_is_not_is_told_with_those_that_there_are(pinn_run: PinnRun):
+    outcome = pinn_run(*SMALL, "network=mlp", "training=ssbroyden")
+    assert outcome.status == 2
+    (line,) = outcome.err.splitlines()
+    assert all(name in line for name in ("training=ssbroyden", "adam", "gauss_newton", "lbfgs"))

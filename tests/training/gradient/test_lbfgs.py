@@ -1,0 +1,80 @@
+"""L-BFGS on functions whose minimum is known."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import scipy.optimize
+import torch
+from plain_objectives import PlainObjective, minimise, quadratic, rosenbrock
+
+from pinn_cli.training.gradient.lbfgs import LbfgsSteps
+from pinn_cli.training.gradient.optimiser import GRADIENT_VANISHED, NOTHING_LOWER
+
+
+def test_rosenbrocks_valley_is_walked_as_fast_as_by_scipy():
+    start = torch.tensor([-1.2, 1.0] * 3, dtype=torch.float64)
+    objective = PlainObjective(rosenbrock, start)
+    iterations, reason = minimise(LbfgsSteps(objective, 20, 1e-10), objective, 500)
+    assert reason == GRADIENT_VANISHED
+    assert torch.allclose(objective.x, torch.ones(6, dtype=torch.float64), atol=1e-9)
+    theirs = scipy.optimize.minimize(
+        scipy.optimize.rosen, start.numpy(), jac=scipy.optimize.rosen_der, method="BFGS", options={"gtol": 1e-10}
+    )
+    assert iterations <= 1.5 * theirs.nit
+
+
+def test_a_quadratic_ends_in_a_few_times_its_dimension():
+    function, bottom = quadratic(12, 1e3)
+    objective = PlainObjective(function, torch.zeros(12, dtype=torch.float64))
+    iterations, reason = minimise(LbfgsSteps(objective, 20, 1e-10), objective, 200)
+    assert reason == GRADIENT_VANISHED
+    assert iterations <= 100
+    torch.testing.assert_close(objective.x.detach(), bottom, atol=1e-9, rtol=0.0)
+
+
+def test_tiny_values_are_no_reason_to_stop():
+    function, bottom = quadratic(6, 100.0)
+    objective = PlainObjective(lambda x: 1e-12 * function(x), torch.zeros(6, dtype=torch.float64))
+    minimise(LbfgsSteps(objective, 20, tolerance=1e-20), objective, 100)
+    torch.testing.assert_close(objective.x.detach(), bottom, atol=1e-6, rtol=0.0)
+
+
+def test_at_the_limit_of_digits_the_search_finds_nothing_lower():
+    objective = PlainObjective(lambda x: 1.0 + rosenbrock(x), torch.tensor([-1.2, 1.0], dtype=torch.float64))
+    iterations, reason = minimise(LbfgsSteps(objective, 20, tolerance=0.0), objective, 400)
+    assert reason in (NOTHING_LOWER, GRADIENT_VANISHED)
+    assert iterations < 400
+    assert torch.allclose(objective.x, torch.ones(2, dtype=torch.float64), atol=1e-5)
+
+
+def test_bounds_are_kept_and_the_bounded_minimum_is_found():
+    # Within x_2 >= 2 Rosenbrock's function is least at (1.4, 2), within x_2 >= -1 at (1, 1).
+    for lower, expected in ((2.0, math.nan), (-1.0, 1.0)):
+        objective = PlainObjective(rosenbrock, torch.tensor([-1.2, 4.0], dtype=torch.float64), (lower,))
+        _, reason = minimise(LbfgsSteps(objective, 20, tolerance=1e-8), objective, 300)
+        assert reason
+        assert min(float(x[1]) for x in objective.visited) >= lower
+        bounds = [(None, None), (lower, None)]
+        theirs = scipy.optimize.minimize(
+            scipy.optimize.rosen, [-1.2, 4.0], jac=scipy.optimize.rosen_der, method="L-BFGS-B", bounds=bounds
+        )
+        assert float(rosenbrock(objective.x.detach())) <= theirs.fun + 1e-6
+        if not math.isnan(expected):
+            assert float(objective.x.detach()[1]) == pytest.approx(expected, abs=1e-6)
+        else:
+            assert float(objective.x.detach()[1]) == lower
+
+
+def test_going_on_from_a_state_changes_no_bit():
+    start = torch.tensor([-1.2, 1.0, 0.3, 2.0], dtype=torch.float64)
+    whole = PlainObjective(rosenbrock, start)
+    method = LbfgsSteps(whole, 20, 1e-10)
+    minimise(method, whole, 9)
+    rest = PlainObjective(rosenbrock, whole.x.detach())
+    resumed = LbfgsSteps(rest, 20, 1e-10)
+    resumed.load_state_dict(method.state_dict())
+    minimise(method, whole, 7)
+    minimise(resumed, rest, 7)
+    assert torch.equal(whole.x, rest.x)
