@@ -45,7 +45,7 @@ class Dynamics(Functions):
     @cached_property
     def _pushed(self) -> csr_matrix:
         """(forces, n), how those enter the equations of the coordinates."""
-        return csr_matrix(self.structure.shapes.matrix[self.loaded].reshape(-1, self.ndof))
+        return csr_matrix(self.structure.shapes.sparse[np.array(self.loaded, dtype=int)])
 
     @cached_property
     def has_mass(self) -> Tensor:

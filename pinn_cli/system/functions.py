@@ -193,7 +193,7 @@ class Functions:
             places = self.loaded, range(len(self.loaded))
             on_dofs = csr_matrix((np.ones(len(self.loaded)), places), shape=(structure.ndof, len(self.loaded)))
             return ((0, csr_matrix(on_dofs @ self.picked(self.acting))),)
-        own = csr_matrix(csr_matrix(structure.shapes.matrix) @ self.picked(slice(0, self.ndof)))
+        own = csr_matrix(structure.shapes.sparse @ self.picked(slice(0, self.ndof)))
         motion = (MOTION.index(quantity), own)
         if not self._feels_ground(quantity):
             return (motion,)

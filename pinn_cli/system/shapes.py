@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, eye
 
 from pinn_cli.settings.errors import InputError
 from pinn_cli.system.array_namespace import Array
@@ -26,7 +27,6 @@ class Shapes:
         below: How many modes, the lowest, lie below the band of a record and stand for all that do.
         exact_at: (P,), factors of parts of a finite-element model for which the coordinates hold its modes; None: they
             are near for all.
-        modal: Whether the coordinates are modes; otherwise they are the DOFs.
     """
 
     matrix: np.ndarray
@@ -35,12 +35,21 @@ class Shapes:
     residual: int = 0
     below: int = 0
     exact_at: np.ndarray | None = None
-    modal: bool = True
 
-    @classmethod
-    def of_masses(cls, with_ground: np.ndarray) -> Shapes:
-        """Of coordinates that are the DOFs; ``with_ground`` is (n,)."""
-        return cls(np.eye(len(with_ground)), with_ground, modal=False)
+    @property
+    def modal(self) -> bool:
+        """Whether the coordinates are modes; otherwise they are the DOFs."""
+        return True
+
+    @property
+    def dofs(self) -> int:
+        """Number of DOFs."""
+        return len(self.matrix)
+
+    @property
+    def sparse(self) -> csr_matrix:
+        """:attr:`matrix`, of which only what is not zero takes memory."""
+        return csr_matrix(self.matrix)
 
     def of_dofs(self, q: Array) -> Array:
         """Motion of the DOFs (..., dofs), from that of the coordinates (..., n)."""
@@ -56,8 +65,6 @@ class Shapes:
         return float(np.sqrt(np.mean(np.sum(self.matrix**2, axis=1))))
 
     def _product(self, x: Array, matrix: np.ndarray) -> Array:
-        if not self.modal:
-            return x
         other = matrix if isinstance(x, np.ndarray) else torch.as_tensor(matrix.copy()).to(x)
         product: Array = x @ other
         return product
@@ -73,3 +80,48 @@ class Shapes:
             raise InputError(
                 "system.ground", None, allowed, "the matrices do not say in which direction the ground moves"
             )
+
+
+class OfMasses(Shapes):
+    """Those of coordinates that are the DOFs: every product is what was multiplied.
+
+    Args:
+        with_ground: (n,).
+    """
+
+    def __init__(self, with_ground: np.ndarray) -> None:
+        object.__setattr__(self, "with_ground", with_ground)
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """(n, n), the identity."""
+        return np.eye(self.dofs)
+
+    @property
+    def modal(self) -> bool:
+        """See :attr:`Shapes.modal`."""
+        return False
+
+    @property
+    def dofs(self) -> int:
+        """See :attr:`Shapes.dofs`."""
+        assert self.with_ground is not None
+        return len(self.with_ground)
+
+    @property
+    def sparse(self) -> csr_matrix:
+        """See :attr:`Shapes.sparse`."""
+        return csr_matrix(eye(self.dofs, format="csr"))
+
+    @property
+    def scale(self) -> float:
+        """See :attr:`Shapes.scale`."""
+        return 1.0
+
+    def of_dofs(self, q: Array) -> Array:
+        """See :meth:`Shapes.of_dofs`."""
+        return q
+
+    def onto_coordinates(self, force: Array) -> Array:
+        """See :meth:`Shapes.onto_coordinates`."""
+        return force

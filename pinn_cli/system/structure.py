@@ -22,7 +22,7 @@ from pinn_cli.system.labels import Labels
 from pinn_cli.system.linearisation import Linearisation, slopes
 from pinn_cli.system.pairs import Pairs
 from pinn_cli.system.parameters import FACTOR, LINEAR_TITLES, LINEAR_UNITS, MASS, Parameter
-from pinn_cli.system.shapes import Shapes
+from pinn_cli.system.shapes import OfMasses, Shapes
 
 if TYPE_CHECKING:
     from pinn_cli.system.connection.base import Nonlinearity
@@ -103,12 +103,12 @@ class Structure:
     @property
     def ndof(self) -> int:
         """Number of degrees of freedom, of which there are records: n, unless the coordinates are modes."""
-        return len(self.shapes.matrix)
+        return self.shapes.dofs
 
     @cached_property
     def shapes(self) -> Shapes:
         """How the DOFs move with the coordinates."""
-        return Shapes.of_masses(self.with_ground) if self.mode_shapes is None else self.mode_shapes
+        return OfMasses(self.with_ground) if self.mode_shapes is None else self.mode_shapes
 
     @property
     def is_modal(self) -> bool:
@@ -257,7 +257,7 @@ class Structure:
         own = self.stretch.matrix[self.added]
         if self.pairs is None:
             return own
-        weights = csr_matrix(self.pairs.weights @ self.shapes.matrix)
+        weights = csr_matrix(self.pairs.weights @ self.shapes.sparse)
         return vstack([own, self._beside_supports(weights)], format="csr")
 
     @cached_property
