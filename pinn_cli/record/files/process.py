@@ -26,9 +26,9 @@ from pinn_cli.record.files.variables import tables_of
 from pinn_cli.runs.memory import of_this_machine
 from pinn_cli.settings.errors import InputError
 
-# Bytes that libraries map before they read anything; and of the memory, the part that a file may take beyond them: its
-# content, its numbers as stored, as float64 and as an answer, a sixteenth each at most.
-_LIBRARIES, _PART_OF_MEMORY = 2 * 2**30, 4
+# Bytes that libraries map before they read anything, three times those of pyarrow; and of the memory, the part that a
+# file may take beyond them: its content, its numbers as stored, as float64 and on their way, a sixteenth each at most.
+_LIBRARIES, _PART_OF_MEMORY = 2**30, 4
 # Seconds that any file may take, and bytes that are read in each further one: a tenth of what the slowest library does.
 _SECONDS, _BYTES_A_SECOND = 60.0, 2**19
 
@@ -49,20 +49,20 @@ def read_apart(own: object, path: Path, expected: str, wanted: Mapping[str, str]
     question = [kind.__module__, kind.__qualname__, vars(own), str(path), wanted if wanted is None else dict(wanted)]
     # One thread is what a reader needs; each further one of a library for linear algebra maps memory.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-P", "-c", f"from {__name__} import answer; answer({memory})"]
-    limit_s = _SECONDS + path.stat().st_size / _BYTES_A_SECOND
+    limit_s = int(_SECONDS + path.stat().st_size / _BYTES_A_SECOND)
+    command = [sys.executable, "-P", "-c", f"from {__name__} import answer; answer({memory}, {limit_s})"]
     head: Any
     try:
         done = subprocess.run(
             command, input=json.dumps(question).encode(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=environment, timeout=limit_s, check=True,
+            env=environment, timeout=limit_s, check=True, start_new_session=True,  # Ctrl-C is for the one that asks
         )  # fmt: skip
         length = done.stdout.index(b"\n") + 1
         head = json.loads(done.stdout[:length])
     except subprocess.TimeoutExpired:
-        head = {"damaged": f"it takes more than {limit_s:.0f} s to read"}
+        head = {"damaged": f"it takes more than {limit_s} s to read"}
     except (subprocess.CalledProcessError, ValueError):
-        head = {"damaged": "what reads it ends by an error"}
+        head = {"damaged": "its reader crashes"}
     if "refused" in head:
         raise InputError.read(head["refused"])
     if "memory" in head:
@@ -72,11 +72,12 @@ def read_apart(own: object, path: Path, expected: str, wanted: Mapping[str, str]
     return _tables(path, head["tables"], memoryview(done.stdout)[length:])
 
 
-def answer(memory: int) -> None:
-    """What the other process does: read a question and answer it, within so many bytes of memory."""
-    with suppress(ImportError, ValueError, OSError):  # systems without such a limit, or with a lower one
+def answer(memory: int, limit_s: int) -> None:
+    """What the other process does: read a question and answer it, within so many bytes of memory and seconds."""
+    with suppress(ImportError, ValueError, OSError):  # systems without such limits, or with lower ones
         import resource
 
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))  # the one that asks may be gone by then
         resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
@@ -93,12 +94,14 @@ def answer(memory: int) -> None:
         head = {"memory": str(error)}
     except InputError as error:
         head = {"refused": str(error)}
+    except ImportError as error:
+        head = {"refused": str(InputError("data.format", name, "a format whose package works", str(error)))}
     except Exception as error:  # libraries raise dozens of kinds
         head = {"damaged": str(error).strip().partition("\n")[0] or type(error).__name__}
     out.write(json.dumps(head).encode() + b"\n")
     for table in tables:
         for values in [*table.columns.values(), *([] if table.time is None else [table.time])]:
-            out.write(values.tobytes())
+            out.write(values.data)
     out.close()
     os._exit(0)  # what a damaged file left behind in a library is not cleaned up
 

@@ -38,6 +38,8 @@ class Odd(ArrayFormat):
                 os._exit(0)
             case "exit":
                 sys.exit("no")
+            case "lack":
+                import nothing_of_this_name
             case "raise":
                 raise RuntimeError("one\\ntwo")
         print("a word", flush=True)
@@ -71,11 +73,12 @@ def test_numbers_and_names_come_back_as_they_are(read, capfd):
 @pytest.mark.parametrize(
     ("deed", "told"),
     [
-        ("crash", "an odd file that is whole; damaged or cut off? what reads it ends by an error"),
-        ("leave", "an odd file that is whole; damaged or cut off? what reads it ends by an error"),
-        ("exit", "an odd file that is whole; damaged or cut off? what reads it ends by an error"),
+        ("crash", "an odd file that is whole; damaged or cut off? its reader crashes"),
+        ("leave", "an odd file that is whole; damaged or cut off? its reader crashes"),
+        ("exit", "an odd file that is whole; damaged or cut off? its reader crashes"),
         ("loop", "an odd file that is whole; damaged or cut off? it takes more than 2 s to read"),
         ("fill", "a file of at most "),
+        ("lack", "a format whose package works; No module named"),
         ("raise", "an odd file that is whole; damaged or cut off? one"),
     ],
 )
