@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pinn_cli.network.base import NetworkDesign
     from pinn_cli.posterior.base import Posterior
     from pinn_cli.record.record import Record
-    from pinn_cli.report.export.base import Export
+    from pinn_cli.report.export import Export
     from pinn_cli.report.results import RunDescription
     from pinn_cli.scheme.base import Scheme
     from pinn_cli.system.modal import ModesSought
@@ -260,7 +260,7 @@ def _strict(config: DictConfig) -> bool:
 
 
 def _exports(config: DictConfig) -> tuple[Export, ...]:
-    from pinn_cli.report.export.formats import exports_of
+    from pinn_cli.report.export import exports_of
 
     def read(export: list[str]) -> tuple[Export, ...]:
         return exports_of(export)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from pinn_cli.report.figures import style
-from pinn_cli.report.figures.decimate import line_indices
+from pinn_cli.report.figures.style import line_indices
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

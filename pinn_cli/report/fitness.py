@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from pinn_cli.record.response import QUANTITIES
-from pinn_cli.report.results import with_labels
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -57,9 +56,7 @@ def both_formulas(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
         return np.where(span > 0.0, 100.0 * (1.0 - np.stack([ratio, rmse / span])), np.nan)
 
 
-def fitness_table(
-    estimate: Response, truth: Response, observed: np.ndarray, labels: Mapping[str, object]
-) -> pd.DataFrame:
+def fitness_table(estimate: Response, truth: Response, observed: np.ndarray) -> pd.DataFrame:
     """Both fitness formulas for every group of DOFs and every quantity, one row each (the content of ``fitness.csv``).
 
     The groups are ``all``, ``first``, ``last``, ``observed``, ``unobserved`` and ``dof_1`` to ``dof_n``. Both formulas
@@ -71,35 +68,36 @@ def fitness_table(
         estimate: The estimated response, (time, dof) for each quantity.
         truth: The true response, same shapes; NaN where unknown.
         observed: (dof,) bool: DOFs with any response sensor.
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
-        Columns: the labels, ``group``, ``quantity``, ``fitness_percent``, ``range_fitness_percent``.
+        Columns: ``group``, ``quantity``, ``fitness_percent``, ``range_fitness_percent``.
 
     Raises:
         ValueError: If shapes disagree, or an estimated column is finite in one place and not in another: an average
             over what is left would hide it.
     """
-    scores = {
-        quantity: _scores(getattr(estimate, quantity), getattr(truth, quantity), quantity) for quantity in QUANTITIES
-    }
-    return fitness_rows(scores, observed, labels)
+    for quantity in QUANTITIES:
+        estimated = np.isfinite(getattr(estimate, quantity))
+        partly = np.flatnonzero(estimated.any(axis=0) & ~estimated.all(axis=0))
+        if partly.size:
+            raise ValueError(f"the estimated {quantity} of DOF {partly[0] + 1} is not finite at every time")
+    scores = {name: both_formulas(getattr(estimate, name), getattr(truth, name)) for name in QUANTITIES}
+    return fitness_rows(scores, observed)
 
 
-def fitness_rows(scores: Mapping[str, np.ndarray], observed: np.ndarray, labels: Mapping[str, object]) -> pd.DataFrame:
+def fitness_rows(scores: Mapping[str, np.ndarray], observed: np.ndarray) -> pd.DataFrame:
     """The table of :func:`fitness_table` from scores that have been found.
 
     Args:
         scores: Quantity to both formulas of every DOF, (2, dof).
         observed: (dof,) bool: DOFs with any response sensor.
-        labels: The leading columns.
     """
     rows = [
         (group, quantity, *_mean_of_filled(scores[quantity][:, members]))
         for group, members in groups(observed).items()
         for quantity in QUANTITIES
     ]
-    return with_labels(pd.DataFrame(rows, columns=["group", "quantity", *FORMULAS]), labels)
+    return pd.DataFrame(rows, columns=["group", "quantity", *FORMULAS])
 
 
 def groups(observed: np.ndarray) -> dict[str, np.ndarray]:
@@ -113,15 +111,6 @@ def groups(observed: np.ndarray) -> dict[str, np.ndarray]:
         "unobserved": ~np.asarray(observed, dtype=bool),
     }
     return named | {f"dof_{dof}": dofs == dof for dof in dofs}
-
-
-def _scores(estimate: np.ndarray, truth: np.ndarray, quantity: str) -> np.ndarray:
-    """Both formulas, one row each, for one quantity of every DOF: (2, dof)."""
-    estimated = np.isfinite(estimate)
-    partly = np.flatnonzero(estimated.any(axis=0) & ~estimated.all(axis=0))
-    if partly.size:
-        raise ValueError(f"the estimated {quantity} of DOF {partly[0] + 1} is not finite at every time")
-    return both_formulas(estimate, truth)
 
 
 def _mean_of_filled(scores: np.ndarray) -> np.ndarray:

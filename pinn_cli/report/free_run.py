@@ -20,8 +20,6 @@ from pinn_cli.report.fitness import fitness_percent, fitness_table
 from pinn_cli.training.estimated_structure import estimated_structure
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pinn_cli.record.record import Record
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
@@ -74,9 +72,7 @@ def free_run(prescribed: Structure, estimate: Estimate, record: Record) -> FreeR
     return FreeRun(response, *_contradiction(structure, estimate, record, response))
 
 
-def free_run_table(
-    run: FreeRun, estimate: Estimate, record: Record, truth: Response, labels: Mapping[str, object]
-) -> pd.DataFrame:
+def free_run_table(run: FreeRun, estimate: Estimate, record: Record, truth: Response) -> pd.DataFrame:
     """Both fitness formulas of the free run's motion (the content of ``free_run.csv``).
 
     Args:
@@ -84,7 +80,6 @@ def free_run_table(
         estimate: The response that it is compared with, beside truth and sensors.
         record: The sensors, noise included; group averages go over the DOFs that have one.
         truth: NaN where unknown.
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
         The columns of `pinn_cli.report.fitness.fitness_table` and, before ``group``, ``against``: `REFERENCES`.
@@ -94,8 +89,8 @@ def free_run_table(
     sensors = Response(record.time, record.displacement, record.velocity, record.acceleration, record.force)
     tables = []
     for name, reference in zip(REFERENCES, (truth, sensors, estimate.response), strict=True):
-        table = fitness_table(response, reference, record.observed, labels)
-        table.insert(list(table.columns).index("group"), "against", name)
+        table = fitness_table(response, reference, record.observed)
+        table.insert(0, "against", name)
         tables.append(table[table["quantity"].isin(RESPONSE_QUANTITIES)])
     return pd.concat(tables, ignore_index=True)
 

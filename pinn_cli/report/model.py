@@ -27,12 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def model_of(results: Results, verdict: Verdict | None) -> Model:
-    """The identified structure of a run.
-
-    Args:
-        results: Of the run, the estimate with its posterior's parameters.
-        verdict: Where there is one.
-    """
+    """The identified structure of a run, whose estimate has the parameters of its posterior."""
     estimate = results.estimate
     every = [found.parameter for found in estimate.parameters]
     own = np.array([i for i, p in enumerate(every) if p.kind not in CALIBRATION_UNITS], dtype=int)

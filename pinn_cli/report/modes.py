@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pinn_cli.report.results import with_labels
+from pinn_cli.report.estimates import error_percent
 from pinn_cli.system.natural_modes import NaturalModes, frequency
 from pinn_cli.training.estimated_structure import estimated_structure
 from pinn_cli.training.propagation import half_widths_90
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pinn_cli.system.structure import Structure
     from pinn_cli.training.estimate import Estimate
 
@@ -116,18 +114,13 @@ class ModeEstimates:
         return len(self.frequencies)
 
 
-def mode_table(modes: ModeEstimates, labels: Mapping[str, object]) -> pd.DataFrame:
+def mode_table(modes: ModeEstimates) -> pd.DataFrame:
     """One row per mode, the lowest frequency first (the content of ``modes.csv``).
 
-    Args:
-        modes: Of the estimate.
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
-
-    Returns:
-        Columns: the labels, `COLUMNS`, and a column ``shape_<dof>`` per DOF, the displacement where the mode's largest
-        is one. Frequencies are in Hz and undamped; ``lower_90`` and ``upper_90`` are of the frequency. ``mac`` is the
-        modal assurance criterion against the prescribed mode that is most alike, whose frequency and damping follow;
-        ``true_mac`` the same of the true one. Cells of what is not known are empty (NaN).
+    Its columns are `COLUMNS` and a column ``shape_<dof>`` per DOF, the displacement where the mode's largest is one.
+    Frequencies are in Hz and undamped; ``lower_90`` and ``upper_90`` are of the frequency. ``mac`` is the modal
+    assurance criterion against the prescribed mode that is most alike, whose frequency and damping follow; ``true_mac``
+    the same of the true one. Cells of what is not known are empty (NaN).
     """
     prescribed, true = modes.prescribed, modes.true
     columns: dict[str, np.ndarray] = {
@@ -143,15 +136,9 @@ def mode_table(modes: ModeEstimates, labels: Mapping[str, object]) -> pd.DataFra
         "prescribed_damping_ratio": prescribed.damping_ratios,
         "true_frequency": true.frequencies,
         "true_damping_ratio": true.damping_ratios,
-        "frequency_error_percent": _error_percent(modes.frequencies, true.frequencies),
-        "damping_ratio_error_percent": _error_percent(modes.damping_ratios, true.damping_ratios),
+        "frequency_error_percent": error_percent(modes.frequencies, true.frequencies),
+        "damping_ratio_error_percent": error_percent(modes.damping_ratios, true.damping_ratios),
         "true_mac": true.mac,
     }
     shapes = {f"shape_{name}": row for name, row in zip(modes.dofs, modes.shapes, strict=True)}
-    return with_labels(pd.DataFrame({name: columns[name] for name in COLUMNS} | shapes), labels)
-
-
-def _error_percent(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error: np.ndarray = np.where(true != 0.0, 100.0 * np.abs(found - true) / np.abs(true), np.nan)
-    return error
+    return pd.DataFrame({name: columns[name] for name in COLUMNS} | shapes)

@@ -1,4 +1,4 @@
-"""Every parameter from record to record, and what changed."""
+"""Every parameter from record to record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pinn_cli.training.central_interval import HALF_WIDTH_90
 if TYPE_CHECKING:
     from pinn_cli.model.model import Model
     from pinn_cli.system.parameters import Parameter
-    from pinn_cli.training.estimate import Changes, Estimate
+    from pinn_cli.training.estimate import Estimate
 
 FILE = "parameters_over_time.csv"
 COLUMNS = (
@@ -57,18 +57,6 @@ def window_rows(number: int, run: str, estimate: Estimate) -> pd.DataFrame:
     return _rows(number, run, estimate, own)
 
 
-def _rows(number: int, run: str, estimate: Estimate, wanted: Collection[Parameter]) -> pd.DataFrame:
-    """Those of one record, of the parameters that are wanted."""
-    changes = estimate.changes
-    rows = [
-        _row(number, run, found.name, found.parameter.unit, (found.estimate, found.std, found.lower_90, found.upper_90))
-        | ({} if changes is None else _compared(changes, i))
-        for i, found in enumerate(estimate.parameters)
-        if found.parameter in wanted
-    ]
-    return pd.DataFrame(rows, columns=list(COLUMNS))
-
-
 def history(model: Model) -> pd.DataFrame:
     """The rows of earlier records: those that lie beside the model, or of a first one the model's own."""
     file = model.directory / FILE
@@ -83,49 +71,26 @@ def history(model: Model) -> pd.DataFrame:
         raise InputError("model", model.directory, "a run with the history that it wrote", hint)
     mean, covariance = model.known.within(model.lower)
     rows = []
-    for p, value, s, bound in zip(model.parameters, mean, np.sqrt(np.diag(covariance)), model.lower, strict=True):
-        interval = max(value - HALF_WIDTH_90 * s, bound), value + HALF_WIDTH_90 * s
-        rows.append(_row(1, model.directory.name, p.name, p.unit, (value, s, *interval)))
+    for p, value, std, bound in zip(model.parameters, mean, np.sqrt(np.diag(covariance)), model.lower, strict=True):
+        lower, upper = max(value - HALF_WIDTH_90 * std, bound), value + HALF_WIDTH_90 * std
+        known = {"estimate": value, "std": std, "lower_90": lower, "upper_90": upper, "changed": False}
+        rows.append({"record": 1, "run": model.directory.name, "parameter": p.name, "unit": p.unit, **known})
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def _row(record: int, run: str, parameter: str, unit: str, found: tuple[float, ...]) -> dict[str, Any]:
-    names = ("estimate", "std", "lower_90", "upper_90")
-    row = {"record": record, "run": run, "parameter": parameter, "unit": unit, **dict(zip(names, found, strict=True))}
-    return (
-        row
-        | {"alone": np.nan, "alone_std": np.nan, "change": np.nan, "change_std": np.nan, "chance": np.nan}
-        | {"changed": False}
-    )
-
-
-def _compared(changes: Changes, i: int) -> dict[str, Any]:
-    row: dict[str, Any] = {"alone": changes.alone[i], "alone_std": changes.alone_std[i]}
-    for change in changes.found:
-        if changes.parameters[i] == change.parameter:
-            row |= {"change": change.by, "change_std": change.std, "chance": change.chance, "changed": True}
-    return row
-
-
-def changes_text(changes: Changes | None) -> str:
-    """What a run prints of changes; "" where nothing was compared, and of a contradiction: the verdict tells it."""
-    if changes is None or (not changes.found and changes.chance < changes.improbable):
-        return ""
-    if not changes.found:
-        return f"no change since the earlier records (probability of such differences by chance: {changes.chance:.2g})"
-    lines = []
-    for change in changes.found:
-        p = change.parameter
-        value, std = 100.0 * change.by / p.prescribed, 100.0 * change.std / abs(p.prescribed)
-        much = (
-            f"by {value:+.2g} +- {std:.1g} %" if p.prescribed else f"by {change.by:+.3g} +- {change.std:.1g} {p.unit}"
-        )
-        lines.append(
-            f"changed: {p.name} ({p.owner}) {much}; by chance {_probability(change.chance)};"
-            f" {100.0 * change.share:.3g} % that it is this parameter"
-        )
-    return "\n".join(lines)
-
-
-def _probability(chance: float) -> str:
-    return f"{chance:.1g}" if chance >= 1e-12 else "below 1e-12"
+def _rows(number: int, run: str, estimate: Estimate, wanted: Collection[Parameter]) -> pd.DataFrame:
+    """Those of one record, of the parameters that are wanted."""
+    changes, rows = estimate.changes, []
+    for i, p in enumerate(estimate.parameters):
+        if p.parameter not in wanted:
+            continue
+        row: dict[str, Any] = {"record": number, "run": run, "parameter": p.name, "unit": p.parameter.unit}
+        row |= {"estimate": p.estimate, "std": p.std, "lower_90": p.lower_90, "upper_90": p.upper_90, "changed": False}
+        if changes is not None:
+            row |= {"alone": changes.alone[i], "alone_std": changes.alone_std[i]}
+            for change in changes.found:
+                if changes.parameters[i] == change.parameter:
+                    moved = {"change": change.by, "change_std": change.std, "chance": change.chance}
+                    row |= {**moved, "changed": True}
+        rows.append(row)
+    return pd.DataFrame(rows, columns=list(COLUMNS))

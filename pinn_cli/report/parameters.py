@@ -1,20 +1,21 @@
-"""The tables of system parameters: estimates with their uncertainty, and how well the record determines them."""
+"""The system parameters: estimates of a training or of draws, their uncertainty, and how well they are determined."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from pinn_cli.report.results import with_labels
-from pinn_cli.training.central_interval import HALF_WIDTH_90
+from pinn_cli.report.estimates import error_percent
+from pinn_cli.training.central_interval import CENTRAL_90, HALF_WIDTH_90
+from pinn_cli.training.estimate import ParameterEstimate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
+    from pinn_cli.posterior.base import PosteriorSamples
     from pinn_cli.system.parameters import Parameter
-    from pinn_cli.training.estimate import ParameterEstimate
 
 PARAMETER_COLUMNS = (
     "parameter", "true", "prescribed", "start", "estimate", "error_percent", "std", "lower_90", "upper_90",
@@ -23,6 +24,7 @@ IDENTIFIABILITY_COLUMNS = (
     "parameter", "prior_std", "std", "std_ratio", "relative_std_percent", "largest_correlation", "correlated_with",
     "verdict",
 )  # fmt: skip
+DIAGNOSTICS = ("parameter", "mean", "std", "lower_90", "upper_90", "r_hat", "ess_bulk", "ess_tail", "mcse_mean")
 WELL_DETERMINED = "well determined"
 
 # Posterior over prior standard deviation, r: of what is known about a parameter (its precision) the prior brings r^2.
@@ -43,27 +45,23 @@ KNOWN_WELL_ENOUGH = 0.05
 
 
 def parameter_table(
-    estimates: Iterable[ParameterEstimate], true: Mapping[str, np.ndarray] | None, labels: Mapping[str, object]
+    estimates: Iterable[ParameterEstimate], true: Mapping[str, np.ndarray] | None = None
 ) -> pd.DataFrame:
-    """One row per system parameter (the content of ``parameters.csv``).
+    """One row per system parameter (the content of ``parameters.csv``): `PARAMETER_COLUMNS`.
+
+    ``error_percent`` is empty (NaN) where the truth is unknown or zero. A parameter was either prescribed or is unknown
+    and has a ``start``, the value at which its search began: the other column is empty.
 
     Args:
         estimates: One per parameter.
         true: Kind to values (members,), or None where the truth is unknown (a record from a rig).
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
-
-    Returns:
-        Columns: the labels and `PARAMETER_COLUMNS`. ``error_percent`` is 100 |estimate - true| / |true|, as in the
-        paper's tables; it is empty (NaN) where the truth is unknown or zero. A parameter was either prescribed or is
-        unknown and has a ``start``, the value at which its search began: the other column is empty.
     """
-    rows = []
-    for given in estimates:
-        truth = true_value(given.parameter, true)
-        error = 100.0 * abs(given.estimate - truth) / abs(truth) if truth else np.nan
-        given_as = (given.believed, given.start)
-        rows.append((given.name, truth, *given_as, given.estimate, error, given.std, given.lower_90, given.upper_90))
-    return with_labels(pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS)), labels)
+    rows = [
+        (p.name, true_value(p.parameter, true), p.believed, p.start, p.estimate, np.nan, p.std, p.lower_90, p.upper_90)
+        for p in estimates
+    ]
+    table = pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
+    return table.assign(error_percent=error_percent(table["estimate"].to_numpy(float), table["true"].to_numpy(float)))
 
 
 def true_value(parameter: Parameter, true: Mapping[str, np.ndarray] | None) -> float:
@@ -77,22 +75,58 @@ def any_unknown(parameters: Sequence[ParameterEstimate]) -> bool:
     return any(p.unknown for p in parameters)
 
 
-def identifiability_table(
-    parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None, labels: Mapping[str, object]
-) -> pd.DataFrame:
-    """One row per parameter, unknown or prescribed (the content of ``identifiability.csv``).
+def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.ndarray) -> pd.DataFrame:
+    """The posterior correlation (p, p) with a column of the parameters' names (the content of ``correlation.csv``)."""
+    names = [p.name for p in parameters]
+    table = pd.DataFrame(correlation, columns=names)
+    table.insert(0, "parameter", names)
+    return table
+
+
+def parameter_estimates(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> list[ParameterEstimate]:
+    """The posterior mean, standard deviation and central 90 % interval of every parameter, all of them unknown.
+
+    Args:
+        samples: p parameters, all chains together.
+        parameters: Those p.
+    """
+    draws = samples.pooled
+    lower, upper = np.quantile(draws, CENTRAL_90, axis=0)
+    found = zip(parameters, draws.mean(axis=0), draws.std(axis=0, ddof=1), lower, upper, strict=True)
+    return [
+        ParameterEstimate(replace(parameter, prior_std=float(prior), unknown=True), *map(float, values))
+        for (parameter, *values), prior in zip(found, samples.prior.std(axis=0, ddof=1), strict=True)
+    ]
+
+
+def posterior_correlation(draws: np.ndarray) -> np.ndarray:
+    """(p, p) of draws (draws, p); NaN beside a parameter that does not move, 1 on the diagonal."""
+    centred = draws - draws.mean(axis=0)
+    length = np.linalg.norm(centred, axis=0)
+    moving = np.where(length > 0.0, length, np.nan)
+    correlation: np.ndarray = centred.T @ centred / np.outer(moving, moving)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def worst_sampled(diagnostics: pd.DataFrame, most: int) -> list[str]:
+    """The ``most`` parameters with the fewest effective draws, in their own order."""
+    effective = diagnostics[["ess_bulk", "ess_tail"]].min(axis=1)
+    kept = effective.sort_values(kind="stable").index[:most].sort_values()
+    return [str(name) for name in diagnostics.loc[kept, "parameter"]]
+
+
+def identifiability_table(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> pd.DataFrame:
+    """One row per parameter, unknown or prescribed (the content of ``identifiability.csv``): `IDENTIFIABILITY_COLUMNS`.
+
+    ``prior_std`` and ``std`` are in the parameter's unit, ``std_ratio`` is std / prior_std, ``relative_std_percent`` is
+    100 std / |estimate|, ``largest_correlation`` has its sign and is that with the parameter ``correlated_with``. What
+    is not known is empty (NaN or None).
 
     Args:
         parameters: All that were estimated, p of them.
         correlation: (p, p), their posterior correlation; None where the training gives none.
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
-
-    Returns:
-        Columns: the labels and `IDENTIFIABILITY_COLUMNS`. ``prior_std`` and ``std`` are in the parameter's unit,
-        ``std_ratio`` is std / prior_std, ``relative_std_percent`` is 100 std / |estimate|, ``largest_correlation`` has
-        its sign and is that with the parameter ``correlated_with``. What is not known is empty (NaN or None).
     """
-    neighbours = _nearest(correlation, len(parameters))
     warnings: dict[str, list[str]] = {p.name: _own_warning(p) for p in parameters}
     for p, warning in _inseparable(parameters, correlation):
         warnings[p.name].append(warning)
@@ -101,25 +135,9 @@ def identifiability_table(
             p.name, p.prior_std, p.std, _ratio(p.std, p.prior_std), 100.0 * _ratio(p.std, p.estimate), value,
             None if other is None else parameters[other].name, "; ".join(warnings[p.name]) or WELL_DETERMINED,
         )
-        for p, (other, value) in zip(parameters, neighbours, strict=True)
+        for p, (other, value) in zip(parameters, _nearest(correlation, len(parameters)), strict=True)
     ]  # fmt: skip
-    return with_labels(pd.DataFrame(rows, columns=list(IDENTIFIABILITY_COLUMNS)), labels)
-
-
-def correlation_table(parameters: Sequence[ParameterEstimate], correlation: np.ndarray) -> pd.DataFrame:
-    """The posterior correlation with the parameters' names (the content of ``correlation.csv``).
-
-    Args:
-        parameters: p of them.
-        correlation: (p, p), in their order.
-
-    Returns:
-        A column ``parameter`` and one per parameter, p rows.
-    """
-    names = [p.name for p in parameters]
-    table = pd.DataFrame(correlation, columns=names)
-    table.insert(0, "parameter", names)
-    return table
+    return pd.DataFrame(rows, columns=list(IDENTIFIABILITY_COLUMNS))
 
 
 def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlation: np.ndarray | None) -> list[str]:
@@ -140,10 +158,8 @@ def identifiability_warnings(parameters: Sequence[ParameterEstimate], correlatio
 def _own_warning(p: ParameterEstimate) -> list[str]:
     """The gravest thing to be said of one parameter, regardless of the others; nothing if it is well determined."""
     ratio, relative = _ratio(p.std, p.prior_std), _ratio(p.std, p.estimate)
-    of_value, of_prior = (
-        f"its standard deviation is {_percent(relative)} of its value",
-        f"{_percent(ratio)} of the prior's",
-    )
+    of_value = f"its standard deviation is {100.0 * relative:.0f} % of its value"
+    of_prior = f"{100.0 * ratio:.0f} % of the prior's"
     if not np.isfinite(p.std):
         return [f"{p.name} has no standard deviation: this training gives none"]
     if p.unknown and p.held:
@@ -171,21 +187,15 @@ def _inseparable(
     """
     if correlation is None:
         return
+    known = [_ratio(p.std, p.estimate) <= KNOWN_WELL_ENOUGH for p in parameters]
     for i, j in np.argwhere(np.abs(correlation) > INSEPARABLE):
         p, other = parameters[i], parameters[j]
-        if i == j or not p.unknown or _known_well_enough(p) or _known_well_enough(other):
+        if i == j or not p.unknown or known[i] or known[j]:
             continue
         value = f"(correlation {correlation[i, j]:.2f})"
-        if other.unknown:
-            first, second = (p, other) if i < j else (other, p)
-            warning = f"{first.name} and {second.name} can hardly be told apart {value}: only a combination is known"
-        else:
-            warning = f"{p.name} is known only as well as the prescribed {other.name} {value}"
-        yield p, warning
-
-
-def _known_well_enough(p: ParameterEstimate) -> bool:
-    return _ratio(p.std, p.estimate) <= KNOWN_WELL_ENOUGH
+        first, second = (p, other) if i < j else (other, p)
+        together = f"{first.name} and {second.name} can hardly be told apart {value}: only a combination is known"
+        yield p, together if other.unknown else f"{p.name} is known only as well as the prescribed {other.name} {value}"
 
 
 def _nearest(correlation: np.ndarray | None, count: int) -> list[tuple[int | None, float]]:
@@ -193,14 +203,9 @@ def _nearest(correlation: np.ndarray | None, count: int) -> list[tuple[int | Non
     if correlation is None or count < 2:
         return [(None, np.nan)] * count
     others = np.where(np.eye(count, dtype=bool) | ~np.isfinite(correlation), 0.0, correlation)
-    nearest = np.abs(others).argmax(axis=1)
-    return [(int(j), float(others[i, j])) for i, j in enumerate(nearest)]
+    return [(int(j), float(others[i, j])) for i, j in enumerate(np.abs(others).argmax(axis=1))]
 
 
 def _ratio(part: float, whole: float) -> float:
     """|part / whole|; NaN where there is nothing to divide by."""
     return abs(part / whole) if whole else np.nan
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"

@@ -6,6 +6,7 @@ takes seconds to import.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +20,6 @@ from pinn_cli.runs.writing import write_bytes
 from pinn_cli.system.parameters import LINEAR_TITLES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from pinn_cli.posterior.base import PosteriorSamples
     from pinn_cli.posterior.result import ForcePredictive, PosteriorResult
     from pinn_cli.record.record import Record
@@ -47,15 +46,24 @@ def posterior_groups(
         predicted, in single precision, and ``observed_data`` with ``force`` (time, dof). ``sample_stats``: (chain,
         draw), where something was sampled step by step.
     """
-    samples = findings.samples
+    samples, version = findings.samples, package_version("pinn-cli")
+    library = {"inference_library": "pinn-cli", **({"inference_library_version": version} if version else {})}
+    described = {"long_name": "degree of freedom, 1 is nearest the fixed end", "units": "1"}
+    dofs = samples.force_dofs.astype(np.int32), described
+    noise = {"long_name": "standard deviation of the measured force's noise", "units": UNITS["force"]}
+    posterior = _parameters(samples.draws, parameters)
+    posterior["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
+    posterior["force_dof"] = ("force_dof", *dofs)
+    # ArviZ's own names for the two.
+    sampling = {"tuning_steps": samples.warmup, "sampling_time": float(np.max(samples.seconds, initial=0.0))}
     groups = {
-        "/": xr.Dataset(attrs={**netcdf_attributes(attributes), **_library(), "method": samples.method}),
-        "posterior": _posterior(samples, parameters),
-        "prior": _parameters(samples.prior[None], parameters),
+        "/": xr.Dataset(attrs={**netcdf_attributes(attributes), **library, "method": samples.method}),
+        "posterior": posterior.assign_attrs(library | sampling),
+        "prior": _parameters(samples.prior[None], parameters).assign_attrs(library),
     }
     if findings.predictive is not None:
-        groups["posterior_predictive"] = _predicted(findings.predictive, samples, record)
-        groups["observed_data"] = _observed(findings.predictive, samples, record)
+        for name, group in _forces(findings.predictive, samples, record, dofs).items():
+            groups[name] = group.assign_attrs(library)
     if samples.statistics:
         statistics = {name: (_DRAWN, values) for name, values in samples.statistics.items()}
         groups["sample_stats"] = xr.Dataset(statistics, _counted(*samples.draws.shape[:2]))
@@ -64,23 +72,13 @@ def posterior_groups(
 
 def write_posterior_data(groups: Mapping[str, xr.Dataset], path: Path | str) -> Path:
     """Write the groups as netCDF 4 through h5netcdf."""
-    # In memory, as :func:`pinn_cli.report.dataset.write_dataset`.
     return write_bytes(xr.DataTree.from_dict(dict(groups)).to_netcdf(None, engine="h5netcdf", format="NETCDF4"), path)
-
-
-def _posterior(samples: PosteriorSamples, parameters: Sequence[Parameter]) -> xr.Dataset:
-    dataset = _parameters(samples.draws, parameters)
-    noise = {"long_name": "standard deviation of the measured force's noise", "units": UNITS["force"]}
-    dataset["sigma_force"] = ((*_DRAWN, "force_dof"), samples.sigma_force, noise)
-    dataset["force_dof"] = ("force_dof", *_dofs(samples))
-    # ArviZ's own names for the two.
-    return dataset.assign_attrs(tuning_steps=samples.warmup, sampling_time=float(np.max(samples.seconds, initial=0.0)))
 
 
 def _parameters(draws: np.ndarray, parameters: Sequence[Parameter]) -> xr.Dataset:
     """(chains, draws, p) as a variable per parameter."""
     variables = {p.name: (_DRAWN, draws[..., i], _description(p)) for i, p in enumerate(parameters)}
-    return xr.Dataset(variables, _counted(*draws.shape[:2]), _library())
+    return xr.Dataset(variables, _counted(*draws.shape[:2]))
 
 
 def _description(parameter: Parameter) -> dict[str, str]:
@@ -94,32 +92,20 @@ def _counted(chains: int, draws: int) -> dict[str, Any]:
     return {"chain": np.arange(chains), "draw": np.arange(draws)}
 
 
-def _predicted(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> xr.Dataset:
-    described = {"long_name": "force, posterior predictive", "units": UNITS["force"]}
-    # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
-    force = ((*_DRAWN, "time", "dof"), predictive.force.astype(np.float32), described)
-    drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
-    return xr.Dataset({"force": force}, drawn | _places(predictive, samples, record), _library())
-
-
-def _observed(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> xr.Dataset:
-    measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
-    described = {"long_name": "observed force", "units": UNITS["force"]}
-    return xr.Dataset(
-        {"force": (("time", "dof"), measured, described)}, _places(predictive, samples, record), _library()
-    )
-
-
-def _places(predictive: ForcePredictive, samples: PosteriorSamples, record: Record) -> dict[str, Any]:
+def _forces(
+    predictive: ForcePredictive, samples: PosteriorSamples, record: Record, dofs: tuple[np.ndarray, dict[str, str]]
+) -> dict[str, xr.Dataset]:
+    """The predicted force, and what was observed of it."""
     time = ("time", record.time[predictive.samples], {"long_name": "time", "units": "s"})
-    return {"time": time, "dof": ("dof", *_dofs(samples))}
-
-
-def _dofs(samples: PosteriorSamples) -> tuple[np.ndarray, dict[str, str]]:
-    described = {"long_name": "degree of freedom, 1 is nearest the fixed end", "units": "1"}
-    return samples.force_dofs.astype(np.int32), described
-
-
-def _library() -> dict[str, str]:
-    installed = package_version("pinn-cli")
-    return {"inference_library": "pinn-cli", **({"inference_library_version": installed} if installed else {})}
+    places = {"time": time, "dof": ("dof", *dofs)}
+    drawn = {"chain": np.arange(len(predictive.force)), "draw": predictive.draws}
+    # Ten times as many numbers as everything else together: seven digits of a noisy force are plenty.
+    force = predictive.force.astype(np.float32)
+    words = {"long_name": "force, posterior predictive", "units": UNITS["force"]}
+    measured = record.force[np.ix_(predictive.samples, samples.force_dofs - 1)]
+    observed = (("time", "dof"), measured, {"long_name": "observed force", "units": UNITS["force"]})
+    predicted = ((*_DRAWN, "time", "dof"), force, words)
+    return {
+        "posterior_predictive": xr.Dataset({"force": predicted}, drawn | places),
+        "observed_data": xr.Dataset({"force": observed}, places),
+    }

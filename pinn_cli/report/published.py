@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import resources
 
 import pandas as pd
@@ -14,6 +15,12 @@ def fitness() -> pd.DataFrame:
     ``range_fitness_percent`` (see `pinn_cli.report.fitness`).
     """
     return _load("fitness")
+
+
+def fitness_of(labels: Mapping[str, object]) -> pd.DataFrame:
+    """The rows of a run's case; none once a setting that makes it that case was changed."""
+    values, same = fitness(), ["case", "ndof", "nonlinearity", "model_error", "snr_db"]
+    return values[(values[same] == [labels[name] for name in same]).all(axis=1)]
 
 
 def parameters() -> pd.DataFrame:

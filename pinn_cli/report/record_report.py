@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from pinn_cli.record.channels import channels
 from pinn_cli.record.response import MEASURED_QUANTITIES
-from pinn_cli.report.connection_forces import ConnectionForces
-from pinn_cli.report.drift import Drifts, drift_table
-from pinn_cli.report.energy import DissipatedEnergy, energy_table
+from pinn_cli.report.connections import dissipated_energy, drift_table, drifts, energy_table
+from pinn_cli.report.fitness import fitness_table
 from pinn_cli.report.free_run import FreeRun, free_run, free_run_table
+from pinn_cli.report.parameters import parameter_table
+from pinn_cli.report.residuals import residual_table
 from pinn_cli.report.results import with_labels
-from pinn_cli.report.tables import EstimatorTables
 from pinn_cli.runs.writing import write_table
 from pinn_cli.verdict.judge import judge
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
-    from pinn_cli.report.export.base import Export
-    from pinn_cli.report.results import Results
+    from pinn_cli.record.record import Record, Truth
+    from pinn_cli.record.response import Response
+    from pinn_cli.report.export import Export
+    from pinn_cli.report.results import Results, RunDescription
     from pinn_cli.training.estimate import Estimate
     from pinn_cli.verdict.finding import Verdict
 
@@ -40,20 +42,73 @@ def record_folder(number: int) -> str:
 
 
 @dataclass(frozen=True, eq=False)
+class EstimatorTables:
+    """The rows of one estimator, the network or the baseline, with the labels of its run.
+
+    Attributes:
+        name: Of the estimator, ``pinn`` for the network.
+        fitness, parameters: Its rows of the files of these names.
+        find_residuals: Finds those of ``residuals.csv``.
+    """
+
+    name: str
+    fitness: pd.DataFrame
+    parameters: pd.DataFrame
+    find_residuals: Callable[[], pd.DataFrame]
+
+    @cached_property
+    def residuals(self) -> pd.DataFrame:
+        """Its rows of ``residuals.csv``, found when they are asked for: what a simulated record prints has none."""
+        return self.find_residuals()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Between processes goes what was found.
+        return {**self.__dict__, "residuals": self.residuals, "find_residuals": None}
+
+    @classmethod
+    def of(
+        cls, name: str, run: RunDescription, estimate: Estimate, record: Record, truth: Truth,
+        free_run: Response | None = None,
+    ) -> EstimatorTables:  # fmt: skip
+        """Score an estimate against the truth, where it is known, and against the sensors."""
+        labelled = partial(with_labels, labels=run.labels_of(name))
+        return cls(
+            name,
+            labelled(fitness_table(estimate.response, truth.response, record.observed)),
+            labelled(parameter_table(estimate.parameters, truth.parameters)),
+            lambda: labelled(residual_table(estimate, record, free_run)),
+        )
+
+    def above(self, other: EstimatorTables | None) -> EstimatorTables:
+        """These rows with those of another estimator below; columns that are empty in one of them stay as they are."""
+        if other is None:
+            return self
+        return EstimatorTables(
+            self.name,
+            _joined(self.fitness, other.fitness),
+            _joined(self.parameters, other.parameters),
+            lambda: _joined(self.residuals, other.residuals),
+        )
+
+
+def _joined(above: pd.DataFrame, below: pd.DataFrame) -> pd.DataFrame:
+    filled = [table for table in (above, below) if len(table)]
+    return pd.concat(filled, ignore_index=True) if filled else above
+
+
+@dataclass(frozen=True, eq=False)
 class RecordReport:
     """What is reported of one record, which may be written beside those of others.
 
     Attributes:
         results: Of it.
         directory: Of its files.
-        baseline: Name and estimate of another estimator, where there is one.
         exports: Formats in which the response is written beside ``response.nc``.
     """
 
     results: Results
     directory: Path
-    baseline: tuple[str, Estimate] | None
-    exports: Sequence[Export]
+    exports: Sequence[Export] = ()
 
     @cached_property
     def free(self) -> FreeRun:
@@ -62,9 +117,9 @@ class RecordReport:
 
     @cached_property
     def free_table(self) -> pd.DataFrame:
-        """How far that is from the estimate."""
-        results, labels = self.results, self.results.run.labels_of(estimator="free_run")
-        return free_run_table(self.free, results.estimate, results.record, results.truth.response, labels)
+        """How far that is from the estimate, without labels."""
+        results = self.results
+        return free_run_table(self.free, results.estimate, results.record, results.truth.response)
 
     def run_free(self, wanted: bool) -> tuple[FreeRun, pd.DataFrame] | None:
         """Both of these, found now, if anybody wants to see them."""
@@ -73,23 +128,21 @@ class RecordReport:
 
     def verdict(self) -> Verdict | None:
         """None without a problem."""
-        problem, other = self.results.problem, self.baseline[1] if self.baseline else None
-        if problem is None:
+        results = self.results
+        if results.problem is None:
             return None
-        return judge(problem, self.results.estimate, other, self.free.response, self.free.agreement)
-
-    @cached_property
-    def drifts(self) -> Drifts:
-        """Of its connections."""
-        return Drifts.of(self.results.prescribed, self.results.estimate, self.results.truth.response)
+        return judge(results.problem, results.estimate, results.baseline, self.free.response, self.free.agreement)
 
     @cached_property
     def every_table(self) -> tuple[EstimatorTables, EstimatorTables | None]:
         """The network's tables, and the baseline's."""
-        results, named = self.results, self.baseline
-        run, record, truth = results.run, results.record, results.truth
-        ours = EstimatorTables.of("pinn", run, results.estimate, record, truth, self.free.response)
-        return ours, EstimatorTables.of(named[0], run, named[1], record, truth) if named else None
+        results, run = self.results, self.results.run
+        ours = EstimatorTables.of(
+            "pinn", run, results.estimate, results.record, results.truth, self.free.response
+        )  # fmt: skip
+        if results.baseline is None:
+            return ours, None
+        return ours, EstimatorTables.of(run.baseline, run, results.baseline, results.record, results.truth)
 
     def tables(self) -> tuple[EstimatorTables, EstimatorTables | None]:
         """These, found now."""
@@ -100,40 +153,40 @@ class RecordReport:
         # Not above: xarray would be read before anything is printed.
         from pinn_cli.report.dataset import response_dataset, write_dataset
 
-        results, truth, directory = self.results, self.results.truth, self.directory
-        estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
-        write_table(self.free_table, directory / "free_run.csv")
-        write_table(drift_table(self.drifts, labels), directory / "drift.csv")
-        energy = DissipatedEnergy.of(results.prescribed, estimate, truth.response, results.true)
-        write_table(energy_table(energy, labels), directory / "energy.csv")
-        forces, free = ConnectionForces.of(results.prescribed, estimate, truth), self.free.response
-        dataset = response_dataset(
-            estimate, results.record, truth.response, labels, free, self.baseline, self.drifts, forces
-        )
+        results, directory = self.results, self.directory
+        labels, (ours, theirs) = results.run.labels_of(estimator="pinn"), self.every_table
+        stretched = drifts(results.prescribed, results.estimate, results.truth.response)
+        tables = {
+            "free_run": with_labels(self.free_table, labels | {"estimator": "free_run"}),
+            "drift": with_labels(drift_table(stretched), labels),
+            "energy": with_labels(energy_table(dissipated_energy(results)), labels),
+        }
+        for name, table in tables.items():
+            write_table(table, directory / f"{name}.csv")
+        dataset = response_dataset(results, self.free.response)
         write_dataset(dataset, directory / "response.nc")
         for export in self.exports:
             export.write(dataset, directory / f"response.{export.name}")
-        ours, theirs = self.every_table
-        for name in ("fitness", "residuals"):
-            write_table(getattr(ours.above(theirs), name), directory / f"{name}.csv")
+        both = ours.above(theirs)
+        write_table(both.fitness, directory / "fitness.csv")
+        write_table(both.residuals, directory / "residuals.csv")
 
 
 def records_table(each: Sequence[tuple[Results, EstimatorTables, Verdict | None]]) -> pd.DataFrame:
-    """One row per record: the content of ``records.csv``.
+    """One row per record: the content of ``records.csv``, `COLUMNS`.
+
+    ``record`` is counted from 1; the NMSE are the largest of any sensor, see
+    :func:`pinn_cli.report.residuals.residual_table`; ``verdict`` is that of the record alone.
 
     Args:
         each: Results, tables and verdict of every record.
-
-    Returns:
-        Columns: the labels and `COLUMNS`. ``record`` is counted from 1; the NMSE are the largest of any sensor, see
-        :func:`pinn_cli.report.residuals.residual_table`; ``verdict`` is that of the record alone.
     """
     rows = []
     for number, (results, tables, verdict) in enumerate(each, start=1):
-        record, residuals = results.record, tables.residuals
-        largest = residuals[["nmse_percent", "free_run_nmse_percent"]].max()
+        record = results.record
+        largest = tables.residuals[["nmse_percent", "free_run_nmse_percent"]].max()
         counts = len(channels(record, MEASURED_QUANTITIES))
         discrepancy = results.estimate.summary.get("sigma_discrepancy")
         shape = (len(record.time), record.duration, record.sampling_rate, counts, discrepancy)
         rows.append((number, record_folder(number), *shape, *largest, verdict.word if verdict else None))
-    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), each[0][0].run.labels_of(estimator="pinn"))
+    return pd.DataFrame(rows, columns=list(COLUMNS))

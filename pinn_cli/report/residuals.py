@@ -19,13 +19,10 @@ from scipy.special import kolmogorov
 from pinn_cli.record.channels import clipped_percent, constant_percent, every_channel
 from pinn_cli.record.response import GROUND
 from pinn_cli.record.spectrum import band_share, signal_edges
-from pinn_cli.report.results import with_labels
 from pinn_cli.system.quantities import FORCE, SUPPORT
 from pinn_cli.verdict.noise_findings import noise_found
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pinn_cli.record.channels import Channel
     from pinn_cli.record.record import Record
     from pinn_cli.record.response import Response
@@ -52,19 +49,16 @@ def nmse_percent(left: np.ndarray, signal: np.ndarray) -> float:
     return 100.0 * float(np.mean(left**2)) / variance if variance > 0.0 else np.nan
 
 
-def residual_table(
-    estimate: Estimate, record: Record, free_run: Response | None, labels: Mapping[str, object]
-) -> pd.DataFrame:
+def residual_table(estimate: Estimate, record: Record, free_run: Response | None = None) -> pd.DataFrame:
     """One row per sensor.
 
     Args:
         estimate: Its response is compared with the sensors; its ``summary`` has the noise found.
         record: The sensors.
         free_run: Of the estimated system under the measured force, (N, n) each; None where there is none.
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
 
     Returns:
-        Columns: the labels and `COLUMNS`. ``dof`` is counted from 1, 0 is the ground, and a sensor that feels something
+        Columns: `COLUMNS`. ``dof`` is counted from 1, 0 is the ground, and a sensor that feels something
         else has none; ``channel`` is what messages call it. In the unit of the quantity:
         ``signal_rms`` (about the mean), ``residual_rms`` and ``mean_residual`` of r = measured - estimated, ``sigma``
         (noise found). In per cent: ``nmse_percent`` (see `nmse_percent`), ``free_run_nmse_percent`` (the same of the
@@ -76,7 +70,7 @@ def residual_table(
         sqrt(samples)). What is not known is empty (NaN).
     """
     rows = [_row(estimate, record, free_run, channel) for channel in every_channel(record)]
-    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)).astype({"dof": "Int64"}), labels)
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"dof": "Int64"})
 
 
 def _row(estimate: Estimate, record: Record, free_run: Response | None, channel: Channel) -> dict[str, object]:

@@ -2,48 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pinn_cli.report.observed import observed_digest
+import numpy as np
+
+from pinn_cli.record.response import QUANTITIES, RESPONSE_QUANTITIES
 from pinn_cli.runs.identity import package_version
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from pinn_cli.posterior.result import PosteriorResult
+    from pinn_cli.record.record import Record
     from pinn_cli.report.results import Results, RunDescription
     from pinn_cli.verdict.finding import Verdict
 
 PACKAGES = (
-    "pinn-cli",
-    "torch",
-    "numpy",
-    "scipy",
-    "pandas",
-    "xarray",
-    "h5netcdf",
-    "matplotlib",
-    "hydra-core",
-    "pyro-ppl",
+    "pinn-cli", "torch", "numpy", "scipy", "pandas", "xarray", "h5netcdf", "matplotlib", "hydra-core", "pyro-ppl",
     "arviz",
-)
+)  # fmt: skip
 
 
 def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again.
-
-    Args:
-        results: What came of the run.
-        verdict: Where there is one.
-        seconds: By stage.
-    """
+    """Seconds by stage, the training's summary (iterations, why it stopped, ...), and what it takes to run it again."""
     run, observed = results.run, observed_digest(own.record for own in results.by_record)
     baseline = {"name": run.baseline, **results.baseline.summary} if results.baseline else None
     records = [own.estimate.summary for own in results.by_record] if results.further else None
@@ -63,14 +51,7 @@ def run_record(results: Results, verdict: Verdict | None, seconds: Mapping[str, 
 def run_facts(
     run: RunDescription, summary: Mapping[str, Any], observed: str, seconds: Mapping[str, float]
 ) -> dict[str, Any]:
-    """What is said of every run.
-
-    Args:
-        run: Which one.
-        summary: Of its training.
-        observed: Digest of the samples that it was given.
-        seconds: By stage.
-    """
+    """What is said of every run: its training's summary, the digest of what it observed, seconds by stage."""
     return {
         "case": run.case,
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
@@ -116,6 +97,32 @@ def _score(results: Results) -> dict[str, Any] | None:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def observed_digest(records: Iterable[Record]) -> str:
+    """SHA-256, in part, of the samples of every sensor of one record or more, and of what is known of the forces.
+
+    Runs with the same one saw the same record through the same sensors. A sensor with a calibration of its own counts
+    by its samples, not by what they are believed to mean.
+    """
+    digest = hashlib.sha256()
+
+    def add(name: str, values: np.ndarray) -> None:
+        digest.update(f"{name} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+
+    for record in records:
+        add("time", record.time)
+        digest.update(f"{record.intersample} {record.frame}".encode())
+        add("unforced", record.unforced)
+        for quantity in (*QUANTITIES, *record.response_quantities[len(RESPONSE_QUANTITIES) :]):
+            measured = record.sensors(quantity) & ~record.gauged(quantity)
+            add(quantity, measured)
+            add(quantity, record.histories(quantity)[:, measured])
+        for gauge in record.gauges:
+            add(gauge.name, gauge.time)
+            add(gauge.quantity, gauge.values)
+    return digest.hexdigest()[:16]
 
 
 def peak_memory_mib() -> dict[str, float | None]:

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import numpy as np
+import pandas as pd
+
+from pinn_cli.report import published
+from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.model import write_run_model
 from pinn_cli.report.modes import ModeEstimates, mode_table
-from pinn_cli.report.over_time import FILE, changes_text, parameters_over_time
+from pinn_cli.report.over_time import FILE, parameters_over_time
 from pinn_cli.report.parameters import (
+    DIAGNOSTICS,
     any_unknown,
     correlation_table,
     identifiability_table,
+    identifiability_warnings,
+    parameter_estimates,
     parameter_table,
+    posterior_correlation,
 )
-from pinn_cli.report.peaks import peak_table, peaks_text
-from pinn_cli.report.posterior import diagnostics_table, parameter_estimates, posterior_correlation
-from pinn_cli.report.record_report import RecordReport, record_folder, records_table
+from pinn_cli.report.record_report import EstimatorTables, RecordReport, record_folder, records_table
+from pinn_cli.report.results import with_labels
 from pinn_cli.report.run_record import run_record
-from pinn_cli.report.stories import stories_text, story_table
-from pinn_cli.report.tables import EstimatorTables
-from pinn_cli.report.terminal.parameters import diagnostics_text
-from pinn_cli.report.terminal.run import run_text
-from pinn_cli.report.terminal.validation import validation_text
+from pinn_cli.report.terminal import findings, fitness
+from pinn_cli.report.terminal.parameters import diagnostics_text, parameters_text
+from pinn_cli.report.terminal.sensors import sensors_text, validation_text
 from pinn_cli.report.validation_run import ValidationRun, validation_table, with_noise_of
 from pinn_cli.runs.side_by_side import beside, side_by_side
 from pinn_cli.runs.writing import tidy, write_json, write_table
@@ -32,20 +39,23 @@ from pinn_cli.verdict.posterior_findings import posterior_findings
 from pinn_cli.verdict.records import contradictions, verdict_of_records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    import pandas as pd
+    import xarray as xr
 
-    from pinn_cli.report.export.base import Export
+    from pinn_cli.report.export import Export
     from pinn_cli.report.free_run import FreeRun
     from pinn_cli.report.results import Results
     from pinn_cli.runs.stages import Stages
-    from pinn_cli.training.estimate import Estimate
+    from pinn_cli.training.estimate import Estimate, Story
     from pinn_cli.verdict.finding import Verdict
 
 # Parts that the figures are drawn in, side by side.
 _SHARES = 2
+STORY_COLUMNS = (
+    "story", "parameter", "estimate", "std", "lower_90", "upper_90", "free_run_nmse_percent", "segments_nmse_percent",
+)  # fmt: skip
+PEAK_COLUMNS = ("quantity", "of", "unit", "peak", "time", "lower_90", "upper_90")
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +94,9 @@ class RunReport:
 
     def __init__(self, results: Results, directory: Path, stages: Stages, exports: Sequence[Export] = ()) -> None:
         self.results, self.directory, self.stages = _with_posterior(results), directory, stages
-        run, other = self.results.run, self.results.baseline
-        named = (run.baseline, other) if other else None
+        self.labels = results.run.labels_of(estimator="pinn")
         self.reports = [
-            RecordReport(own, directory / record_folder(number), named if number == 1 else None, exports)
+            RecordReport(own, directory / record_folder(number), exports)
             for number, own in enumerate(self.results.by_record, start=1)
         ]
         self._drawn: Callable[[], object] | None = None
@@ -120,29 +129,28 @@ class RunReport:
         """Of the first record, of the baseline, and of further records."""
         with self.stages("report"):
             (tables, baseline), *others = self.records.each(RecordReport.tables)
-            labels = self.results.run.labels_of(estimator="pinn")
-            parameters = parameter_table(self.results.estimate.parameters, self.results.truth.parameters, labels)
-            return replace(tables, parameters=parameters), baseline, [own for own, _ in others]
+            parameters = parameter_table(self.results.estimate.parameters, self.results.truth.parameters)
+            first = replace(tables, parameters=with_labels(parameters, self.labels))
+            return first, baseline, [own for own, _ in others]
 
     @cached_property
     def validation(self) -> tuple[ValidationRun, pd.DataFrame] | None:
         """The identified system on other data, and its table; None without such data."""
-        results = self.results
-        if results.validation is None:
+        results, data = self.results, self.results.validation
+        if data is None:
             return None
         draws = None if results.posterior is None else results.posterior.samples.pooled
-        seen, estimate = results.by_record[results.validation.of].record, self._tried
         with self.stages("validation_data"):
-            run = ValidationRun.of(results.prescribed, estimate, seen, results.validation, draws, results.run.seed)
-            return run, validation_table(run, estimate, results.run.labels_of(estimator="pinn"))
+            seen = results.by_record[data.of].record
+            run = ValidationRun.of(results.prescribed, self._tried, seen, data, draws, results.run.seed)
+            return run, validation_table(run, self._tried)
 
     @property
     def _tried(self) -> Estimate:
         """What is tried on other data: of several records that from which it goes on, and the noise of all sensors."""
-        results = self.results
-        assert results.validation is not None
-        every = [own.estimate for own in results.by_record]
-        return with_noise_of(every[results.validation.of], every)
+        assert self.results.validation is not None
+        every = [own.estimate for own in self.results.by_record]
+        return with_noise_of(every[self.results.validation.of], every)
 
     @cached_property
     def over_time(self) -> pd.DataFrame | None:
@@ -153,24 +161,33 @@ class RunReport:
         return parameters_over_time(results.model, results.estimate, self.directory.name)
 
     def text(self) -> str:
-        """What the run prints, from `pinn_cli.report.terminal.run.run_text`; the verdict comes last.
+        """All that a run prints, in paragraphs that an empty line parts; the verdict comes last.
 
-        Nothing is written for it, so that nobody waits for files and figures.
+        A measured record is described sensor by sensor. Its fitness is printed only where sensors were held out, and
+        its free run against the sensors only in their table. Nothing is written for it, so that nobody waits for files
+        and figures.
         """
-        verdict, posterior = self.verdict, self.results.posterior
-        tables, baseline, further = self.tables
-        diagnostics = "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict)
-        other = "" if self.validation is None else validation_text(*self.validation)
-        estimate = self.results.estimate
-        paragraphs = (
-            stories_text(estimate.stories),
-            diagnostics,
-            other,
-            changes_text(estimate.changes),
-            peaks_text(estimate.peaks),
-        )
-        seconds = self.stages.seconds
-        return run_text(self.results, tables, baseline, self.free_run, paragraphs, verdict, seconds, further)
+        results, estimate, posterior = self.results, self.results.estimate, self.results.posterior
+        verdict, free, (tables, baseline, further) = self.verdict, self.free_run, self.tables
+        warnings = identifiability_warnings(estimate.before_any_record, estimate.correlation)
+        scored = bool(np.isfinite(tables.fitness[list(FORMULAS)].to_numpy()).any())
+        # Not where the truth is known: the sensors' table costs as much time as all others together.
+        measured = not results.run.simulated and len(tables.residuals) > 0
+        paragraphs = [
+            sensors_text([tables, *further], baseline) if measured else "",
+            parameters_text(tables.parameters, warnings, (baseline.name, baseline.parameters) if baseline else None),
+            fitness.fitness_text(tables.fitness, results.record.observed, published.fitness_of(self.labels)),
+            fitness.free_run_text(*free) if scored else fitness.free_run_line(*free),
+            findings.stories_text(estimate.stories),
+            "" if posterior is None else diagnostics_text(posterior.diagnostics, posterior.verdict),
+            "" if self.validation is None else validation_text(*self.validation),
+            findings.changes_text(estimate.changes),
+            findings.peaks_text(estimate.peaks),
+            fitness.comparison_text(tables, baseline, self.stages.seconds) if baseline else "",
+            findings.score_text(results.run.validation, results.score),
+            "" if verdict is None else findings.verdict_text(verdict),
+        ]
+        return "\n\n".join(text for text in paragraphs if text)
 
     @contextmanager
     def drawing(self) -> Iterator[None]:
@@ -192,32 +209,53 @@ class RunReport:
 
         Figures are those of :meth:`drawing`.
         """
-        results, directory = self.results, self.directory
+        results, directory, drawn = self.results, self.directory, self._drawn
         verdict, (tables, baseline, further) = self.verdict, self.tables
         with self.stages("report"):
             self.records.each(RecordReport.write)
             write_tables(results, tables.above(baseline), directory)
-            if further:
-                rows = list(zip(results.by_record, (tables, *further), self.verdicts, strict=True))
-                write_table(records_table(rows), directory / "records.csv")
-            if self.validation is not None:
-                write_table(self.validation[1], directory / "validation.csv")
-            if self.over_time is not None:
-                write_table(self.over_time, directory / FILE)
-            if results.estimate.peaks:
-                write_table(peak_table(results.estimate.peaks), directory / "peaks.csv")
-            else:
+            for name, table in self._further_tables((tables, *further) if further else ()).items():
+                write_table(table, directory / name)
+            if not results.estimate.peaks:
                 write_run_model(results, verdict, directory)
-        if self._drawn is not None:
+        if drawn is not None:
             with self.stages("figures"):
-                if self.validation is not None:
-                    _draw_validation(self._tried, self.validation[0], directory)
-                if self.over_time is not None:
-                    _draw_over_time(self.over_time, directory)
-                self._drawn()
+                self._draw_tables()
+                drawn()
         with self.stages("posterior_report"):
-            write_posterior(results, directory, self._drawn is not None)
+            groups = write_posterior(results, directory)
+            if drawn is not None and groups:
+                from pinn_cli.report.figures import write_posterior_figures
+
+                write_posterior_figures(results, groups, directory / "figures")
         write_json(run_record(results, verdict, self.stages.seconds), directory / "run.json")
+
+    def _further_tables(self, several: Sequence[EstimatorTables]) -> dict[str, pd.DataFrame]:
+        """Those that not every run has, by their files: of several records, of other data, of records before."""
+        out = {}
+        if several:
+            rows = list(zip(self.results.by_record, several, self.verdicts, strict=True))
+            out["records.csv"] = with_labels(records_table(rows), self.labels)
+        if self.validation is not None:
+            out["validation.csv"] = with_labels(self.validation[1], self.labels)
+        if self.over_time is not None:
+            out[FILE] = self.over_time
+        if self.results.estimate.peaks:
+            rows_of_peaks = [asdict(peak) for peak in self.results.estimate.peaks]
+            out["peaks.csv"] = pd.DataFrame(rows_of_peaks, columns=list(PEAK_COLUMNS))
+        return out
+
+    def _draw_tables(self) -> None:
+        """Draw what is not drawn of the results alone."""
+        from pinn_cli.report.figures import write_over_time_figure
+        from pinn_cli.report.figures.sensors import validation_figure
+        from pinn_cli.report.figures.style import save
+
+        place = self.directory / "figures"
+        if self.validation is not None and self.validation[0].response is not None:
+            save(validation_figure(self.validation[0], self._tried), place, "validation")
+        if self.over_time is not None:
+            write_over_time_figure(self.over_time, place)
 
 
 def _with_posterior(results: Results) -> Results:
@@ -238,39 +276,40 @@ def write_tables(results: Results, tables: EstimatorTables, directory: Path) -> 
     """Write the tables of a run that all its records have in common: parameters, modes, history."""
     estimate, labels = results.estimate, results.run.labels_of(estimator="pinn")
     parameters, correlation = estimate.parameters, estimate.correlation
-    files: dict[str, Any] = {"parameters": tables.parameters, "history": estimate.history}
+    files = {"parameters": tables.parameters, "history": estimate.history}
     modes = ModeEstimates.of(results.prescribed, estimate, results.true)
     if modes is not None:
-        files["modes"] = mode_table(modes, labels)
+        files["modes"] = with_labels(mode_table(modes), labels)
     if results.score is not None:
         files["score"] = results.score.table
     if any_unknown(parameters):
-        files["identifiability"] = identifiability_table(estimate.before_any_record, correlation, labels)
+        judged = identifiability_table(estimate.before_any_record, correlation)
+        files["identifiability"] = with_labels(judged, labels)
         if correlation is not None:
             files["correlation"] = correlation_table(parameters, correlation)
     if estimate.stories:
-        files["stories"] = story_table(estimate.stories, labels)
+        files["stories"] = with_labels(story_table(estimate.stories), labels)
     for name, table in files.items():
         write_table(table, directory / f"{name}.csv")
 
 
-def _draw_validation(estimate: Estimate, run: ValidationRun, directory: Path) -> None:
-    from pinn_cli.report.figures import write_validation_figure
+def story_table(stories: Sequence[Story]) -> pd.DataFrame:
+    """One row per story of a record and parameter, the story that is reported first (the content of ``stories.csv``).
 
-    if run.response is not None:
-        write_validation_figure(run, estimate, directory / "figures")
+    The last two of `STORY_COLUMNS` are a story's own, the same for all its parameters.
+    """
+    rows = [
+        (story.name, p.name, p.estimate, p.std, p.lower_90, p.upper_90, story.free_run, story.segments)
+        for story in stories
+        for p in story.parameters
+    ]
+    return pd.DataFrame(rows, columns=list(STORY_COLUMNS))
 
 
-def _draw_over_time(table: pd.DataFrame, directory: Path) -> None:
-    from pinn_cli.report.figures import write_over_time_figure
-
-    write_over_time_figure(table, directory / "figures")
-
-
-def write_posterior(results: Results, directory: Path, figures: bool) -> None:
-    """Write ``posterior.nc``, ``diagnostics.csv`` and the posterior's figures, where there is a posterior."""
+def write_posterior(results: Results, directory: Path) -> dict[str, xr.Dataset]:
+    """Write ``posterior.nc`` and ``diagnostics.csv``, where there is a posterior; the groups of the first, or none."""
     if results.posterior is None:
-        return
+        return {}
     # Not above: xarray would be read before anything is printed.
     from pinn_cli.report.posterior_data import posterior_groups, write_posterior_data
 
@@ -278,8 +317,5 @@ def write_posterior(results: Results, directory: Path, figures: bool) -> None:
     parameters = [found.parameter for found in results.estimate.parameters]
     groups = posterior_groups(posterior, results.record, parameters, labels)
     write_posterior_data(groups, directory / "posterior.nc")
-    write_table(diagnostics_table(posterior.diagnostics, labels), directory / "diagnostics.csv")
-    if figures:
-        from pinn_cli.report.figures import write_posterior_figures
-
-        write_posterior_figures(results, groups, directory / "figures")
+    write_table(with_labels(posterior.diagnostics[list(DIAGNOSTICS)], labels), directory / "diagnostics.csv")
+    return groups

@@ -9,7 +9,7 @@ may lead out of the band.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,6 @@ from pinn_cli.record.free_run import NoFreeRunError, free_run
 from pinn_cli.record.response import RESPONSE_QUANTITIES, UNITS
 from pinn_cli.record.supports import SupportErrors
 from pinn_cli.report.residuals import nmse_percent
-from pinn_cli.report.results import with_labels
 from pinn_cli.system.parameters import MASS
 from pinn_cli.training.calibrated_record import as_felt, beside
 from pinn_cli.training.estimated_structure import estimated_structure
@@ -101,36 +100,39 @@ class ValidationRun:
         return cls(beside(record, estimate.parameters, response), data.first, at_rest, response, std)
 
     def of_channel(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What a sensor measured, what the run says, and its deviation, each (M,), where they are compared."""
-        there = np.arange(len(self.record.time)) >= self.first
-        if channel.there is not None:
-            there &= channel.there
-        unknown = np.full(len(there), np.nan)
+        """Measured, NaN where no sample was taken, simulated, and its deviation, from the first sample compared on."""
+        unknown = np.full(len(self.record.time), np.nan)
+        measured = channel.measured if channel.there is None else np.where(channel.there, channel.measured, np.nan)
         run, std = (unknown if x is None else channel.of(x) for x in (self.response, self.std))
-        return channel.measured[there], run[there], std[there]
+        return measured[self.first :], run[self.first :], std[self.first :]
+
+    def compared(self, channel: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same where a sample was taken, each (M,)."""
+        measured, run, std = self.of_channel(channel)
+        there = slice(None) if channel.there is None else channel.there[self.first :]
+        return measured[there], run[there], std[there]
 
 
-def validation_table(run: ValidationRun, estimate: Estimate, labels: Mapping[str, object]) -> pd.DataFrame:
-    """One row per response sensor of the other data (the content of ``validation.csv``).
+def validation_table(run: ValidationRun, estimate: Estimate) -> pd.DataFrame:
+    """One row per response sensor of the other data (the content of ``validation.csv``): `COLUMNS`.
+
+    ``dof`` is counted from 1. ``begins`` is ``rest`` or ``estimate``. In the sensor's ``unit``: ``signal_rms`` (about
+    the mean), ``error_rms`` of measured less simulated, ``band_rms`` (the deviation of what is simulated, root mean
+    square over time) and ``sigma`` (the sensor's noise, as it was found). ``nmse_percent``: 100 mean square error over
+    the signal's variance. ``inside_95_percent``: samples within 1.96 deviations, noise included. What is not known is
+    empty (NaN).
 
     Args:
         run: Of the identified system.
         estimate: Whose ``summary`` has the noise found.
-        labels: A value for each of `pinn_cli.report.results.LABELS`.
-
-    Returns:
-        Columns: the labels and `COLUMNS`. ``dof`` is counted from 1. ``begins`` is ``rest`` or ``estimate``. In the
-        sensor's ``unit``: ``signal_rms`` (about the mean), ``error_rms`` of measured less simulated, ``band_rms`` (the
-        deviation of what is simulated, root mean square over time) and ``sigma`` (the sensor's noise, as it was found).
-        ``nmse_percent``: 100 mean square error over the signal's variance. ``inside_95_percent``: samples within 1.96
-        deviations, noise included. What is not known is empty (NaN).
     """
     rows = []
     for channel in channels(run.record, RESPONSE_QUANTITIES):
-        measured, simulated, std = run.of_channel(channel)
+        measured, simulated, std = run.compared(channel)
         error, sigma = measured - simulated, noise_found(estimate, channel)
-        reach = BAND * np.hypot(std, sigma)
+        reach, spread = BAND * np.hypot(std, sigma), std[np.isfinite(std)]
         known = np.isfinite(reach) & np.isfinite(error)
+        inside = np.abs(error[known]) <= reach[known]
         rows.append(
             {
                 "quantity": channel.quantity,
@@ -143,14 +145,12 @@ def validation_table(run: ValidationRun, estimate: Estimate, labels: Mapping[str
                 "signal_rms": float(np.std(measured)),
                 "error_rms": float(np.sqrt(np.mean(error**2))),
                 "nmse_percent": nmse_percent(error, measured),
-                "band_rms": float(np.sqrt(np.mean(std[np.isfinite(std)] ** 2))) if np.isfinite(std).any() else np.nan,
+                "band_rms": float(np.sqrt(np.mean(spread**2))) if spread.size else np.nan,
                 "sigma": sigma,
-                "inside_95_percent": 100.0 * float(np.mean(np.abs(error[known]) <= reach[known]))
-                if known.any()
-                else np.nan,
+                "inside_95_percent": 100.0 * float(np.mean(inside)) if inside.size else np.nan,
             }
         )
-    return with_labels(pd.DataFrame(rows, columns=list(COLUMNS)), labels)
+    return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
 def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
@@ -163,11 +163,6 @@ def with_noise_of(estimate: Estimate, records: Sequence[Estimate]) -> Estimate:
     return replace(estimate, summary=summary)
 
 
-def _at_rest(structure: Structure) -> list[np.ndarray]:
-    zeros = np.zeros(structure.coordinates)
-    return [zeros, zeros, *([np.zeros(len(structure.memory))] if len(structure.memory) else [])]
-
-
 def _members(
     structure: Structure,
     estimate: Estimate,
@@ -178,13 +173,7 @@ def _members(
 ) -> Members | None:
     """What may be otherwise than in the run, drawn; None where the training does not say how uncertain parameters are.
 
-    Args:
-        structure: With the estimated parameters.
-        estimate: What is known of them, of the noise and of the state that the run begins with.
-        records: What the estimator saw, and the other data.
-        begins: See :class:`ValidationRecord`.
-        draws: See :meth:`ValidationRun.of`.
-        seed: Likewise.
+    ``records`` are what the estimator saw, and the other data.
     """
     count = affordable_members(structure, records[1], DRAWS)
     if draws is None:
@@ -193,7 +182,9 @@ def _members(
         draws = draws[np.linspace(0, len(draws) - 1, min(count, len(draws))).round().astype(int)]
     if draws is None:
         return None
-    start = _at_rest(structure) if begins is None else estimate.response.state(begins)
+    zeros, hidden = np.zeros(structure.coordinates), np.zeros(len(structure.memory))
+    at_rest = [zeros, zeros, *([hidden] if len(hidden) else [])]
+    start = at_rest if begins is None else estimate.response.state(begins)
     spread = [np.zeros_like(part) for part in start]
     if begins is not None and not structure.is_modal:
         spread = [np.nan_to_num(part) for part in estimate.std.state(begins)]

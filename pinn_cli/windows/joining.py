@@ -13,6 +13,7 @@ import pandas as pd
 from pinn_cli.record.response import QUANTITIES
 from pinn_cli.report.dataset import AROUND_DATA
 from pinn_cli.report.fitness import fitness_rows
+from pinn_cli.report.results import with_labels
 from pinn_cli.runs.reserved_file import replacing_by_reserved
 from pinn_cli.runs.writing import write_text
 
@@ -126,7 +127,7 @@ def joined_fitness(pieces: Sequence[Piece], labels: Mapping[str, object]) -> pd.
         scores[quantity] = scores_of_parts(parts)
     with h5netcdf.File(pieces[-1].folder / RESPONSE, "r") as file:
         observed = np.asarray(file["observed"][...]).astype(bool)
-    return fitness_rows(scores, observed, labels)
+    return with_labels(fitness_rows(scores, observed), labels)
 
 
 def scores_of_parts(parts: Parts) -> np.ndarray:

@@ -10,11 +10,11 @@ from pinn_cli.model.model import Model
 from pinn_cli.record.record import Measurements, Record
 from pinn_cli.record.windows import Window
 from pinn_cli.report.model import model_of, write_run_model
-from pinn_cli.report.observed import observed_digest
 from pinn_cli.report.over_time import FILE, window_rows
 from pinn_cli.report.parameters import identifiability_warnings
 from pinn_cli.report.record_report import RecordReport
 from pinn_cli.report.results import Results, RunDescription
+from pinn_cli.report.run_record import observed_digest
 from pinn_cli.report.run_report import write_tables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.runs.writing import write_table
@@ -157,13 +157,13 @@ class _Report:
     def write(self, store: WindowStore, stages: Stages) -> Verdict | None:
         """Write its files; the verdict on it."""
         folder, results = store.folder(self.window.number), self._results()
-        report = RecordReport(results, folder, None, ())
+        report = RecordReport(results, folder)
         with stages("verdict"):
             verdict = report.verdict()
         with stages("report"):
             report.write()
             believed = self.believed(results, self.solver.beliefs(self.problem, store, self.window))
-            ours, _ = RecordReport(believed, folder, None, ()).every_table
+            ours, _ = RecordReport(believed, folder).every_table
             write_tables(believed, ours, folder)
             number = self.window.number
             write_table(window_rows(number + self.solver.earlier, f"window_{number}", self.estimate), folder / FILE)

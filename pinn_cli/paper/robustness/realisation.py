@@ -10,7 +10,7 @@ import numpy as np
 from pinn_cli.baseline.comparison import baseline_estimate
 from pinn_cli.cli.config import RunConfig
 from pinn_cli.cli.prepare import PreparedProblem, compose_config, prepare_problem
-from pinn_cli.report.tables import EstimatorTables
+from pinn_cli.report.record_report import EstimatorTables
 from pinn_cli.runs.stages import Stages
 from pinn_cli.settings.errors import DivergenceError
 from pinn_cli.training.estimate import RunContext

@@ -2,49 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pinn_cli.report.connection_forces import ConnectionForces
-from pinn_cli.report.discrepancy import Discrepancy
-from pinn_cli.report.drift import Drifts
-from pinn_cli.report.figures.correlation import correlation_figure
-from pinn_cli.report.figures.discrepancy import discrepancy_figure
-from pinn_cli.report.figures.drift import drift_figure
-from pinn_cli.report.figures.error_map import error_map_figure
-from pinn_cli.report.figures.force_predictive import force_predictive_figure
-from pinn_cli.report.figures.frequency_response import frequency_response_figure
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pinn_cli.report.connections import connection_forces, drifts
+from pinn_cli.report.figures.connections import Discrepancy, discrepancy_figure, drift_figure, hysteresis_figure
 from pinn_cli.report.figures.history import history_figure
-from pinn_cli.report.figures.hysteresis import hysteresis_figure
 from pinn_cli.report.figures.modes import modes_figure
-from pinn_cli.report.figures.over_time import over_time_figure
-from pinn_cli.report.figures.parameters import parameters_figure
-from pinn_cli.report.figures.posterior import IN_TRACES, posterior_pairs_figure, rank_figure, trace_figure
-from pinn_cli.report.figures.residuals import residuals_figure
-from pinn_cli.report.figures.response import response_figure, shown_dofs
+from pinn_cli.report.figures.parameters import correlation_figure, over_time_figure, parameters_figure
+from pinn_cli.report.figures.posterior import (
+    IN_TRACES,
+    force_predictive_figure,
+    posterior_pairs_figure,
+    rank_figure,
+    trace_figure,
+)
+from pinn_cli.report.figures.response import error_map_figure, response_figure, shown_dofs
+from pinn_cli.report.figures.sensors import frequency_response_figure, residuals_figure
 from pinn_cli.report.figures.structure import structure_figure
 from pinn_cli.report.figures.style import save
-from pinn_cli.report.figures.validation import validation_figure
 from pinn_cli.report.modes import ModeEstimates
-from pinn_cli.report.parameters import any_unknown
-from pinn_cli.report.posterior import worst_sampled
+from pinn_cli.report.parameters import any_unknown, worst_sampled
 from pinn_cli.report.record_report import record_folder
+from pinn_cli.report.results import Results
 from pinn_cli.runs.side_by_side import shared_out
 from pinn_cli.training.estimated_structure import estimated_structure
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    import pandas as pd
     import xarray as xr
-    from matplotlib.figure import Figure
-
-    from pinn_cli.report.results import Results
-    from pinn_cli.report.validation_run import ValidationRun
-    from pinn_cli.training.estimate import Estimate
 
 
 @dataclass(frozen=True)
@@ -54,14 +46,14 @@ class Drawing:
     Attributes:
         directory: Of its files.
         name: Of its files, without a suffix.
-        build: Makes it.
         panels: About so many, which its time grows with.
+        build: Makes it.
     """
 
     directory: Path
     name: str
-    build: Callable[[], Figure]
     panels: int
+    build: Callable[[], Figure]
 
     def save(self) -> list[Path]:
         """Draw it; the files written."""
@@ -90,54 +82,47 @@ def write_figures(results: Results, directory: Path | str, part: int = 0, of: in
 
 def run_drawings(results: Results, directory: Path) -> list[Drawing]:
     """Those that are about parameters and training, which several records have in common."""
-    estimate, truth = results.estimate, results.truth
-    found: list[tuple[str, int, Callable[[], Figure]]] = []
-    modes = ModeEstimates.of(results.prescribed, estimate, results.true)
+    estimate, prescribed, draw = results.estimate, results.prescribed, partial(Drawing, directory)
+    found = []
+    modes = ModeEstimates.of(prescribed, estimate, results.true)
     if modes is not None:
-        found.append(("modes", modes.count, partial(modes_figure, modes, results.run.truth_label)))
-    if results.prescribed.labels.connections and not results.prescribed.is_modal:
-        found.append(("structure", 2, partial(structure_figure, results.prescribed)))
+        found.append(draw("modes", modes.count, partial(modes_figure, modes, results.run.truth_label)))
+    if prescribed.labels.connections and prescribed.shapes is None:
+        found.append(draw("structure", 2, partial(structure_figure, prescribed)))
     if any(str(name).startswith(("loss_", "weight_")) for name in estimate.history):
-        found.append(("history", 5, partial(history_figure, estimate.history)))
+        found.append(draw("history", 5, partial(history_figure, estimate.history)))
     if any(given.prescribed or given.unknown for given in estimate.parameters):
-        found.append(("parameters", 4, partial(parameters_figure, estimate.parameters, truth.parameters)))
+        build = partial(parameters_figure, estimate.parameters, results.truth.parameters)
+        found.append(draw("parameters", 4, build))
     if estimate.correlation is not None and len(estimate.parameters) > 1 and any_unknown(estimate.parameters):
-        correlation = partial(correlation_figure, estimate.parameters, estimate.correlation)
-        found.append(("correlation", 2, correlation))
-    return [Drawing(directory, name, build, panels) for name, panels, build in found]
+        build = partial(correlation_figure, estimate.parameters, estimate.correlation)
+        found.append(draw("correlation", 2, build))
+    return found
 
 
 def record_drawings(results: Results, directory: Path) -> list[Drawing]:
     """Those that are about one record."""
-    estimate, record, truth, run = results.estimate, results.record, results.truth, results.run
-    baseline = (run.baseline, results.baseline.response) if results.baseline else None
-    response = partial(
-        response_figure, estimate, record, truth.response, results.linear_response, run.truth_label, baseline
-    )
-    rows = len(shown_dofs(record.ndof))
-    drifts = Drifts.of(results.prescribed, estimate, truth.response)
-    found: list[tuple[str, int, Callable[[], Figure]]] = [
-        ("response", 5 * rows, response),
-        ("residuals", 12, partial(residuals_figure, estimate, record)),
-        ("error_map", 8, partial(error_map_figure, estimate, record, truth.response)),
+    estimate, record, truth, prescribed = results.estimate, results.record, results.truth, results.prescribed
+    rows, label, draw = len(shown_dofs(record.ndof)), results.run.truth_label, partial(Drawing, directory)
+    found = [
+        draw("response", 5 * rows, partial(response_figure, results)),
+        draw("residuals", 12, partial(residuals_figure, estimate, record)),
+        draw("error_map", 8, partial(error_map_figure, estimate, record, truth.response)),
     ]
     if record.band is not None:
-        estimated = estimated_structure(results.prescribed, estimate.parameters)
-        found.append(("frequency_response", 6, partial(frequency_response_figure, record, estimated)))
-    if drifts.names:
-        found.append(("drift", 2 * rows, partial(drift_figure, drifts, run.truth_label)))
+        estimated = estimated_structure(prescribed, estimate.parameters)
+        found.append(draw("frequency_response", 6, partial(frequency_response_figure, record, estimated)))
+    stretched = drifts(prescribed, estimate, truth.response)
+    if stretched.places:
+        found.append(draw("drift", 2 * rows, partial(drift_figure, stretched, label)))
     discrepancy = Discrepancy.of(results)
     if discrepancy is not None:
-        found.append(("discrepancy", 4, partial(discrepancy_figure, discrepancy)))
-    forces = ConnectionForces.of(results.prescribed, estimate, truth)
-    if forces is not None and forces.memory.size:
-        found.append(("hysteresis", rows, partial(hysteresis_figure, forces, run.truth_label)))
-    return [Drawing(directory, name, build, panels) for name, panels, build in found]
-
-
-def write_validation_figure(run: ValidationRun, estimate: Estimate, directory: Path) -> list[Path]:
-    """Draw and save ``validation``, of a run of the identified system on other data; the files written."""
-    return save(validation_figure(run, estimate), directory, "validation")
+        found.append(draw("discrepancy", 4, partial(discrepancy_figure, discrepancy)))
+    forces = connection_forces(prescribed, estimate, truth)
+    if forces is not None and len(prescribed.memory):
+        memory = np.searchsorted(prescribed.added, prescribed.memory)
+        found.append(draw("hysteresis", rows, partial(hysteresis_figure, stretched, forces, memory, label)))
+    return found
 
 
 def write_over_time_figure(table: pd.DataFrame, directory: Path) -> list[Path]:
@@ -160,8 +145,7 @@ def write_posterior_figures(results: Results, groups: Mapping[str, xr.Dataset], 
         The files written.
     """
     posterior, draws = results.posterior, groups["posterior"]
-    if posterior is None:
-        return []
+    assert posterior is not None
     parameters = [found.parameter for found in results.estimate.parameters]
     figures = {"posterior_pairs": posterior_pairs_figure(draws, parameters, results.truth.parameters)}
     if "sample_stats" in groups:

@@ -1,24 +1,23 @@
-"""Estimated system parameters with their 90 % intervals: unknown ones as they are, prescribed ones as they moved."""
+"""Parameters: with their intervals, as they moved; their correlation; and what each record made of them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.report.figures import style
 from pinn_cli.report.parameters import true_value
-from pinn_cli.system.parameters import letter
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import SubFigure
-
-    from pinn_cli.training.estimate import ParameterEstimate
+from pinn_cli.system.parameters import Parameter, letter
+from pinn_cli.training.central_interval import HALF_WIDTH_90
+from pinn_cli.training.estimate import ParameterEstimate
 
 _ROW, _TOP, _BOTTOM = 2.3, 0.5, 0.39  # inch: of a row of panels, and of its legend and titles, its ticks and labels
 _LEFT, _RIGHT = 0.55, 0.08
@@ -28,6 +27,17 @@ _NAMES, _LETTER = 0.12, 0.056  # inch: below the axis, and of each letter of the
 REACH = 1.0
 NAMED = 20  # names below a panel, at most
 TICKS_IN_FULL = 8  # of values in a panel: up to these, exactly their connections are marked
+
+ANNOTATED = 16  # parameters up to which every cell of a matrix has its number: as many as fit across a page
+LABELLED = 60  # parameters up to which every row has its name
+_CELL, _LEAST = 0.34, 1.2  # inch, of a cell and of the matrix
+_AROUND = 0.5, 0.75, 0.3, 0.4  # inch, left, right, above, below
+
+COLUMNS, MOST = 3, 24  # of panels over records
+
+_START: dict[str, Any] = {"linestyle": "none", "color": style.GREY, "zorder": 1}
+_ESTIMATE: dict[str, Any] = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
+_BARS: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
 
 
 def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> Figure:
@@ -54,21 +64,17 @@ def parameters_figure(estimates: Sequence[ParameterEstimate], true: Mapping[str,
         bottom = _BOTTOM if not longest else _NAMES + _LETTER * longest
         height = _ROW + bottom - _BOTTOM
         figure = Figure(figsize=(width, height * len(rows)))
+        grid = {"left": _LEFT / width, "right": 1.0 - _RIGHT / width, "wspace": 0.28}
+        grid |= {"bottom": bottom / height, "top": 1.0 - _TOP / height}
         places = [figure] if len(rows) == 1 else np.asarray(figure.subfigures(len(rows), 1)).tolist()
         for place, row in zip(places, rows, strict=True):
-            margins = {"left": _LEFT / width, "right": 1.0 - _RIGHT / width, "bottom": bottom / height, "wspace": 0.28}
-            grid = margins | {"top": 1.0 - _TOP / height}
             panels = place.subplots(1, len(row), squeeze=False, gridspec_kw=grid)[0]
             for axes, (kind, group) in zip(panels, row.items(), strict=True):
+                unit = _draw_values(axes, group, true) if row is unknown else _draw_changes(axes, group, true)
                 title = f"{group[0].parameter.title} ${letter(kind)}$".strip()
-                if row is unknown:
-                    unit = _draw_values(axes, group, true)
-                    title += f" ({style.raised(unit)})" if unit else ""
-                else:
-                    _draw_changes(axes, group, true)
-                axes.set_title(title, pad=4)
+                axes.set_title(title + (f" ({style.raised(unit)})" if unit else ""), pad=4)
             panels[0].set_ylabel("Identified value" if row is unknown else "Change from prescribed (%)")
-            _legend(place, panels)
+            style.legend(place, panels)
     return figure
 
 
@@ -79,59 +85,38 @@ def _by_kind(estimates: Iterable[ParameterEstimate]) -> dict[str, list[Parameter
     return groups
 
 
-def _legend(place: Figure | SubFigure, panels: Sequence[Axes]) -> None:
-    """One legend above the row, of all that occurs in any of its panels."""
-    handles = {
-        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    # Matplotlib lists what has error bars last; what only a later panel has must not come after it.
-    labels = sorted(handles, key=lambda label: label.startswith("estimate"))
-    place.legend(
-        [handles[label] for label in labels], labels, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(labels)
-    )
-
-
 def _draw_values(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> str:
     """Unknown parameters of one kind, with where they started; the unit with the prefix in which they are drawn."""
-    unit = group[0].parameter.unit
-    values = _values(group, true)
+    values, unit = _values(group, true), group[0].parameter.unit
     factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(values))), kilo=True) if unit else (1.0, "")
-    estimate, lower, upper, truth = factor * values
     start = factor * np.array([given.start for given in group])
-    connection = _connections(group)
-    _draw_estimates(axes, connection, estimate, lower, upper)
-    _draw_truth(axes, connection, truth)
-    bottom, top = _extent(factor * values)
+    place = _draw_group(axes, group, factor * values)
+    bottom, top = float(np.nanmin(factor * values)), float(np.nanmax(factor * values))
+    least = 1e-6 * max(abs(bottom), abs(top)) or 1.0
+    if top - bottom <= least:
+        bottom, top = bottom - least, top + least
     height = top - bottom
     near = (start >= bottom - REACH * height) & (start <= top + REACH * height)
     if near.any():
-        axes.plot(
-            connection[near], start[near], linestyle="none", marker="x", markersize=4.5, markeredgewidth=0.9,
-            color=style.GREY, zorder=1, label="start",
-        )  # fmt: skip
+        axes.plot(place[near], start[near], marker="x", markersize=4.5, markeredgewidth=0.9, label="start", **_START)
         bottom, top = min(bottom, start[near].min()), max(top, start[near].max())
     below, above = start < bottom, start > top
-    _point_to_start(axes, connection[below], start[below], "v", 0.05)
-    _point_to_start(axes, connection[above], start[above], "^", 0.95)
+    _point_to_start(axes, place[below], start[below], "v", 0.05)
+    _point_to_start(axes, place[above], start[above], "^", 0.95)
     height = top - bottom
     # An arrow and its number take the room that no value may be in.
     axes.set_ylim(bottom - (0.25 if below.any() else 0.1) * height, top + (0.25 if above.any() else 0.1) * height)
-    _dress(axes, connection)
-    if len(connection) <= TICKS_IN_FULL:
-        axes.set_xticks(connection)
-    _name_connections(axes, group)
+    if len(place) <= TICKS_IN_FULL and not group[0].parameter.label:
+        axes.set_xticks(place)
     return prefix + unit
 
 
-def _draw_changes(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> None:
+def _draw_changes(axes: Axes, group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> str:
     """How far parameters of one kind, none prescribed as zero, moved from their prescribed values, in percent."""
     prescribed = np.array([given.believed for given in group])
-    estimate, lower, upper, truth = 100.0 * (_values(group, true) / prescribed - 1.0)
     axes.axhline(0.0, color=style.GREY, linewidth=0.7, linestyle="--", zorder=1, label="prescribed")
-    _draw_estimates(axes, _connections(group), estimate, lower, upper)
-    _draw_truth(axes, _connections(group), truth)
-    _dress(axes, _connections(group))
-    _name_connections(axes, group)
+    _draw_group(axes, group, 100.0 * (_values(group, true) / prescribed - 1.0))
+    return ""
 
 
 def _values(group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] | None) -> np.ndarray:
@@ -140,68 +125,149 @@ def _values(group: Sequence[ParameterEstimate], true: Mapping[str, np.ndarray] |
     return np.array(rows, dtype=float).T
 
 
-def _connections(group: Sequence[ParameterEstimate]) -> np.ndarray:
-    """Where the parameters of one kind stand on the axis: at their numbers, those with names side by side."""
-    if group[0].parameter.label:
-        return np.arange(1, len(group) + 1)
-    return np.array([given.parameter.index + 1 for given in group])
-
-
-def _extent(values: np.ndarray) -> tuple[float, float]:
-    """Least and largest value, apart even where all are equal."""
-    bottom, top = float(np.nanmin(values)), float(np.nanmax(values))
-    least = 1e-6 * max(abs(bottom), abs(top)) or 1.0
-    return (bottom, top) if top - bottom > least else (bottom - least, top + least)
-
-
-def _draw_estimates(
-    axes: Axes, connection: np.ndarray, estimate: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> None:
-    look: dict[str, Any] = {"color": style.VERMILLION, "markersize": 3, "zorder": 3}
-    bars: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
+def _draw_group(axes: Axes, group: Sequence[ParameterEstimate], values: np.ndarray) -> np.ndarray:
+    """Values (4, parameters) of one kind at their numbers, those with names side by side; the places (parameters,)."""
+    estimate, lower, upper, truth = values
+    names = [given.parameter.label for given in group]
+    place = np.array([i + 1 if names[0] else given.parameter.index + 1 for i, given in enumerate(group)])
+    if np.isfinite(truth).any():
+        diamond = {"markersize": 4.5, "markerfacecolor": "none", "markeredgecolor": style.BLACK, "markeredgewidth": 0.8}
+        axes.plot(place, truth, linestyle="none", marker="D", zorder=2, label="truth", **diamond)
     # The interval stands on its own: a prescribed value below zero turns a relative one round.
     middle, reach = (lower + upper) / 2.0, np.abs(upper - lower) / 2.0
-    axes.plot(connection, estimate, "o", **look, label="" if np.isfinite(reach).any() else "estimate")
+    axes.plot(place, estimate, "o", **_ESTIMATE, label="" if np.isfinite(reach).any() else "estimate")
     if np.isfinite(reach).any():
-        axes.errorbar(connection, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **bars)
-        axes.errorbar([], [], yerr=[], fmt="o", **look, **bars, label="estimate, 90 % interval")
+        axes.errorbar(place, middle, yerr=reach, fmt="none", ecolor=style.VERMILLION, zorder=3, **_BARS)
+        axes.errorbar([], [], yerr=[], fmt="o", **_ESTIMATE, **_BARS, label="estimate, 90 % interval")
+    axes.set_xlim(place.min() - 0.6, place.max() + 0.6)
+    axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
+    axes.yaxis.set_major_locator(MaxNLocator(6))
+    if names[0]:
+        # Upright, so that long ones do not meet.
+        every = -(-len(names) // NAMED)
+        axes.set_xticks(place[::every], names[::every], rotation=90)
+    else:
+        axes.set_xlabel("Connection $i$", labelpad=2)
+    return place
 
 
-def _draw_truth(axes: Axes, connection: np.ndarray, truth: np.ndarray) -> None:
-    if np.isfinite(truth).any():
-        axes.plot(
-            connection, truth, linestyle="none", marker="D", markersize=4.5, markerfacecolor="none",
-            markeredgecolor=style.BLACK, markeredgewidth=0.8, zorder=2, label="truth",
-        )  # fmt: skip
-
-
-def _point_to_start(axes: Axes, connection: np.ndarray, start: np.ndarray, arrow: str, height: float) -> None:
+def _point_to_start(axes: Axes, place: np.ndarray, start: np.ndarray, arrow: str, height: float) -> None:
     """Arrows at an edge of the panel, with the value that they point to; equal ones in a row say it once."""
     if not start.size:
         return
-    axes.plot(
-        connection, np.full(start.size, height), transform=axes.get_xaxis_transform(), linestyle="none", marker=arrow,
-        markersize=3.5, color=style.GREY, zorder=1, label="start, off the scale",
-    )  # fmt: skip
-    for i, (x, value) in enumerate(zip(connection, start, strict=True)):
+    across, label = axes.get_xaxis_transform(), "start, off the scale"
+    axes.plot(place, np.full(start.size, height), transform=across, marker=arrow, markersize=3.5, label=label, **_START)
+    look: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 6.5, "color": style.GREY}
+    for i, (x, value) in enumerate(zip(place, start, strict=True)):
         if i == 0 or value != start[i - 1]:
-            axes.annotate(
-                f"{value:.4g}", (x, height), xycoords=axes.get_xaxis_transform(), xytext=(4, 0),
-                textcoords="offset points", va="center", fontsize=6.5, color=style.GREY,
-            )  # fmt: skip
+            axes.annotate(f"{value:.4g}", (x, height), xycoords=across, xytext=(4, 0), **look)
 
 
-def _name_connections(axes: Axes, group: Sequence[ParameterEstimate]) -> None:
-    """Names instead of numbers, upright so that long ones do not meet."""
-    names = [given.parameter.label for given in group]
-    if names[0]:
-        every = -(-len(names) // NAMED)
-        axes.set_xticks(_connections(group)[::every], names[::every], rotation=90)
-        axes.set_xlabel("")
+def correlation_figure(estimates: Sequence[ParameterEstimate], correlation: np.ndarray) -> Figure:
+    """The posterior correlation as a matrix, unknown parameters first; a line parts them from the prescribed ones.
+
+    Args:
+        estimates: p of them, at least two.
+        correlation: (p, p), in their order.
+
+    Raises:
+        ValueError: If there are fewer than two parameters.
+    """
+    count = len(estimates)
+    if count < 2:
+        raise ValueError("a correlation takes two parameters")
+    order = sorted(range(count), key=lambda i: not estimates[i].unknown)
+    unknown = sum(p.unknown for p in estimates)
+    matrix = np.asarray(correlation)[np.ix_(order, order)]
+    left, right, top, bottom = _AROUND
+    side = max(min(_CELL * count, style.PAGE_WIDTH - left - right), _LEAST)
+    width, height = left + side + right, bottom + side + top
+    with style.look():
+        figure = Figure(figsize=(width, height))
+        axes = figure.add_axes((left / width, bottom / height, side / width, side / height))
+        # A parameter's correlation with itself says nothing and would be the darkest of all cells.
+        shown = np.ma.masked_where(np.eye(count, dtype=bool) | ~np.isfinite(matrix), matrix)
+        axes.patch.set_facecolor("#E6E6E6")
+        image = axes.imshow(shown, cmap=colormaps["RdBu_r"], vmin=-1.0, vmax=1.0, interpolation="nearest")
+        bar = figure.colorbar(image, cax=axes.inset_axes((1.0 + 0.1 / side, 0.0, 0.12 / side, 1.0)))
+        bar.outline.set_linewidth(0.4)
+        bar.set_label("Posterior correlation")
+        _name_rows(axes, [estimates[i].parameter for i in order])
+        for line in (axes.axhline, axes.axvline) if 0 < unknown < count else ():
+            line(unknown - 0.5, color=style.BLACK, linewidth=0.9)
+        for label, first, end in (("unknown", 0, unknown), ("prescribed", unknown, count)):
+            if end > first:
+                place, above = ((first + end) / 2 - 0.5, 1.0), {"xytext": (0, 4), "textcoords": "offset points"}
+                across = axes.get_xaxis_transform()
+                axes.annotate(label, place, xycoords=across, ha="center", va="bottom", fontsize=8, **above)
+        for (row, column), value in np.ndenumerate(shown.filled(np.nan) if count <= ANNOTATED else np.zeros((0, 0))):
+            if np.isfinite(value):
+                write_correlation(axes, (column, row), value, f"{round(value, 2) + 0.0:.2f}", fontsize=6)
+    return figure
 
 
-def _dress(axes: Axes, connection: np.ndarray) -> None:
-    axes.set_xlim(connection.min() - 0.6, connection.max() + 0.6)
-    axes.set_xlabel("Connection $i$", labelpad=2)
-    axes.xaxis.set_major_locator(MaxNLocator(7, integer=True, min_n_ticks=1))
-    axes.yaxis.set_major_locator(MaxNLocator(6))
+def write_correlation(axes: Axes, place: tuple[float, float], value: float, text: str, **look: Any) -> None:
+    """A correlation on its colour, in white where that is dark."""
+    colour = "white" if abs(value) > 0.65 else style.BLACK
+    axes.text(*place, text.replace("-", "\N{MINUS SIGN}"), ha="center", va="center", color=colour, **look)
+
+
+def _name_rows(axes: Axes, parameters: Sequence[Parameter]) -> None:
+    symbols, named = [p.symbol for p in parameters], any(p.label for p in parameters)
+    kept = range(0, len(symbols), math.ceil(len(symbols) / LABELLED))
+    labels = [symbols[i] for i in kept]
+    size = 8.0 if len(symbols) <= ANNOTATED else 6.0
+    axes.set_xticks(kept, labels, fontsize=size, rotation=0 if len(symbols) <= ANNOTATED and not named else 90)
+    axes.set_yticks(kept, labels, fontsize=size)
+    axes.tick_params(length=0)
+
+
+def over_time_figure(table: pd.DataFrame) -> Figure:
+    """A panel for every parameter: its estimate after each record with its 90 % band, and what the record says alone.
+
+    Of more than `MOST` parameters those that changed are shown, and those that are known best.
+
+    Args:
+        table: From `pinn_cli.report.over_time.parameters_over_time`.
+    """
+    names = _shown(table)
+    with style.look():
+        rows = -(-len(names) // COLUMNS)
+        figure, panels = style.panels(rows, COLUMNS, 1.05, margins=(0.6, 0.08, 0.45, 0.4), gaps=(0.6, 0.32))
+        for axes in panels.flat[len(names) :]:
+            axes.remove()
+        for axes, name in zip(panels.flat, names, strict=False):
+            _draw_over_records(axes, table[table["parameter"] == name], name)
+        for axes in panels[-1]:
+            axes.set_xlabel("Record", labelpad=2)
+        style.legend(figure)
+    return figure
+
+
+def _shown(table: pd.DataFrame) -> list[str]:
+    names = list(dict.fromkeys(table["parameter"]))
+    last = table[table["record"] == table["record"].max()].set_index("parameter")
+    relative = (last["std"] / last["estimate"].abs()).replace(np.nan, np.inf)
+    changed = set(table.loc[table["changed"], "parameter"])
+    best = sorted(names, key=lambda name: (name not in changed, relative.get(name, np.inf)))[:MOST]
+    return [name for name in names if name in best]
+
+
+def _draw_over_records(axes: Axes, own: pd.DataFrame, name: str) -> None:
+    factor, prefix = style.unit_prefix(float(own["estimate"].abs().max()), kilo=True)
+    record, unit = own["record"].to_numpy(), str(own["unit"].iloc[-1]) if own["unit"].notna().all() else ""
+    estimate, lower, upper, alone = factor * own[["estimate", "lower_90", "upper_90", "alone"]].to_numpy(float).T
+    axes.plot(record, estimate, color=style.BLUE, marker="o", markersize=2.5, linewidth=1.0, label="after the record")
+    axes.fill_between(record, lower, upper, color=style.BLUE, alpha=0.25, linewidth=0, label="90 % band")
+    low, high = axes.get_ylim()
+    half = factor * HALF_WIDTH_90 * own["alone_std"].to_numpy()
+    dots = {"color": style.GREY, "linestyle": "none", "marker": ".", "markersize": 3.0, "elinewidth": 0.6}
+    axes.errorbar(record + 0.12, alone, half, label="by the record alone", **dots)
+    reach = np.clip(alone, low - 2 * (high - low), high + 2 * (high - low))
+    spread, margin = reach[np.isfinite(reach)], 0.1 * (high - low)
+    axes.set_ylim(min(low, spread.min(initial=low)) - margin, max(high, spread.max(initial=high)) + margin)
+    for at in own.loc[own["changed"].astype(bool), "record"]:
+        axes.axvline(at - 0.5, color=style.VERMILLION, linestyle=(0, (3, 2)), linewidth=1.0, label="changed")
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.set_title(f"{name} ({prefix}{style.raised(unit)})" if unit else name, pad=3)

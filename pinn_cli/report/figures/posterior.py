@@ -1,4 +1,4 @@
-"""The figures of a sampled posterior, by ArviZ: pairs of parameters, traces of the chains, and their ranks.
+"""Figures of a sampled posterior: by ArviZ pairs of parameters, traces and ranks of the chains; the fitted force.
 
 ArviZ takes two seconds to import and brings pyplot along: it waits until a figure is drawn.
 """
@@ -6,11 +6,13 @@ ArviZ takes two seconds to import and brings pyplot along: it waits until a figu
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.axis import XAxis
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis, XAxis
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -18,19 +20,19 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from pinn_cli.posterior.diagnostics import import_arviz, two_chains
-from pinn_cli.report.figures import style
-from pinn_cli.report.parameters import true_value
-from pinn_cli.report.posterior import posterior_correlation
+from pinn_cli.posterior.result import ForcePredictive
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import UNITS
+from pinn_cli.report.estimates import Histories
+from pinn_cli.report.figures import histories, style
+from pinn_cli.report.figures.parameters import write_correlation
+from pinn_cli.report.figures.response import shown_dofs
+from pinn_cli.report.parameters import posterior_correlation, true_value
+from pinn_cli.system.parameters import Parameter
 from pinn_cli.training.central_interval import CENTRAL_90
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import xarray as xr
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-
-    from pinn_cli.system.parameters import Parameter
 
 IN_PAIRS, IN_TRACES, CHAINS_SHOWN = 8, 12, 8  # parameters in either figure, and chains, at most
 REGIONS = (0.9, 0.7, 0.5, 0.3, 0.1)
@@ -38,8 +40,9 @@ RANK_BINS = 20
 TAIL = 0.0005  # one draw in a thousand may widen an axis to no purpose
 MARGIN = 0.06  # of the span, on either side
 TRUTH_WITHIN = 2.0  # spans: a truth that is further off is left out, else the draws would be a line
+PERIODS_SHOWN = 10  # of the fitted force
 
-_TRUE: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2))}
+_TRUE: dict[str, Any] = {"color": style.BLACK, "linewidth": 0.8, "linestyle": (0, (4, 2)), "label": "true value"}
 _BLUES = [to_hex(colour) for colour in colormaps["Blues"](np.linspace(0.22, 0.95, len(REGIONS)))]
 _TAILS, _BARS = _BLUES[0], _BLUES[2]
 
@@ -78,14 +81,21 @@ def posterior_pairs_figure(
                 _dress_axis(panels[row, column].xaxis, pooled[horizontal], horizontal, *limits[horizontal])
                 if column < row:
                     _dress_axis(panels[row, column].yaxis, pooled[vertical], vertical, *limits[vertical])
-                    place = panels[0, 0].get_gridspec()[column, row]
-                    _write_correlation(figure.add_subplot(place), correlation[order[row], order[column]])
+                    value = correlation[order[row], order[column]]
+                    panel = figure.add_subplot(panels[0, 0].get_gridspec()[column, row])
+                    panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
+                    write_correlation(panel, (0.5, 0.5), value, correlation_text(value), transform=panel.transAxes)
                 panels[row, column].label_outer()
         figure.align_labels()
-        _legend(figure, any(math.isfinite(value) for _, value in limits.values()), len(shown) > 1)
+        handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
+        if len(shown) > 1:
+            regions = f"regions holding {', '.join(f'{100 * share:.0f}' for share in reversed(REGIONS))} %"
+            handles.append(Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=regions))
+        if any(math.isfinite(value) for _, value in limits.values()):
+            handles.append(Line2D([], [], **_TRUE))
+        figure.legend(handles=handles, loc="upper center", ncols=len(handles), handlelength=2.2)
         if len(shown) < len(moving):
-            note = f"the {len(shown)} of {len(moving)} parameters that are most correlated with another"
-            figure.text(0.99, 0.002, note, ha="right", va="bottom", fontsize=7)
+            style.note(figure, f"the {len(shown)} of {len(moving)} parameters that are most correlated with another")
     return figure
 
 
@@ -138,37 +148,14 @@ def _dress_axis(
     axis.set_tick_params(labelsize=7 if few else 6)
 
 
-def _write_correlation(panel: Axes, value: float) -> None:
-    panel.set(xticks=[], yticks=[], facecolor=colormaps["RdBu_r"](0.5 + 0.5 * value))
-    colour = "white" if abs(value) > 0.65 else style.BLACK
-    panel.text(0.5, 0.5, correlation_text(value), transform=panel.transAxes, ha="center", va="center", color=colour)
-
-
 def correlation_text(value: float) -> str:
     """Two decimals; more, up to four, rather than a 1 that is none."""
     decimals = next((n for n in (2, 3, 4) if abs(round(value, n)) < 1.0), 2)
-    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")  # + 0.0: no minus before a 0
-
-
-def _legend(figure: Figure, true: bool, joint: bool) -> None:
-    handles: list[Line2D | Patch] = [Patch(color=_BARS, linewidth=0, label="90 % interval")]
-    if joint:
-        shares = ", ".join(f"{100 * share:.0f}" for share in reversed(REGIONS))
-        handles.append(
-            Patch(facecolor=_BLUES[1], edgecolor=style.BLUE, linewidth=0.5, label=f"regions holding {shares} %")
-        )
-    if true:
-        handles.append(Line2D([], [], label="true value", **_TRUE))
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles), handlelength=2.2)
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"  # + 0.0: no minus before a 0
 
 
 def most_correlated(correlation: np.ndarray, most: int) -> list[int]:
-    """Positions of the parameters of the most correlated pairs, ``most`` of them at most, in increasing order.
-
-    Args:
-        correlation: (p, p).
-        most: Where p is no larger, all are taken.
-    """
+    """Positions of the parameters of the most correlated pairs (p, p), ``most`` of them at most, in their order."""
     count = len(correlation)
     if count <= most:
         return list(range(count))
@@ -223,9 +210,8 @@ def trace_figure(draws: xr.Dataset, statistics: xr.Dataset, parameters: Sequence
                 _dress_axis(axis, draws[parameter.name].to_numpy(), parameter)
             density.set(title="", xlabel="", ylabel=trace.get_ylabel())
             trace.set(title="", ylabel="")
+            trace.tick_params(labelbottom=trace is panels[-1, 1])
         panels[-1, 1].set_xlabel("Iteration")
-        for panel in panels[:-1, 1]:
-            panel.tick_params(labelbottom=False)
         chains = [Line2D([], [], color=c, label=f"chain {i}") for i, c in enumerate(style.CYCLE[:count], start=1)]
         divergent = int(statistics["diverging"].sum()) if "diverging" in statistics else 0
         mark = Line2D([], [], color="k", marker="|", linestyle="none", markersize=6, label=f"{divergent} divergent")
@@ -277,4 +263,48 @@ def _finish(figure: Figure, handles: list[Line2D], shown: int, number: int) -> N
     figure.align_labels()
     figure.legend(handles=handles, loc="upper center", ncols=len(handles))
     if shown < number:
-        figure.text(0.99, 0.002, f"{shown} of {number} parameters", ha="right", va="bottom", fontsize=7)
+        style.note(figure, f"{shown} of {number} parameters")
+
+
+def force_predictive_figure(predictive: ForcePredictive, record: Record, dofs: np.ndarray) -> Figure:
+    """One row per measured force: observed dots, predictive median and central 90 % band, on a stretch of the record.
+
+    What share of the observations lies in the band, at all times that were predicted, is written in each panel: about
+    90 % if model and noise are right.
+
+    Args:
+        predictive: Draws of F forces, (chains, draws, times, F).
+        record: What was measured.
+        dofs: (F,), their DOFs, counted from 1. Of many, as many rows are drawn as the response has.
+    """
+    observed = record.force[np.ix_(predictive.samples, dofs - 1)]
+    lower, median, upper = np.quantile(predictive.force, (CENTRAL_90[0], 0.5, CENTRAL_90[1]), axis=(0, 1))
+    found = {"estimate": median, "lower": lower, "upper": upper, "observed": observed}
+    places = tuple(record.dof_name(dof - 1) for dof in dofs)
+    forces = Histories("force", "force", UNITS["force"], "dof", places, record.time[predictive.samples], found)
+    held = np.mean((observed >= lower) & (observed <= upper), axis=0)
+    rows = shown_dofs(len(dofs))
+    window = predictive_window(median[:, rows])
+    factor, prefix = style.unit_prefix(float(np.max(np.abs(observed), initial=0.0)), kilo=True)
+    looks = histories.looks(estimate="predictive median", band="90 % band", observed="observed")
+    looks = {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
+    looks["observed"] |= {"color": style.BLACK, "zorder": 2.3}
+    with style.look():
+        figure, panels = style.panels(len(rows), 1, 1.25, margins=(0.55, 0.1, 0.32, 0.4), gaps=(0.0, 0.12), sharex=True)
+        for axes, row in zip(panels[:, 0], rows, strict=True):
+            histories.draw(axes, forces, row, window, factor, looks)
+            low, high = histories.limits(forces, row, window)
+            axes.set_ylim(factor * low, factor * (high + 0.15 * (high - low)))  # room for the text above
+            axes.set_ylabel(f"DOF {places[row]}: {style.SYMBOLS['force']} ({style.unit('force', prefix)})")
+            share = f"band holds {100.0 * held[row]:.0f} % of the observations"
+            axes.text(0.995, 0.96, share, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+        panels[-1, 0].set_xlabel(r"Time $t$ (s)")
+        figure.align_ylabels(list(panels[:, 0]))
+        style.legend(figure, markerscale=1.5)
+    return figure
+
+
+def predictive_window(force: np.ndarray) -> slice:
+    """About `PERIODS_SHOWN` periods from the middle of forces (times, F), or all of them if they have no more."""
+    count, periods = len(force), histories.periods_of(force)
+    return histories.window_about(count // 2, count, periods, PERIODS_SHOWN, PERIODS_SHOWN)

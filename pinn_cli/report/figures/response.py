@@ -1,100 +1,59 @@
-"""Estimated response against the truth, DOF by DOF: the layout of the paper's Figures 4 to 8."""
+"""Motion and force of the DOFs: the layout of the paper's Figures 4 to 8, and the map of their errors."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from pinn_cli.record.response import GROUND, QUANTITIES
-from pinn_cli.report.figures import style
-from pinn_cli.report.figures.decimate import line_indices
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from pinn_cli.record.record import Record
-    from pinn_cli.record.response import Response
-    from pinn_cli.training.estimate import Estimate
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import QUANTITIES, Response
+from pinn_cli.report.estimates import Histories, dof_histories, ground_history
+from pinn_cli.report.figures import histories, style
+from pinn_cli.report.results import Results
+from pinn_cli.training.estimate import Estimate
 
 ROWS_IN_FULL = 6  # more DOFs than these: the first two and the last two, as in the paper
-BAND = 1.96  # standard deviations to either side of the estimate: 95 %
-POINTS = 400  # observations drawn in a panel at most
-PERIODS_IN_FULL, PERIODS_SHOWN = 100, 20  # a longer record shows a stretch from its middle, else it is a block of ink
 
 
-@dataclass(frozen=True)
-class _Sources:
-    """What is drawn: over one window of time, each a `Response` or (the record) something with the same arrays."""
-
-    window: slice
-    time: np.ndarray
-    estimate: Response
-    std: Response
-    truth: Response | None
-    linear: Response | None
-    baseline: Response | None
-    record: Record
-
-    def column(self, source: str, quantity: str, dof: int) -> np.ndarray:
-        """One line, (time,); all NaN where there is none."""
-        response = getattr(self, source)
-        values = None if response is None else getattr(response, quantity)
-        if values is None:
-            return np.full(len(self.time), np.nan)
-        return values[self.window] if quantity == GROUND else values[self.window, dof]
-
-    def measures(self, quantity: str, dof: int) -> bool:
-        """Whether there is a sensor."""
-        return quantity == GROUND or bool(self.record.sensors(quantity)[dof])
-
-
-def response_figure(
-    estimate: Estimate,
-    record: Record,
-    truth: Response | None,
-    linear: Response | None = None,
-    truth_label: str = "truth",
-    baseline: tuple[str, Response] | None = None,
-) -> Figure:
+def response_figure(results: Results) -> Figure:
     """Rows are DOFs, an asterisk marks those without a response sensor; columns are u, its two time derivatives, and f.
 
-    Where the ground moves, its acceleration stands in a last row.
-
-    Args:
-        estimate: The response at every DOF and its standard deviations (a band of 95 %; none where they are NaN or
-            zero).
-        record: The observations, drawn as points (at most `POINTS` of a channel).
-        truth: Drawn as a line where it is known.
-        linear: The true response of the equivalent linear system, drawn as a blue dash-dot line.
-        truth_label: What the legend calls ``truth``: of a record from a rig it is a measurement.
-        baseline: Name and response of another estimator, drawn as a green dotted line.
-
-    The force has one scale for all DOFs, so that an estimated force where there is none is seen in proportion; its root
-    mean square is written there.
+    Drawn are the estimate with its band of 95 %, the truth where it is known, observations as points (at most `POINTS`
+    of a channel), the true response of the equivalent linear system, and that of the baseline. Where the ground moves,
+    its acceleration stands in a last row. The force has one scale for all DOFs, so that an estimated force where there
+    is none is seen in proportion; its root mean square is written there. Of a record with too many periods, the middle.
     """
-    name, other = baseline or ("", None)
-    window = shown_window(record.time, estimate.response)
-    sources = _Sources(window, record.time[window], estimate.response, estimate.std, truth, linear, other, record)
-    dofs, shaken = shown_dofs(record.ndof), record.ground_acceleration is not None
+    record, run = results.record, results.run
+    rows, window = shown_dofs(record.ndof), shown_window(record.time, results.estimate.response)
+    ground = ground_history(results)
+    shaken = ground is not None and record.ground_acceleration is not None
+    every = histories.thinned(len(record.time[window]))
+    seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
+    looks = histories.looks(true=run.truth_label, baseline=run.baseline.replace("_", " "), observed=seen)
     with style.look():
         margins = (0.62, 0.08, 0.48, 0.46)
-        figure, panels = style.panels(len(dofs) + shaken, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
-        for column, quantity in enumerate(QUANTITIES):
-            _draw_column(panels[: len(dofs), column], sources, quantity, dofs)
-        if shaken:
-            _draw_ground(panels[-2:], sources)
-        for row, dof in enumerate(dofs):
-            panels[row, 0].set_ylabel(
-                (record.dof_name(dof) if record.dofs else f"DOF {dof + 1}") + ("" if record.observed[dof] else "*")
-            )
-        figure.align_ylabels(list(panels[: len(dofs), 0]))
-        _legend(figure, sources, dofs, {"truth": truth_label, "baseline": name.replace("_", " ")})
+        figure, panels = style.panels(len(rows) + shaken, len(QUANTITIES), 0.645, margins=margins, gaps=(0.36, 0.077))
+        for column, each in enumerate(dof_histories(results)):
+            _draw_column(panels[: len(rows), column], _with_others(each, results), rows, window, looks)
+        for axes, dof in zip(panels[:, 3], rows, strict=False):
+            if record.unforced[dof]:
+                _write_rms(axes, results.estimate.response.force[window, dof])
+        if shaken and ground is not None:
+            _draw_ground(panels[-2:], _with_others(ground, results), window, looks)
+        for axes, dof in zip(panels[:, 0], rows, strict=False):
+            name = record.dof_name(dof) if record.dofs else f"DOF {dof + 1}"
+            axes.set_ylabel(name + ("" if record.observed[dof] else "*"))
+        figure.align_ylabels(list(panels[: len(rows), 0]))
+        room = {"handlelength": 2.2} if results.linear_response is None else {"handlelength": 1.8, "columnspacing": 0.8}
+        style.legend(figure, markerscale=1.5, **room)
+        notes = [] if record.observed[rows].all() else ["* no response sensor"]
+        if len(record.time[window]) < len(record.time):
+            notes.append(f"middle of the record from {record.time[0]:g} s to {record.time[-1]:g} s")
+        style.note(figure, "; ".join(notes))
     return figure
 
 
@@ -108,46 +67,46 @@ def shown_window(time: np.ndarray, response: Response) -> slice:
 
     A period is twice the mean distance of the velocity's changes of sign (the displacement's may ride on a drift).
     """
-    periods, samples = periods_of(response.velocity), len(time)
-    if periods <= PERIODS_IN_FULL:
-        return slice(0, samples)
-    half = int(samples * PERIODS_SHOWN / periods / 2.0)
-    return slice(samples // 2 - half, samples // 2 + half + 1)
+    return histories.window_about(len(time) // 2, len(time), histories.periods_of(response.velocity))
 
 
-def periods_of(histories: np.ndarray) -> float:
-    """How many periods histories (N, n) have, the median of all: half the changes of sign."""
-    signs = np.signbit(histories)
-    return float(np.median((signs[1:] != signs[:-1]).sum(axis=0))) / 2.0
+def _with_others(each: Histories, results: Results) -> Histories:
+    """Beside the baseline's, and those of the equivalent linear system."""
+    baseline = None if results.baseline is None else results.baseline.response
+    found = {
+        name: getattr(response, each.name)
+        for name, response in (("linear", results.linear_response), ("baseline", baseline))
+        if response is not None
+    }
+    return each.beside(**{name: x if x is None or x.ndim > 1 else x[:, None] for name, x in found.items()})
 
 
-def _draw_column(panels: np.ndarray, sources: _Sources, quantity: str, dofs: list[int]) -> None:
-    limits = np.array([_limits(sources, quantity, dof) for dof in dofs])
-    if quantity == "force":
+def _draw_column(panels: np.ndarray, each: Histories, rows: list[int], window: slice, looks: histories.Looks) -> None:
+    limits = np.array([histories.limits(each, place, window) for place in rows])
+    if each.name == "force":
         limits[:] = [np.nanmin(limits[:, 0]), np.nanmax(limits[:, 1])] if np.isfinite(limits).any() else [-1.0, 1.0]
-    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(limits), initial=0.0)), kilo=quantity == "force")
-    for row, (axes, dof) in enumerate(zip(panels, dofs, strict=True)):
-        _draw_lines(axes, sources, quantity, dof, factor)
-        axes.set_xlim(sources.time[0], sources.time[-1])
-        if np.isfinite(limits[row]).all():
-            axes.set_ylim(*(limits[row] * factor))
-        axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
-        axes.tick_params(labelbottom=row == len(dofs) - 1)
-        if quantity == "force" and sources.record.unforced[dof]:
-            _write_rms(axes, sources.column("estimate", quantity, dof))
-    title = quantity.replace("_", " ").capitalize()
-    panels[0].set_title(f"{title} {style.SYMBOLS[quantity]} ({style.unit(quantity, prefix)})", pad=4)
+    factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(limits), initial=0.0)), kilo=each.name == "force")
+    for axes, place, (low, high) in zip(panels, rows, limits, strict=True):
+        known = np.isfinite(each.of("true")[window, place]).all()
+        # Dashes let the truth show through; alone, the estimate has nothing to let through.
+        solid = looks if known else {**looks, "estimate": {**looks["estimate"], "linestyle": "-"}}
+        histories.draw(axes, each, place, window, factor, solid)
+        style.ticks(axes, across=4)
+        if np.isfinite(low):
+            axes.set_ylim(factor * low, factor * high)
+        axes.tick_params(labelbottom=axes is panels[-1])
+    title = each.words.capitalize()
+    panels[0].set_title(f"{title} {style.SYMBOLS[each.name]} ({style.unit(each.name, prefix)})", pad=4)
     panels[-1].set_xlabel(r"Time $t$ (s)", labelpad=2)
 
 
-def _draw_ground(rows: np.ndarray, sources: _Sources) -> None:
+def _draw_ground(rows: np.ndarray, ground: Histories, window: slice, looks: histories.Looks) -> None:
     """The ground's acceleration in the last row, below those of the DOFs; its other panels stay empty."""
     column = QUANTITIES.index("acceleration")
     above, axes = rows[:, column]
     for empty in rows[-1, np.arange(len(QUANTITIES)) != column]:
         empty.set_axis_off()
-    _draw_column(rows[-1:, column], sources, GROUND, [0])
+    _draw_column(rows[-1:, column], ground, [0], window, looks)
     # There is no room between panels for a title and the times, which stand below.
     axes.text(0.03, 0.93, axes.get_title(), transform=axes.transAxes, va="top", fontsize=7)
     axes.set_title("")
@@ -155,88 +114,87 @@ def _draw_ground(rows: np.ndarray, sources: _Sources) -> None:
     above.set_xlabel("")
 
 
-def _limits(sources: _Sources, quantity: str, dof: int) -> tuple[float, float]:
-    """Lowest and highest value with a margin; NaN if there is nothing to draw.
-
-    A wide band may triple the range, not more.
-    """
-    lines = [sources.column(name, quantity, dof) for name in ("estimate", "truth", "linear", "record")]
-    stacked = np.concatenate([line[np.isfinite(line)] for line in lines])
-    if not stacked.size:
-        return np.nan, np.nan
-    low, high = float(stacked.min()), float(stacked.max())
-    span = (high - low) or abs(high) or 1.0
-    estimate, spread = sources.column("estimate", quantity, dof), BAND * sources.column("std", quantity, dof)
-    if np.isfinite(estimate + spread).all():
-        low = max(min(low, float((estimate - spread).min())), low - span)
-        high = min(max(high, float((estimate + spread).max())), high + span)
-    margin = 0.06 * (high - low)
-    return low - margin, high + margin
-
-
-def _draw_lines(axes: Axes, sources: _Sources, quantity: str, dof: int, factor: float) -> None:
-    time = sources.time
-    if sources.measures(quantity, dof):
-        seen = sources.column("record", quantity, dof)
-        every = -(-len(seen) // POINTS)
-        axes.plot(time[::every], factor * seen[::every], **_LOOKS["observations"])
-    for name in ("truth", "linear", "baseline"):
-        line = sources.column(name, quantity, dof)
-        if np.isfinite(line).all():
-            kept = line_indices(line)
-            axes.plot(time[kept], factor * line[kept], **_LOOKS[name])
-    estimate, std = sources.column("estimate", quantity, dof), sources.column("std", quantity, dof)
-    if np.isfinite(estimate).all():
-        kept = line_indices(estimate)
-        middle = factor * estimate[kept]
-        if np.isfinite(std).all() and std.any():
-            spread = factor * BAND * std[kept]
-            axes.fill_between(time[kept], middle - spread, middle + spread, **_BAND_LOOK)
-        # Dashes let the truth show through; alone, the estimate has nothing to let through.
-        alone = {} if np.isfinite(sources.column("truth", quantity, dof)).all() else {"linestyle": "-"}
-        axes.plot(time[kept], middle, **{**_LOOKS["estimate"], **alone})
-
-
-_LOOKS: dict[str, dict[str, Any]] = {
-    "observations": {**style.DOTS, "color": style.SKY, "zorder": 1.5},
-    "truth": {"linestyle": "-", "linewidth": 1.0, "color": style.BLACK, "zorder": 2.0},
-    "linear": {"linestyle": "-.", "linewidth": 0.6, "color": style.BLUE, "zorder": 1.8},
-    "baseline": {"linestyle": (0, (1, 1)), "linewidth": 0.8, "color": style.GREEN, "zorder": 2.3},
-    "estimate": {"linestyle": (0, (2.5, 1.2)), "linewidth": 0.8, "color": style.VERMILLION, "zorder": 2.2},
-}
-_BAND_LOOK: dict[str, Any] = {"color": style.VERMILLION, "alpha": 0.3, "linewidth": 0, "zorder": 1.9}
-
-
 def _write_rms(axes: Axes, estimate: np.ndarray) -> None:
     """The size of an estimated force where there is none, which the common scale hides."""
     if np.isfinite(estimate).all():
         rms = float(np.sqrt(np.mean(estimate**2)))
         factor, prefix = style.unit_prefix(rms, kilo=True)
-        decimals = 0 if factor * rms >= 10.0 else 1
-        text = f"rms {factor * rms:.{decimals}f} {style.unit('force', prefix)}"
+        text = f"rms {factor * rms:.{0 if factor * rms >= 10.0 else 1}f} {style.unit('force', prefix)}"
         axes.text(0.97, 0.93, text, transform=axes.transAxes, ha="right", va="top", fontsize=7)
 
 
-def _shown(response: Response | None, dofs: list[int]) -> bool:
-    """Whether any panel has such a line."""
-    return response is not None and any(np.isfinite(getattr(response, name)[:, dofs]).any() for name in QUANTITIES)
+def error_map_figure(estimate: Estimate, record: Record, truth: Response | None) -> Figure:
+    """One panel per quantity: |estimate - truth| with time to the right and DOFs downwards.
+
+    Where the truth of a quantity is known at no DOF, its panel shows the estimate's standard deviation and says so; a
+    DOF with neither is hatched. A column of pixels shows the largest value of its stretch of time. The dashed red lines
+    frame the DOFs with a response sensor (paper, figure of the 20-DOF case).
+    """
+    with style.look():
+        height = min(max(0.16 * record.ndof, 1.2), 2.4)
+        figure, panels = style.panels(2, 2, height, margins=(0.45, 0.5, 0.3, 0.5), gaps=(0.95, 0.5))
+        for axes, quantity in zip(panels.flat, QUANTITIES, strict=True):
+            values, meaning = getattr(estimate.std, quantity), "standard deviation, no truth"
+            error = np.abs(getattr(estimate.response, quantity) - getattr(truth, quantity, np.nan))
+            if np.isfinite(error).any():
+                values, meaning = error, "absolute error"
+            prefix = _draw_map(figure, axes, record, values, quantity)
+            axes.set_title(f"{quantity.capitalize()}: {meaning} ({style.unit(quantity, prefix)})", pad=4)
+            _frame_observed(axes, record)
+        for axes in panels[1]:
+            axes.set_xlabel(r"Time $t$ (s)")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("DOF")
+        if any(axes.patch.get_hatch() for axes in panels.flat):
+            style.note(figure, "hatched: no truth")
+    return figure
 
 
-def _legend(figure: Figure, sources: _Sources, dofs: list[int], names: dict[str, str]) -> None:
-    titles = {"truth": names["truth"], "estimate": "estimate", "std": "95 % band"}
-    titles |= {"linear": "equivalent linear system", "baseline": names["baseline"]}
-    handles: list[Line2D | Patch] = [
-        Patch(label=title, **_BAND_LOOK) if name == "std" else Line2D([], [], label=title, **_LOOKS[name])
-        for name, title in titles.items()
-        if _shown(getattr(sources, name), dofs)
-    ]
-    every = -(-len(sources.time) // POINTS)
-    seen = "observations" + (f" (one in {every} shown)" if every > 1 else "")
-    handles.append(Line2D([], [], label=seen, **{**_LOOKS["observations"], "markersize": 6}))
-    room = {"handlelength": 2.2} if len(handles) < 6 else {"handlelength": 1.8, "columnspacing": 0.8}
-    figure.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=len(handles), **room)
-    notes = [] if sources.record.observed[dofs].all() else ["* no response sensor"]
-    if len(sources.time) < len(sources.record.time):
-        first, last = sources.record.time[[0, -1]]
-        notes.append(f"middle of the record from {first:g} s to {last:g} s")
-    figure.text(0.99, 0.002, "; ".join(notes), ha="right", va="bottom", fontsize=7)
+def _draw_map(figure: Figure, axes: Axes, record: Record, values: np.ndarray, quantity: str) -> str:
+    """Draw values (time, dof) with their scale; the prefix of its unit."""
+    peak = float(np.nanmax(values, initial=0.0))
+    factor, prefix = style.unit_prefix(peak, kilo=quantity == "force")
+    if not np.isfinite(values).all():
+        axes.patch.set(hatch="////", facecolor="#F2F2F2", edgecolor="#BFBFBF", linewidth=0)
+    extent = (record.time[0], record.time[-1], record.ndof + 0.5, 0.5)
+    shown = np.ma.masked_invalid(factor * block_maximum(values).T)
+    colours = {"cmap": colormaps["viridis"], "vmin": 0.0, "vmax": factor * peak or 1.0}
+    image = axes.imshow(shown, extent=extent, aspect="auto", interpolation="nearest", **colours)
+    bar = figure.colorbar(image, cax=axes.inset_axes((1.025, 0.0, 0.035, 1.0)))
+    bar.outline.set_linewidth(0.4)
+    bar.locator = MaxNLocator(5)
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    # The first DOF and round numbers, ten labels at most.
+    step = next(step for step in (1, 2, 5, 10, 20, 50, 100, record.ndof) if record.ndof / step <= 9)
+    ticks = [1, *range(max(step, 2), record.ndof + 1, step)]
+    axes.set_yticks(ticks, [record.dof_name(dof - 1) for dof in ticks])
+    axes.tick_params(direction="out")
+    return prefix
+
+
+def block_maximum(values: np.ndarray, columns: int = 400) -> np.ndarray:
+    """The largest value in each of at most ``columns`` stretches of time, so that no peak of an error is lost.
+
+    Args:
+        values: (time, dof); NaN where unknown.
+        columns: How many stretches at most.
+
+    Returns:
+        (columns, dof), or ``values`` if it is no longer than that; NaN where a whole stretch is unknown.
+    """
+    if len(values) <= columns:
+        return values
+    edges = np.linspace(0, len(values), columns + 1).astype(int)[:-1]
+    return np.fmax.reduceat(values, edges, axis=0)
+
+
+def _frame_observed(axes: Axes, record: Record) -> None:
+    """A dashed red frame around each run of neighbouring DOFs with a sensor, on white to show on dark colours."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], record.observed.astype(int), [0]])))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        for colour, width, dashes in (("white", 2.0, "-"), ("red", 1.1, (0, (4, 2)))):
+            frame = Rectangle(
+                (record.time[0], first + 0.5), record.time[-1] - record.time[0], end - first,
+                fill=False, edgecolor=colour, linewidth=width, linestyle=dashes, clip_on=False, zorder=3,
+            )  # fmt: skip
+            axes.add_patch(frame)

@@ -7,19 +7,21 @@ and no backend to choose.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator
 
 from pinn_cli.record.response import UNITS
 from pinn_cli.runs.writing import replacing
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PAGE_WIDTH = 7.2  # inch, the two columns of a journal's page
 
@@ -113,12 +115,79 @@ def panels(
     return figure, np.asarray(figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **options))
 
 
+def legend(figure: Figure | SubFigure, axes: Iterable[Axes] | None = None, **options: Any) -> None:
+    """One legend above, of all that has a label in any of the panels, each label once.
+
+    Args:
+        figure: Above which it stands.
+        axes: Its panels; None: all.
+        options: Of `matplotlib.figure.Figure.legend`.
+    """
+    handles: dict[str, Artist | ErrorbarContainer] = {}
+    for each in figure.axes if axes is None else axes:
+        for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    # Matplotlib lists what has error bars last; what only a later panel has must not come after it.
+    labels = sorted(handles, key=lambda label: isinstance(handles[label], ErrorbarContainer))
+    place: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 1.0), "ncols": len(labels)}
+    figure.legend([handles[label] for label in labels], labels, **place, **options)
+
+
+def note(figure: Figure, text: str) -> None:
+    """A small line at the foot, of what is left out."""
+    figure.text(0.99, 0.002, text, ha="right", va="bottom", fontsize=7)
+
+
+def head(axes: Axes, title: str) -> None:
+    """What a column of panels shows, above the first of them, which has a unit or a number there."""
+    axes.annotate(
+        title, (0.5, 1.0), xycoords="axes fraction", xytext=(0, 14), textcoords="offset points", ha="center",
+        fontsize=8.5,
+    )  # fmt: skip
+
+
+def ticks(axes: Axes, across: int = 5) -> None:
+    """A few round numbers on either axis."""
+    axes.xaxis.set_major_locator(MaxNLocator(across))
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
+
+
+def largest(sizes: Sequence[float] | np.ndarray, most: int) -> list[int]:
+    """Positions of the ``most`` largest sizes at most, in their order; what is NaN counts as zero."""
+    kept = np.argsort(-np.nan_to_num(np.asarray(sizes, dtype=float)), kind="stable")[:most]
+    return sorted(kept.tolist())
+
+
+def line_indices(values: np.ndarray, points: int = 1500) -> np.ndarray:
+    """Indices of at most ``points`` samples of a line that keep its outline: the lowest and highest of each bin.
+
+    Args:
+        values: (time,), without NaN.
+        points: How many to keep at most; records shorter than that are kept whole.
+
+    Returns:
+        Increasing indices into ``values``.
+    """
+    samples = len(values)
+    if samples <= points:
+        return np.arange(samples)
+    bins = max((points - 2) // 2, 1)
+    width = -(-samples // bins)
+    padded = np.pad(values, (0, bins * width - samples), mode="edge").reshape(bins, width)
+    start = np.arange(bins) * width
+    extremes = np.concatenate([start + padded.argmin(axis=1), start + padded.argmax(axis=1), [0, samples - 1]])
+    return np.unique(np.minimum(extremes, samples - 1))
+
+
 def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
     """Write ``figure`` as ``name.png`` (150 dpi) and ``name.pdf`` under ``directory``.
 
     The same figure gives the same bytes.
     """
-    _place_empty_labels(figure)
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if not axis.label.get_text():
+                axis.set_label_coords(0.0, 0.0)  # matplotlib would look for a place beside all tick labels
     written = []
     # Creation dates and versions would make two equal runs differ.
     kinds: dict[str, dict[str, Any]] = {
@@ -132,14 +201,6 @@ def save(figure: Figure, directory: Path | str, name: str) -> list[Path]:
             figure.savefig(beside, format=suffix[1:], **options)
         written.append(place)
     return written
-
-
-def _place_empty_labels(figure: Figure) -> None:
-    """Give axis labels without text a place: matplotlib would look for one beside all tick labels."""
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if not axis.label.get_text():
-                axis.set_label_coords(0.0, 0.0)
 
 
 def unit(quantity: str, prefix: str = "") -> str:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDTH = 100
-SENSORS_SHOWN = 24
 MARK = "! "
 
 
@@ -46,22 +45,6 @@ def table_lines(columns: Mapping[str, Column], table: pd.DataFrame) -> list[str]
         for row in table.to_dict(orient="records")
     ]
     return [head, "-" * len(head), *rows]
-
-
-def sensor_lines(columns: Mapping[str, Column], sensors: pd.DataFrame, file: str) -> tuple[list[str], list[str]]:
-    """A table of sensors, and a note where some are left out.
-
-    Args:
-        columns: Of the table; one of dashes says nothing, and is left out.
-        sensors: A row each; of more than `SENSORS_SHOWN` those with the largest NMSE are shown.
-        file: Where all of them are.
-    """
-    shown, notes = sensors, []
-    if len(sensors) > SENSORS_SHOWN:
-        shown = sensors.loc[sensors["nmse_percent"].nlargest(SENSORS_SHOWN).index.sort_values()]
-        notes = [f"the {len(shown)} of {len(sensors)} sensors with the largest NMSE; all: {file}"]
-    told = {name: column for name, column in columns.items() if shown[name].notna().any()}
-    return table_lines(told, shown), notes
 
 
 def marked_lines(sentence: str) -> list[str]:

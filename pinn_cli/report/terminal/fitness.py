@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,19 +13,15 @@ from pinn_cli.report.fitness import FORMULAS
 from pinn_cli.report.terminal.columns import WIDTH, percent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     import pandas as pd
 
     from pinn_cli.report.free_run import FreeRun
+    from pinn_cli.report.record_report import EstimatorTables
 
 DOFS_SHOWN = 10  # beyond these the rows of single DOFs are left to fitness.csv
 
 _HEADINGS = {"displacement": "displ.", "velocity": "veloc.", "acceleration": "accel.", "force": "force"}
-_TITLES = {
-    "fitness_percent": "fitness, printed formula (%)",
-    "range_fitness_percent": "fitness by range, as in the tables (%)",
-}
+_TITLES = ("fitness, printed formula (%)", "fitness by range, as in the tables (%)")
 _NAME, _CELL, _GAP = 12, 9, "   "
 
 
@@ -36,7 +33,7 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     Args:
         table: From `pinn_cli.report.fitness.fitness_table`, of one run.
         observed: (dof,) bool; marks the rows of unobserved DOFs with an asterisk.
-        published: From `pinn_cli.report.published.fitness`; the rows of this run's case are printed under their groups.
+        published: From `pinn_cli.report.published.fitness_of`; its rows are printed under their groups.
 
     Returns:
         Text, or "" if there is no number at all.
@@ -49,15 +46,17 @@ def fitness_text(table: pd.DataFrame, observed: np.ndarray | None = None, publis
     names = list(dict.fromkeys(known["group"]))
     single = [name for name in names if name.startswith("dof_")]
     shown = names if len(single) <= DOFS_SHOWN else [name for name in names if name not in single]
-    paper = _published_scores(table, published, quantities)
+    unobserved = [] if observed is None else [f"dof_{i}" for i in np.flatnonzero(~np.asarray(observed)) + 1]
     lines = []
     for name in shown:
         halves = [[float(scores.loc[(name, quantity), formula]) for quantity in quantities] for formula in FORMULAS]
-        lines.append(_row(_marked(name, observed), *halves))
-        if name in paper:
-            lines.append(_row("  published", [], paper[name]))
+        lines.append(_row(f"{name} *" if name in unobserved else name, *halves))
+        paper = None if published is None else published[published["group"] == name]
+        if paper is not None and len(paper):
+            values = paper.groupby("quantity")["fitness_percent"].mean().reindex(quantities)
+            lines.append(_row("  published", [], values))
     notes = [] if shown == names else [f"{single[0]} to {single[-1]}: fitness.csv"]
-    if any(line.startswith("dof_") and "*" in line for line in lines):
+    if any(name in unobserved for name in shown):
         notes.append("* no response sensor on this DOF")
     return "\n".join([*_head(quantities=quantities), *lines, *notes])
 
@@ -78,10 +77,12 @@ def free_run_line(run: FreeRun, table: pd.DataFrame) -> str:
 def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
     """The free run's fitness over all DOFs against truth, sensors and estimate, and what was found of it.
 
+    The sensors are left out where the whole truth is known, and quantities of which neither truth nor sensors know
+    anything.
+
     Args:
         run: The free run.
-        table: From `pinn_cli.report.free_run.free_run_table`, of this run. The sensors are left out where the whole
-            truth is known, and quantities of which neither truth nor sensors know anything.
+        table: From `pinn_cli.report.free_run.free_run_table`, of this run.
     """
     finding = textwrap.fill(run.finding, WIDTH)
     if run.response is None:
@@ -97,21 +98,21 @@ def free_run_text(run: FreeRun, table: pd.DataFrame) -> str:
     return "\n".join([title, *_head("against", quantities), *lines, *([finding] if finding else [])])
 
 
-def comparison_text(ours: pd.DataFrame, name: str, theirs: pd.DataFrame, seconds: Mapping[str, float]) -> str:
+def comparison_text(ours: EstimatorTables, theirs: EstimatorTables, seconds: Mapping[str, float]) -> str:
     """Both estimators' fitness over all DOFs and their seconds, in 100 columns.
 
     Quantities that nobody can score are left out; of a record without any truth the seconds are left.
 
     Args:
-        ours: The network's, from `pinn_cli.report.fitness.fitness_table`.
-        name: Of the baseline.
-        theirs: The baseline's, likewise.
+        ours: The network's tables.
+        theirs: The baseline's.
         seconds: By stage: ``estimate`` and ``baseline``.
     """
-    tables, stages = {"pinn": ours, name: theirs}, {"pinn": "estimate", name: "baseline"}
+    stages = {ours.name: "estimate", theirs.name: "baseline"}
     used = {each: f"{seconds[stage]:.1f}" if stage in seconds else "-" for each, stage in stages.items()}
     every = {
-        each: table[table["group"] == "all"].set_index("quantity")[list(FORMULAS)] for each, table in tables.items()
+        each.name: each.fitness[each.fitness["group"] == "all"].set_index("quantity")[list(FORMULAS)]
+        for each in (ours, theirs)
     }
     known = [q for q in QUANTITIES if any(np.isfinite(table.loc[q]).any() for table in every.values())]
     if not known:
@@ -128,7 +129,7 @@ def comparison_text(ours: pd.DataFrame, name: str, theirs: pd.DataFrame, seconds
 def _head(
     first: str = "DOFs",
     quantities: Sequence[str] = QUANTITIES,
-    titles: Sequence[str] = tuple(_TITLES.values()),
+    titles: Sequence[str] = _TITLES,
     width: int = _NAME,
     last: str = "",
 ) -> list[str]:
@@ -142,22 +143,3 @@ def _row(name: str, *halves: Iterable[float], width: int = _NAME, last: str = ""
     half = _CELL * len(QUANTITIES)
     cells = [f"{''.join(f'{percent(value):>{_CELL}}' for value in values):<{half}}" for values in halves]
     return (f"{name:<{width}}" + _GAP.join(cells) + last).rstrip()
-
-
-def _marked(name: str, observed: np.ndarray | None) -> str:
-    if observed is None or not name.startswith("dof_"):
-        return name
-    return name if observed[int(name.removeprefix("dof_")) - 1] else f"{name} *"
-
-
-def _published_scores(
-    table: pd.DataFrame, published: pd.DataFrame | None, quantities: Sequence[str]
-) -> dict[str, list[float]]:
-    """Group to the paper's values in the order of the quantities, for the case that ``table`` is of."""
-    if published is None or table.empty:
-        return {}
-    rows = published[published["case"] == table["case"].iloc[0]]
-    return {
-        str(group): [float(part.loc[part["quantity"] == quantity, "fitness_percent"].mean()) for quantity in quantities]
-        for group, part in rows.groupby("group")
-    }

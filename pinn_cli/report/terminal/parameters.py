@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pinn_cli.report.posterior import worst_sampled
+from pinn_cli.report.parameters import worst_sampled
 from pinn_cli.report.terminal.columns import Column, count, interval, marked_lines, number, percent, table_lines
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def diagnostics_text(diagnostics: pd.DataFrame, verdict: Sequence[str] = ()) -> 
     """How well the posterior was sampled, parameter by parameter, and whether that is good enough.
 
     Args:
-        diagnostics: With the columns of `pinn_cli.report.posterior.DIAGNOSTICS`; of more than `PARAMETERS_SHOWN`
+        diagnostics: With the columns of `pinn_cli.report.parameters.DIAGNOSTICS`; of more than `PARAMETERS_SHOWN`
             parameters, those with the fewest effective draws are shown.
         verdict: Why the quality check failed, one sentence each; none if it passed.
     """

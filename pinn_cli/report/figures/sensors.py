@@ -1,0 +1,232 @@
+"""Figures with a place for each sensor: what the estimate leaves of it, other data, and its frequency response."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+
+from pinn_cli.record.channels import Channel, channels, every_channel
+from pinn_cli.record.cross_spectra import CrossSpectra
+from pinn_cli.record.record import Record
+from pinn_cli.record.response import GROUND, RESPONSE_QUANTITIES, UNITS
+from pinn_cli.record.spectrum import periodogram
+from pinn_cli.report.estimates import Histories
+from pinn_cli.report.figures import histories, style
+from pinn_cli.report.figures.histories import BAND
+from pinn_cli.report.residuals import autocorrelation, nmse_percent
+from pinn_cli.report.validation_run import ValidationRun
+from pinn_cli.system.modes import modes_of
+from pinn_cli.system.quantities import FORCE
+from pinn_cli.system.structure import Structure
+from pinn_cli.training.estimate import Estimate
+from pinn_cli.verdict.noise_findings import noise_found
+
+ROWS_IN_FULL = 8  # more sensors than these: those with the largest NMSE
+LAGS_SHOWN = 40
+BINS = 300  # of a spectrum: more frequencies than these are averaged
+DECADES = 9  # that a spectrum shows at most, if that is enough to see the residual
+# Sensors whose frequency response is shown, and lines of the spectrum that are averaged to one measured value.
+MOST, AVERAGED = 6, 3
+WITH_NOISE = "95 % band with the sensor's noise"
+
+_RESIDUAL: dict[str, Any] = {"color": style.BLUE, "linewidth": 0.6, "zorder": 2}
+_SIGNAL: dict[str, Any] = {"color": style.GREY, "alpha": 0.55, "linewidth": 0.6, "zorder": 1, "label": "sensor"}
+_NOISE: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "linestyle": "--", "zorder": 3}
+
+
+def residuals_figure(estimate: Estimate, record: Record) -> Figure:
+    """A row for each sensor, measured less estimated: over time, over frequency (Hann periodogram), and over the lag.
+
+    The noise found is drawn as a dashed line: 1.96 standard deviations to either side of the history, its level in the
+    spectrum, behind which the sensor's own lies. The autocorrelation of white noise stays in the shaded band 95 % of
+    the time. Of more than `ROWS_IN_FULL` sensors those with the largest NMSE are shown.
+
+    Args:
+        estimate: Its response, and in its summary the noise found.
+        record: The sensors, at least one. The ground's is left out where its motion was not estimated.
+    """
+    every = [c for c in every_channel(record) if np.isfinite(c.of(estimate.response)).all()]
+    errors = [nmse_percent(c.measured - c.of(estimate.response), c.measured) for c in every]
+    shown = [every[i] for i in style.largest(errors, ROWS_IN_FULL)]
+    labels = "measured less estimated", r"noise found ($\pm$1.96 $\sigma$; level)"
+    with style.look():
+        figure, panels = style.panels(
+            len(shown), 3, 1.05, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.26), width_ratios=(1.3, 1.0, 0.8)
+        )
+        for (history, spectrum, correlation), channel in zip(panels, shown, strict=True):
+            signal, sigma = channel.measured, noise_found(estimate, channel)
+            left = signal - channel.of(estimate.response)
+            largest = float(np.max(np.abs(left)))
+            reach = max(largest, 1.2 * BAND * sigma) if sigma <= 10.0 * largest else largest
+            factor, prefix = style.unit_prefix(reach, kilo=channel.quantity == FORCE)
+            edge = np.full(len(left), factor * BAND * sigma)
+            _draw_residual(history, record.time, factor * left, edge, labels)
+            history.set_ylim(-1.1 * factor * (reach or 1.0), 1.1 * factor * (reach or 1.0))
+            history.set_title(f"({style.unit(channel.quantity, prefix)})", loc="left", fontsize=7, pad=2)
+            _draw_spectrum(spectrum, left, signal, sigma, record.step)
+            spectrum.set_title(f"({style.unit(channel.quantity)})\N{SUPERSCRIPT TWO}", loc="left", fontsize=7, pad=2)
+            _draw_correlation(correlation, left)
+            _name(history, channel, record)
+            _write_nmse(correlation, left, signal, digits=2)
+        _finish(figure, panels, ("Residual", "Periodogram", "Autocorrelation"), len(every))
+        for axes, label in zip(panels[-1], ("Time $t$ (s)", "Frequency (Hz)", "Lag (samples)"), strict=True):
+            axes.set_xlabel(label, labelpad=2)
+    return figure
+
+
+def validation_figure(run: ValidationRun, estimate: Estimate) -> Figure:
+    """A row for each response sensor: its history beside the run's with its 95 % band, and what is between them.
+
+    The band of the error holds the sensor's noise as well. Of a record with too many periods the histories show the
+    last ones, where errors of the parameters have added up; the error is shown as a whole. Of more than `ROWS_IN_FULL`
+    sensors those with the largest NMSE are shown.
+
+    Args:
+        run: With a response.
+        estimate: In whose summary the noise found is.
+    """
+    every = channels(run.record, RESPONSE_QUANTITIES)
+    errors = [nmse_percent(m - s, m) for m, s, _ in map(run.compared, every)]
+    shown = [every[i] for i in style.largest(errors, ROWS_IN_FULL)]
+    simulated = np.stack([run.of_channel(channel)[1] for channel in shown], axis=1)
+    periods = histories.periods_of(np.diff(simulated, axis=0))
+    window, time = histories.window_about(len(simulated), len(simulated), periods), run.record.time[run.first :]
+    looks, labels = histories.looks(true="measured", estimate="identified system"), ("error", WITH_NOISE)
+    with style.look():
+        figure, panels = style.panels(
+            len(shown), 2, 0.95, margins=(0.62, 0.08, 0.56, 0.42), gaps=(0.5, 0.28), width_ratios=(1.25, 1.0)
+        )
+        for (history, error), channel in zip(panels, shown, strict=True):
+            measured, found, std = (x[:, None] for x in run.of_channel(channel))
+            name, unit, sources = channel.quantity, UNITS[channel.quantity], {"estimate": found, "std": std}
+            each = Histories(name, name, unit, "", (channel.where,), time, {**sources, "true": measured})
+            factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(measured[window]), initial=0.0)))
+            histories.draw(history, each, 0, window, factor, looks)
+            history.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
+            left, known = (measured - found)[:, 0], np.isfinite(measured[:, 0])
+            edge = BAND * np.hypot(std[:, 0], np.nan_to_num(noise_found(estimate, channel)))
+            factor, prefix = style.unit_prefix(float(np.nanmax(np.abs(left), initial=0.0)))
+            _draw_residual(error, time[known], factor * left[known], factor * edge[known], labels)
+            error.set_title(f"({style.unit(name, prefix)})", loc="left", fontsize=7, pad=2)
+            _name(history, channel, run.record)
+            _write_nmse(error, left[known], measured[known, 0], digits=3)
+        _finish(figure, panels, ("Validation data", "Error"), len(every))
+        for axes in panels[-1]:
+            axes.set_xlabel("Time $t$ (s)", labelpad=2)
+    return figure
+
+
+def _draw_residual(axes: Axes, time: np.ndarray, left: np.ndarray, edge: np.ndarray, labels: tuple[str, str]) -> None:
+    """What is left of a sensor (N,), between the edges of its band, which may be NaN."""
+    kept = style.line_indices(left)
+    axes.plot(time[kept], left[kept], **_RESIDUAL, label=labels[0])
+    if np.isfinite(edge).any():
+        axes.plot(time[kept], edge[kept], **_NOISE, label=labels[1])
+        axes.plot(time[kept], -edge[kept], **_NOISE)
+    axes.set_xlim(time[0], time[-1])
+    style.ticks(axes)
+
+
+def _draw_spectrum(axes: Axes, left: np.ndarray, signal: np.ndarray, sigma: float, step: float) -> None:
+    """Mean squares: white noise of variance s^2 reads s^2 at every frequency."""
+    tops = []
+    for values, look in ((signal, _SIGNAL), (left, _RESIDUAL)):
+        frequency, power = _binned(*periodogram(values, step))
+        axes.plot(frequency, np.where(power > 0.0, power, np.nan), **look)
+        tops += [float(power.max())]
+    if sigma > 0.0:
+        axes.axhline(sigma**2, **_NOISE)
+    axes.set_xscale("log")
+    axes.set_xlim(frequency[0], frequency[-1])
+    if not max(tops) > 0.0:  # nothing has a place on a logarithmic scale
+        axes.set_yticks([])
+        return
+    axes.set_yscale("log")
+    bottom, top = axes.get_ylim()
+    seen = 1e-2 * tops[1] if tops[1] > 0.0 else top
+    axes.set_ylim(max(bottom, min(top * 10.0**-DECADES, seen)), top)
+    axes.yaxis.set_major_locator(LogLocator(numticks=5))
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _binned(frequency: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Without the mean; more than `BINS` frequencies are averaged in bins that grow with the frequency."""
+    frequency, power = frequency[1:], power[1:]
+    edges = np.unique(np.geomspace(1, len(power) + 1, BINS).round().astype(int)) - 1
+    counts = np.diff(edges)
+    return np.add.reduceat(frequency, edges[:-1]) / counts, np.add.reduceat(power, edges[:-1]) / counts
+
+
+def _draw_correlation(axes: Axes, left: np.ndarray) -> None:
+    lags, bound = min(LAGS_SHOWN, len(left) - 1), BAND / np.sqrt(len(left))
+    correlation = autocorrelation(left, lags)
+    axes.axhspan(-bound, bound, color=style.ORANGE, alpha=0.3, linewidth=0, zorder=0, label="white noise, 95 %")
+    axes.axhline(0.0, color=style.GREY, linewidth=0.5)
+    axes.vlines(np.arange(1, lags + 1), 0.0, correlation, color=style.BLUE, linewidth=1.0)
+    axes.set_xlim(0, lags + 1)
+    reach = max(3.0 * bound, 1.15 * float(np.nanmax(np.abs(correlation), initial=0.0)))
+    axes.set_ylim(-reach, reach)
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+
+
+def _name(axes: Axes, channel: Channel, record: Record) -> None:
+    """Quantity and place of a sensor before its row."""
+    place = channel.label if record.dofs or channel.gauge is not None else f"DOF {channel.where}"
+    place = "ground" if channel.quantity == GROUND and channel.gauge is None else place
+    axes.set_ylabel(f"{style.SYMBOLS[channel.quantity]}, {place}")
+
+
+def _write_nmse(axes: Axes, left: np.ndarray, signal: np.ndarray, digits: int) -> None:
+    error = nmse_percent(left, signal)
+    if np.isfinite(error):
+        axes.set_title(f"NMSE {error:.{digits}g} %", loc="right", fontsize=7, pad=2)
+
+
+def _finish(figure: Figure, panels: np.ndarray, titles: tuple[str, ...], count: int) -> None:
+    """Titles of the columns, the legend, and how many of all sensors are shown."""
+    for axes, title in zip(panels[0], titles, strict=True):
+        style.head(axes, title)
+    figure.align_ylabels(list(panels[:, 0]))
+    style.legend(figure)
+    if count > len(panels):
+        style.note(figure, f"the {len(panels)} of {count} sensors with the largest NMSE")
+
+
+def frequency_response_figure(record: Record, structure: Structure) -> Figure:
+    """Amplitude and phase of every sensor over the measured force, within the band of a record.
+
+    Args:
+        record: With a band and one measured force.
+        structure: With the estimated parameters.
+    """
+    assert record.band is not None
+    sensors, load = channels(record)[:MOST], channels(record, (FORCE,))
+    first, stop = np.searchsorted(np.fft.rfftfreq(len(record.time), record.step), record.band.edges)
+    spectra = CrossSpectra.of_bands(record, sensors, load, range(first, stop + 1, AVERAGED))
+    modes = modes_of(structure)
+    at = modes.shapes[[sensor.dof for sensor in sensors]] * modes.pushed[:, load[0].dof]
+    estimated = (1.0 / (1j * spectra.omega[:, None] - modes.poles)) @ at.T * spectra.differentiation
+    shown = (
+        (spectra.response[..., 0], style.DOTS | {"color": style.GREY, "label": "measured"}),
+        (estimated, {"color": style.BLUE, "label": "estimated"}),
+    )
+    with style.look():
+        figure, panels = style.panels(
+            2, len(sensors), 1.5, margins=(0.55, 0.08, 0.45, 0.4), gaps=(0.5, 0.12), sharex="col"
+        )
+        for i, ((above, below), sensor) in enumerate(zip(panels.T, sensors, strict=True)):
+            for values, look in shown:
+                above.semilogy(spectra.frequency, np.abs(values[:, i]), **look)
+                below.plot(spectra.frequency, np.degrees(np.angle(values[:, i])), **look)
+            title = f"{style.SYMBOLS[sensor.quantity]} of {record.dof_names([sensor.dof])}"
+            above.set_title(f"{title}, {style.unit(sensor.quantity)}/N", pad=3)
+            below.set_yticks([-180, -90, 0, 90, 180])
+            below.set_xlabel("Frequency (Hz)", labelpad=2)
+        panels[0, 0].set_ylabel("Amplitude")
+        panels[1, 0].set_ylabel("Phase (°)")
+        style.legend(figure)
+    return figure
